@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+# make demo | test | test-all | lint | bench | bags | clean
+# Everything happens in .venv; PYTHON= chooses the interpreter that makes it (3.11 or later).
+
+VENV := .venv
+PY := $(VENV)/bin/python
+PIP := $(PY) -m pip install --quiet --disable-pip-version-check --prefer-binary
+# Two processes with one BLAS thread each are faster on two cores than the reverse.
+PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
+PYTHON ?=
+PACKAGING := setup.py setup.cfg pyproject.toml
+
+.PHONY: demo test test-all lint bench bags clean
+.DEFAULT_GOAL := demo
+
+demo: $(VENV)/.installed
+	@echo 'Identifying models along the example bag and comparing them with the truth ...'
+	$(VENV)/bin/ctsid replay bags/quadrotor_roll --params config/quadrotor_roll.yaml \
+	  --truth bags/quadrotor_roll_truth.json --out results/demo --force
+
+test: $(VENV)/.installed-test
+	$(PYTEST) -m 'not slow'
+
+test-all: $(VENV)/.installed-test
+	$(PYTEST)
+
+lint: $(VENV)/.installed-dev
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+
+bench: $(VENV)/.installed-bench
+	for script in benchmarks/bench_*.py; do $(PY) $$script || exit 1; done
+
+bags: $(VENV)/.installed
+	$(PY) bags/make_quadrotor_roll.py
+
+clean:
+	rm -rf $(VENV) results build install log *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(PY):
+	python=$${PYTHON:-$$(.ci/find-python 3.12 3.11 3.13 3.14)} && "$$python" -m venv $(VENV)
+
+$(VENV)/.installed: $(PACKAGING) | $(PY)
+	@echo 'Installing ctsid and what it needs into $(VENV) ...'
+	$(PIP) --editable .
+	@touch $@
+
+# One rule for every set of extras of setup.py: .installed-test installs ctsid[test].
+$(VENV)/.installed-%: $(PACKAGING) | $(PY)
+	@echo 'Installing ctsid[$*] into $(VENV) ...'
+	$(PIP) --editable '.[$*]'
+	@touch $@ $(VENV)/.installed

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build of the ROS 2 package `ctsid` (ament_python); also a plain pip package."""
+
+from glob import glob
+
+from setuptools import setup
+
+PACKAGE = 'ctsid'
+ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
+TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'colcon-core', 'colcon-ros',
+        'setuptools>=70.1']  # builds wheels without the package `wheel`
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Continuous-time system identification for robots, from a bag or online',
+    license='Apache-2.0',
+    author='The ctsid developers',
+    maintainer='The ctsid developers',
+    maintainer_email='ctsid@users.noreply.github.com',
+    packages=['ctsid_core', 'ctsid_core.bases', 'ctsid_ros'],
+    package_data={'ctsid_core': ['py.typed'], 'ctsid_ros': ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        *((f'share/{PACKAGE}/{folder}', sorted(glob(f'{folder}/{pattern}')))
+          for folder, pattern in (('config', '*.yaml'), ('launch', '*.launch.py'))
+          if glob(f'{folder}/{pattern}')),
+    ],
+    python_requires='>=3.11',
+    install_requires=['numpy>=1.26', 'scipy', 'mcap', 'rosbags', 'PyYAML', 'rich'],
+    extras_require={
+        'ros': ROS,
+        'test': TEST,
+        'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
+        'dev': [*TEST, 'ruff', 'mypy'],
+    },
+    entry_points={'console_scripts': ['ctsid = ctsid_ros.cli:main']},
+    zip_safe=False,
+)
