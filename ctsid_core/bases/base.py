@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The seam between bases and subspace methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Lines = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """
+    A record in a basis in which the derivative is diagonal.
+
+    All rows are spectral lines f_k, one complex number per line with frequency >= 0. Real and
+    imaginary parts of all lines together are an orthonormal image of the basis coefficients
+    (lines of positive frequency carry the factor sqrt(2) of their conjugates), so that sums of
+    squares over them are those over the coefficients.
+
+    Parameters
+    ----------
+    s : ndarray, shape (L,)
+        The derivative, line by line [rad/s]: purely imaginary.
+    u : ndarray, shape (nu, L)
+    y : ndarray, shape (ny, L)
+    tail : ndarray, shape (0 or 1, L)
+        The virtual input that stands for the truncated part of the state's derivative.
+    ones : ndarray, shape (0 or 1, L)
+        The constant 1: trim of states and outputs.
+    start, end : float
+        The interval of the record [s].
+    """
+
+    s: Lines
+    u: Lines
+    y: Lines
+    tail: Lines
+    ones: Lines
+    start: float
+    end: float
+
+
+def as_real(lines: Lines) -> Array:
+    """Return real and imaginary parts as columns: (m, L) complex to (m, 2 L) real."""
+    real: Array = np.ascontiguousarray(lines).view(np.float64)
+    return real

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The Hermite domain, in diagonal form.
+
+A window [t_c - tau, t_c + tau] is mapped to x = (t - t_c) / alpha ([HD] eq. 31). With rows of
+coefficients f, the derivative df/dx has the coefficients f D, D skew-symmetric tridiagonal
+(eq. 25). Then
+
+    D = V diag(i w_k) V^H,        V = diag((-i)^n) Q,
+
+w_k the Gauss-Hermite nodes of order nc = nmax + 1 and Q real orthogonal, because
+Q diag(w) Q^T is the Jacobi matrix of the Hermite functions. The lines f V come in conjugate
+pairs; those of w >= 0 are kept. Even orders give their real parts, odd ones the imaginary.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import roots_hermite
+
+from ctsid_core.bases.base import Lines, Projection
+from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.quadrature import coefficients
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Array, Record, Signal
+
+
+@dataclass(frozen=True)
+class HermiteLines:
+    """
+    What depends on nmax alone.
+
+    Parameters
+    ----------
+    w : ndarray, shape (L,)
+        Non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing.
+    even, odd : ndarray, shapes (ceil(nc/2), L), (floor(nc/2), L)
+        From even and odd coefficients to real and imaginary parts of the lines.
+    tail : ndarray, shape (1, L)
+        The lines of e_last = [0 ... 0 1].
+    ones : ndarray, shape (1, L)
+        The lines of the constant 1 on the whole real line.
+    """
+
+    w: Array
+    even: Array
+    odd: Array
+    tail: Lines
+    ones: Lines
+
+    def lines(self, f: Array) -> Lines:
+        """Map rows of coefficients (m, nc) to lines (m, L)."""
+        out = np.empty((len(f), len(self.w)), dtype=complex)
+        out.real = f[:, 0::2] @ self.even
+        out.imag = f[:, 1::2] @ self.odd
+        return out
+
+
+@lru_cache(maxsize=32)
+def hermite_lines(nmax: int) -> HermiteLines:
+    """
+    Compute the diagonal form of the derivative for orders 0 .. nmax.
+
+    Parameters
+    ----------
+    nmax : int
+        At least 1.
+    """
+    w = roots_hermite(nmax + 1)[0][(nmax + 1) // 2:]
+    h = hermite_functions(nmax, w)
+    q = h / np.linalg.norm(h, axis=0)
+    q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
+    sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
+    even, odd = (sign[:, np.newaxis] * q)[0::2], (-sign[:, np.newaxis] * q)[1::2]
+    unmade = HermiteLines(w, even, odd, np.empty((1, 0)), np.empty((1, 0)))
+    last = np.zeros((1, nmax + 1))
+    last[0, -1] = 1.0
+    return HermiteLines(w, even, odd, unmade.lines(last), unmade.lines(_constant(nmax)))
+
+
+def _constant(nmax: int) -> Array:
+    """Return <h_n, 1> over the real line (1, nmax + 1): odd ones vanish, c_(n+2) = c_n ratio."""
+    c = np.zeros((1, nmax + 1))
+    n = np.arange(2, nmax + 1, 2)
+    c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
+        np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
+    return c
+
+
+def time_scale(nmax: int, tau: float, settings: Settings) -> float:
+    """
+    Return alpha [s].
+
+    In the paper's form the turning point R = sqrt(2 nmax + 1) of h_nmax lies on the edge of the
+    window ([HD] eq. 31); in the exact form it lies inside by `edge_margin` widths R^(-1/3) of
+    the Airy tail of h_nmax, so that all functions have decayed at the edge.
+    """
+    turning = np.sqrt(2.0 * nmax + 1.0)
+    if settings.edges == 'paper':
+        return float(tau / turning)
+    return float(tau / (turning + settings.edge_margin * turning ** (-1.0 / 3.0)))
+
+
+def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
+    """
+    Project a record on Hermite functions, each signal from its own stamps.
+
+    Parameters
+    ----------
+    record : Record
+    settings : Settings
+        Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
+    nmax : int
+        Highest order.
+
+    References
+    ----------
+    [HD] eq. 27, 33, 34.
+    """
+    basis = hermite_lines(nmax)
+    alpha = time_scale(nmax, 0.5 * record.duration, settings)
+    inputs, delays = _by_delay(record, settings)
+    signals = (*inputs, *record.outputs)
+    found = coefficients(signals, record.start, record.end, alpha, nmax,
+                         (*delays, *(0.0,) * len(record.outputs)))
+    count = len(inputs)
+    nothing = np.empty((0, len(basis.w)), dtype=complex)
+    exact = settings.edges == 'exact'
+    return Projection(
+        s=1j * basis.w / alpha,
+        u=basis.lines(np.vstack(found[:count])) if count else nothing,
+        y=basis.lines(np.vstack(found[count:])),
+        tail=basis.tail if exact else nothing,
+        ones=_ones(basis, record, alpha, nmax, exact) if settings.trim else nothing,
+        start=record.start, end=record.end)
+
+
+def _ones(basis: HermiteLines, record: Record, alpha: float, nmax: int, exact: bool) -> Lines:
+    if exact:
+        return basis.ones
+    held = Signal(np.array([record.start]), np.ones((1, 1)), 'zoh')
+    return basis.lines(coefficients([held], record.start, record.end, alpha, nmax, [0.0])[0])
+
+
+def _by_delay(record: Record, settings: Settings) -> tuple[list[Signal], list[float]]:
+    """Split input signals into single channels where their dead times differ."""
+    delays = settings.delays(record.nu)
+    signals: list[Signal] = []
+    shifts: list[float] = []
+    first = 0
+    for signal in record.inputs:
+        own = delays[first:first + signal.width]
+        first += signal.width
+        if len(set(own)) == 1:
+            signals.append(signal)
+            shifts.append(own[0])
+            continue
+        for j, delay in enumerate(own):
+            signals.append(Signal(signal.time, signal.values[:, j:j + 1], signal.hold))
+            shifts.append(delay)
+    return signals, shifts
+
+

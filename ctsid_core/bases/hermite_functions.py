@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Hermite functions h_n, orthonormal on the real line ([HD] eq. 13 to 18).
+
+    h_n(x) = exp(-x^2/2) H_n(x) / sqrt(2^n sqrt(pi) n!)
+
+The three-term recursion (eq. 16) is stable, but its start, exp(-x^2/2), underflows to zero at
+|x| > 38.6 although h_n(x) is large there for n > 745. Beyond that argument the recursion
+therefore runs on mantissas, and the power of two of every argument is carried apart.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+Array = NDArray[np.float64]
+
+_PLAIN_LIMIT = 37.0     # exp(-37^2/2) = 1e-297 is still a normal number
+_EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 2^512
+_BLOCK = 4096           # samples evaluated at a time, to stay in the cache
+_CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
+_LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
+_LN2_LOW = 1.42860682030941723212e-6
+
+
+def hermite_functions(nmax: int, x: Array) -> Array:
+    """
+    Evaluate h_0 .. h_nmax.
+
+    Parameters
+    ----------
+    nmax : int
+        Highest order, at least 0.
+    x : ndarray, shape (N,)
+        Arguments (dimensionless time t' of [HD] eq. 31).
+
+    Returns
+    -------
+    ndarray, shape (nmax + 1, N)
+
+    References
+    ----------
+    [HD] eq. 16 to 18.
+    """
+    x = np.asarray(x, dtype=float)
+    if x.size == 0 or np.abs(x).max() < _PLAIN_LIMIT:
+        g = _recursion(nmax, x, np.empty((nmax + 1, x.size)))
+        g /= _balanced_coefficients(nmax)[1][:, np.newaxis]
+        return g
+    # Outside of |x| = R + 40 every h_n is below 1e-300: moving x there changes nothing.
+    edge = np.sqrt(2.0 * nmax + 1.0) + 40.0
+    return _scaled_recursion(nmax, np.clip(x, -edge, edge))
+
+
+def _coefficients(nmax: int) -> tuple[Array, Array]:
+    n = np.arange(nmax, dtype=float)
+    return np.sqrt(2.0 / (n + 1.0)), np.sqrt(n / (n + 1.0))
+
+
+@lru_cache(maxsize=64)
+def _balanced_coefficients(nmax: int) -> tuple[Array, Array]:
+    """
+    Return r (nmax,) and s (nmax + 1,) so that g_n = s_n h_n obeys g_(n+1) = r_n x g_n - g_(n-1).
+
+    One multiplication per value less than eq. 16; s grows as n^(1/4) only.
+    """
+    a, b = _coefficients(nmax)
+    s = np.ones(nmax + 1)
+    s[2::2] = np.cumprod(1.0 / b[1::2])
+    s[3::2] = np.cumprod(1.0 / b[2::2])
+    return a * s[1:] / s[:-1], s
+
+
+def _recursion(nmax: int, x: Array, out: Array) -> Array:
+    """Fill `out` (nmax + 1, N) with g_n(x) = s_n h_n(x); |x| must stay below the plain limit."""
+    r, _ = _balanced_coefficients(nmax)
+    out[0] = np.pi ** -0.25 * np.exp(-0.5 * x * x)
+    if nmax > 0:
+        np.multiply(x, np.sqrt(2.0) * out[0], out=out[1])
+    for n in range(1, nmax):                                                 # eq. 16
+        g = out[n + 1]
+        np.multiply(x, r[n], out=g)
+        np.multiply(g, out[n], out=g)
+        np.subtract(g, out[n - 1], out=g)
+    return out
+
+
+def project(nmax: int, x: Array, weights: Array) -> Array:
+    """
+    Return the sums over the samples of h_n(x_k) weights_k, without keeping the h_n.
+
+    Parameters
+    ----------
+    nmax : int
+    x : ndarray, shape (N,)
+    weights : ndarray, shape (m, N)
+
+    Returns
+    -------
+    ndarray, shape (m, nmax + 1)
+    """
+    if x.size == 0 or np.abs(x).max() >= _PLAIN_LIMIT:
+        return _project_by_parts(nmax, x, weights)
+    total = np.zeros((nmax + 1, len(weights)))
+    buffer = np.empty((nmax + 1) * min(len(x), _BLOCK))
+    for first in range(0, len(x), _BLOCK):
+        part = x[first:first + _BLOCK]
+        g = _recursion(nmax, part, buffer[:(nmax + 1) * len(part)].reshape(nmax + 1, -1))
+        total += g @ weights[:, first:first + _BLOCK].T
+    return (total / _balanced_coefficients(nmax)[1][:, np.newaxis]).T
+
+
+def _project_by_parts(nmax: int, x: Array, weights: Array) -> Array:
+    total = np.zeros((len(weights), nmax + 1))
+    for first in range(0, len(x), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        total += weights[:, part] @ hermite_functions(nmax, x[part]).T
+    return total
+
+
+def _gauss_split(x: Array) -> tuple[Array, NDArray[np.int64]]:
+    """
+    Return m, j with exp(-x^2/2) = m 2^j and m near 1, without rounding error of large x^2.
+
+    The square of the leading 24 bits of x is exact; the rest is small.
+    """
+    lead = x.astype(np.float32).astype(np.float64)
+    large = 0.5 * lead * lead
+    small = 0.5 * (x - lead) * (x + lead)
+    j = np.rint(large / np.log(2.0))
+    mantissa = np.exp(-((large - j * _LN2_HIGH) - j * _LN2_LOW + small))
+    return mantissa, -j.astype(np.int64)
+
+
+def _scaled_recursion(nmax: int, x: Array) -> Array:
+    mantissa, exponent = _gauss_split(x)
+    a, b = _coefficients(max(nmax, 1))
+    h = np.empty((nmax + 1, len(x)))
+    previous, current = np.zeros_like(x), np.pi ** -0.25 * mantissa
+    for n in range(nmax + 1):
+        np.ldexp(current, exponent, out=h[n])
+        if n == nmax:
+            break
+        previous, current = current, a[n] * x * current - b[n] * previous    # eq. 16
+        if n % _CHECK_EVERY == 0:
+            big = np.abs(current) > 2.0 ** _EXPONENT_STEP
+            if big.any():
+                shift = np.where(big, -_EXPONENT_STEP, 0)
+                previous, current = np.ldexp(previous, shift), np.ldexp(current, shift)
+                exponent -= shift
+    return h
+
+
+def integral_of_first(x: Array) -> Array:
+    """Return I_0(x), the integral of h_0 from minus infinity to x."""
+    value: Array = np.pi ** 0.25 / np.sqrt(2.0) * (1.0 + erf(x / np.sqrt(2.0)))
+    return value

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Estimates as JSON text, format 'ctsid-model', version 1.
+
+Strict JSON that describes itself: matrices are lists of rows, numbers keep all of their bits, NaN
+is null, infinities are the words "Infinity" and "-Infinity" (JSON has neither). `equations`,
+`message` and each model's `poles` are for other readers; from_json() computes them itself.
+
+A reader refuses what it does not know: another format, a newer version, missing and unknown keys.
+Only parameters of identification that are missing take their defaults, so that files outlive the
+arrival of new ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+import json
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.errors import DataError, SettingsError, StorageError
+from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.settings import Settings
+from ctsid_core.statespace import StateSpace
+
+Array = NDArray[np.float64]
+
+FORMAT = 'ctsid-model'
+VERSION = 1
+EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
+             'y = C x + D u(t - delay) + y_trim + e;  time in s, poles in rad/s')
+
+TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'start_ns', 'end_ns', 'model',
+            'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
+            'statistics', 'choices', 'notes', 'settings', 'metadata')
+MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
+            'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
+WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
+MODEL_KEYS = ('n', 'nu', 'ny', *WORDS, *MATRICES, 'noise', 'poles')
+POLE_KEYS = ('re', 'im', 'natural_frequency', 'damping')
+
+
+def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) -> str:
+    """
+    Return an estimate as JSON text; the same estimate gives the same text.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    metadata : mapping, optional
+        What else to keep: names to words, numbers, lists or mappings of them.
+    """
+    document = {
+        'format': FORMAT, 'version': VERSION, 'equations': EQUATIONS,
+        'status': estimate.status.name, 'message': estimate.status.value,
+        'start_ns': int(estimate.start_ns), 'end_ns': int(estimate.end_ns),
+        'model': _model(estimate.model), 'rejected_model': _model(estimate.rejected_model),
+        'pole_std': estimate.pole_std, 'fit': estimate.fit,
+        'held_out_fit': estimate.held_out_fit, 'singular_values': estimate.singular_values,
+        'condition': estimate.condition, 'statistics': estimate.statistics,
+        'choices': [{'name': c.name, 'value': c.value, 'why': c.why} for c in estimate.choices],
+        'notes': estimate.notes, 'settings': estimate.settings.to_ros(),
+        'metadata': dict(metadata or {})}
+    return _text(_plain(document)) + '\n'
+
+
+def from_json(text: str) -> Estimate:
+    """
+    Return the estimate that `to_json` has written, equal to the last bit.
+
+    Raises
+    ------
+    StorageError
+        If the text is not such a document, or of a version that this ctsid cannot read.
+    """
+    return parse(text)[0]
+
+
+def parse(text: str) -> tuple[Estimate, dict[str, object]]:
+    """Return estimate and metadata; raises like `from_json`."""
+    document = _document(text)
+    status = _status(document['status'])
+    model = _read_model(document['model'], 'model')
+    if (model is not None) != (status is Status.OK):
+        raise StorageError(f'`status` is {status.name} but `model` is '
+                           f'{"given" if model else "null"}; they contradict each other, so the '
+                           'file was changed by hand: write it again')
+    vectors: dict[str, Any] = {key: _numbers(document[key], key, nan=True) for key in
+               ('pole_std', 'fit', 'held_out_fit', 'singular_values')}
+    if model is not None:
+        for key, count in (('pole_std', model.n), ('fit', model.ny), ('held_out_fit', model.ny)):
+            if len(vectors[key]) not in (0, count):
+                raise StorageError(f'`{key}` has {len(vectors[key])} numbers, but the model '
+                                   f'wants {count}')
+    statistics = _object(document['statistics'], 'statistics')
+    metadata = _object(document['metadata'], 'metadata')
+    return Estimate(
+        status=status, settings=_read_settings(document['settings']), model=model,
+        rejected_model=_read_model(document['rejected_model'], 'rejected_model'), **vectors,
+        condition=_number(document['condition'], 'condition', nan=True),
+        choices=tuple(_read_choice(c, i) for i, c in enumerate(_list(document, 'choices'))),
+        notes=tuple(_word(w, f'notes[{i}]') for i, w in enumerate(_list(document, 'notes'))),
+        start_ns=_integer(document, 'start_ns'), end_ns=_integer(document, 'end_ns'),
+        statistics={k: _number(v, f'statistics.{k}', nan=True) for k, v in statistics.items()},
+    ), metadata
+
+
+def _model(model: StateSpace | None) -> dict[str, object] | None:
+    if model is None:
+        return None
+    poles = zip(model.poles.real, model.poles.imag, model.natural_frequency, model.damping,
+                strict=True)
+    return {'n': model.n, 'nu': model.nu, 'ny': model.ny,
+            **{key: getattr(model, key) for key in (*WORDS, *MATRICES, 'noise')},
+            'poles': [dict(zip(POLE_KEYS, pole, strict=True)) for pole in poles]}
+
+
+def _plain(value: Any) -> Any:
+    # To what JSON has words for
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else 'Infinity' if value > 0 else '-Infinity'
+    if isinstance(value, Enum):
+        return value.name
+    return value if value is None or isinstance(value, str | bool | int | float) else str(value)
+
+
+def _text(value: Any, indent: str = '') -> str:
+    # One line per entry, row or long sentence; short lists on one line
+    if isinstance(value, dict) and value:
+        lines = [f'{_line(k)}: {_text(v, indent + "  ")}' for k, v in value.items()]
+    elif isinstance(value, list) and any(isinstance(v, dict | list | str) for v in value) and (
+            len(_line(value)) > 70 or not isinstance(value[0], str)):
+        lines = [_line(v) for v in value]
+    else:
+        return _line(value)
+    ends = '{}' if isinstance(value, dict) else '[]'
+    body = ',\n'.join(f'{indent}  {line}' for line in lines)
+    return f'{ends[0]}\n{body}\n{indent}{ends[1]}'
+
+
+def _line(value: Any) -> str:
+    return json.dumps(value, allow_nan=False)
+
+
+def _document(text: str) -> dict[str, Any]:
+    try:
+        document = json.loads(text, parse_constant=_refuse_constant,
+                              object_pairs_hook=_without_twins)
+    except StorageError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise StorageError(f'not JSON, or cut off ({error}); copy or write the file again'
+                           ) from error
+    if not isinstance(document, dict) or document.get('format') != FORMAT:
+        found = document.get('format') if isinstance(document, dict) else None
+        raise StorageError(f'not a {FORMAT} file (`format` is {found!r}); choose a model.json '
+                           'that ctsid has written')
+    version = document.get('version')
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise StorageError(f'`version` is {version!r}, wanted is {VERSION}; write the file again')
+    if version > VERSION:
+        raise StorageError(f'written by a newer ctsid (`version` {version}; this one reads up to '
+                           f'{VERSION}); upgrade ctsid')
+    _check_keys(document, TOP_KEYS, '')
+    return document
+
+
+def _refuse_constant(word: str) -> None:
+    raise StorageError(f'holds {word}, which JSON does not know; write null for an unknown number')
+
+
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [k for k, _ in pairs]
+        twins = sorted({k for k in names if names.count(k) > 1})
+        raise StorageError(f'the key {", ".join(map(repr, twins))} occurs twice; keep one')
+    return found
+
+
+def _check_keys(found: Mapping[str, Any], wanted: tuple[str, ...], where: str) -> None:
+    place = f' in `{where}`' if where else ''
+    faults = [f'{what}: {", ".join(keys)}' for what, keys in (
+        ('missing', [k for k in wanted if k not in found]),
+        ('unknown', [k for k in found if k not in wanted])) if keys]
+    if faults:
+        raise StorageError(f'keys{place} do not match version {VERSION} of the format '
+                           f'({"; ".join(faults)}); write the file again')
+
+
+def _object(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise StorageError(f'`{where}` is {_shown(value)}, but an object is wanted')
+    return value
+
+
+def _list(document: Mapping[str, Any], key: str) -> list[Any]:
+    if not isinstance(document[key], list):
+        raise StorageError(f'`{key}` is {_shown(document[key])}, but a list is wanted')
+    return list(document[key])
+
+
+def _word(value: Any, where: str) -> str:
+    if not isinstance(value, str):
+        raise StorageError(f'`{where}` is {_shown(value)}, but a word is wanted')
+    return value
+
+
+def _integer(document: Mapping[str, Any], key: str) -> int:
+    value = document[key]
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise StorageError(f'`{key}` is {_shown(value)}, but a whole number is wanted')
+    return value
+
+
+def _number(value: Any, where: str, *, nan: bool) -> float:
+    words = {None: math.nan, 'Infinity': math.inf, '-Infinity': -math.inf}
+    if nan and (value is None or isinstance(value, str)) and value in words:
+        return words[value]
+    good = isinstance(value, int | float) and not isinstance(value, bool)
+    try:
+        number = float(value) if good else math.nan
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise StorageError(f'`{where}` is {_shown(value)}, but a finite number is wanted')
+    return number
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) < 40 else text[:36] + ' ...'
+
+
+def _numbers(value: Any, where: str, shape: tuple[int, ...] | None = None, *,
+             nan: bool = False) -> Array:
+    if not isinstance(value, list):
+        raise StorageError(f'`{where}` is {_shown(value)}, but a list of numbers is wanted')
+    shape = (len(value),) if shape is None else shape
+    if len(value) != shape[0]:
+        raise StorageError(f'`{where}` has {len(value)} entries, but '
+                           f'{" by ".join(map(str, shape))} numbers are wanted')
+    entries: list[Any] = [
+        _number(v, f'{where}[{i}]', nan=nan) if len(shape) == 1 else
+        _numbers(v, f'{where}[{i}]', shape[1:], nan=nan) for i, v in enumerate(value)]
+    return np.array(entries, dtype=float).reshape(shape)
+
+
+def _read_model(found: Any, where: str) -> StateSpace | None:
+    if found is None:
+        return None
+    found = _object(found, where)
+    _check_keys(found, MODEL_KEYS, where)
+    size = {key: _integer(found, key) for key in ('n', 'nu', 'ny')}
+    if min(size.values()) < 0:
+        raise StorageError(f'`{where}` has negative dimensions {size}')
+    given: dict[str, Any] = {
+        key: _numbers(found[key], f'{where}.{key}', tuple(size[s] for s in shape))
+        for key, shape in MATRICES.items()}
+    for key in WORDS:
+        given[key] = tuple(_word(w, f'{where}.{key}[{i}]')
+                           for i, w in enumerate(_list(found, key)))
+    if found['noise'] is not None:
+        given['noise'] = _numbers(found['noise'], f'{where}.noise', (size['ny'],) * 2)
+    try:
+        return StateSpace(**given)
+    except DataError as error:
+        raise StorageError(f'`{where}`: {error}') from error
+
+
+def _status(name: Any) -> Status:
+    if not isinstance(name, str) or name not in Status.__members__:
+        raise StorageError(f'`status` is {_shown(name)}; this ctsid knows '
+                           f'{", ".join(Status.__members__)}: upgrade it')
+    return Status[name]
+
+
+def _read_settings(found: Any) -> Settings:
+    try:
+        return Settings.from_ros(_object(found, 'settings'))
+    except SettingsError as error:
+        raise StorageError(f'`settings`: {error}') from error
+
+
+def _read_choice(found: Any, index: int) -> Choice:
+    where = f'choices[{index}]'
+    found = _object(found, where)
+    _check_keys(found, ('name', 'value', 'why'), where)
+    return Choice(_word(found['name'], f'{where}.name'), _tuples(found['value']),
+                  _word(found['why'], f'{where}.why'))
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value

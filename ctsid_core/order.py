@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Choice of the regression's parameters, of the order and of the noise model.
+
+A subspace estimate costs a fraction of a millisecond, so a grid of (beta, p) is tried and the
+most likely model kept. Three questions have to be answered together:
+
+- Unstable? Seen through a window, a pole in the right half plane always explains a little more.
+  It is believed only if simulations are much better with it than with the best stable model.
+- Process noise? The innovation form is believed if it is more likely and its poles simulate
+  nearly as well as those of the best simulation; else its K has taken up plant dynamics.
+- Which order? The poles of the best candidate of each order are taken to the maximum of the
+  output-error likelihood first (else a badly placed mode looks like two), then Schwarz's
+  criterion decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.bases.base import Projection
+from ctsid_core.pole_fit import OutputError, OutputErrorFit
+from ctsid_core.prediction_errors import innovation_cost
+from ctsid_core.pbsid import Matrices, Subspace, Tuning, realise, regress
+from ctsid_core.settings import Settings
+
+_PASTS = (2, 3, 4, 6, 8, 12)
+_SHIFTS = 5                   # values of beta tried
+_GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
+_PATIENCE = 2                 # orders beyond the best one that are tried before giving up
+_EXPLAINED = 1e-6             # residual power below this fraction needs no further state
+_STEPS = 12                   # Gauss-Newton steps of the poles
+_UNSTABLE = 1.25              # how much better simulations must be to believe an unstable pole
+_NEARLY = 1.1                 # how much worse they may be with a model that has a K
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """
+    A subspace model and what the data say of it.
+
+    Parameters
+    ----------
+    tuning : Tuning
+    matrices : Matrices
+    singular_values : ndarray
+    condition : float
+    simulated : OutputErrorFit
+        At its poles, as a simulation (noise of measurement only).
+    innovation : float
+        -2 log likelihood with its own K.
+    """
+
+    tuning: Tuning
+    matrices: Matrices
+    singular_values: NDArray[np.float64]
+    condition: float
+    simulated: OutputErrorFit
+    innovation: float
+
+    @property
+    def growth(self) -> float:
+        """Largest real part of the poles [rad/s]."""
+        return float(self.simulated.poles.real.max())
+
+
+@dataclass(frozen=True)
+class Pair:
+    """
+    The candidate that simulates best and the one of the most likely innovation form.
+
+    Parameters
+    ----------
+    simulating, predicting : Candidate
+    limit : float
+        Largest real part that a pole may have: infinite if the plant is unstable [rad/s].
+    process_noise : bool
+        Whether the second is to be believed.
+    """
+
+    simulating: Candidate
+    predicting: Candidate
+    limit: float
+    process_noise: bool
+
+    @property
+    def best(self) -> Candidate:
+        """The one to be believed."""
+        return self.predicting if self.process_noise else self.simulating
+
+
+@dataclass(frozen=True)
+class OrderTrial:
+    """
+    The best that was found at one order.
+
+    Parameters
+    ----------
+    order : int
+    simulation, innovation : float
+        Schwarz's criterion of the two noise models; the smallest wins.
+    process_noise : bool
+        Whether the second noise model is to be believed at this order.
+    residual : float
+        Largest part of an output's power that no simulation explains.
+    """
+
+    order: int
+    simulation: float
+    innovation: float
+    process_noise: bool
+    residual: float
+
+
+class Search:
+    """
+    All subspace models of one projection, computed when asked for.
+
+    Parameters
+    ----------
+    projection : Projection
+    settings : Settings
+        Values other than 0 of order, beta, gamma, past and future are kept as they are.
+    """
+
+    def __init__(self, projection: Projection, settings: Settings) -> None:
+        self.projection = projection
+        self.settings = settings
+        self.output_error = OutputError(projection, settings.feedthrough)
+        self._subspace = lru_cache(maxsize=None)(self._regress)
+
+    def tunings(self, n: int) -> list[Tuning]:
+        """Return the tunings that the data are long enough for and that can hold order n."""
+        top, settings = float(np.abs(self.projection.s[-1])), self.settings
+        slow = 10.0 / (self.projection.end - self.projection.start)
+        shifts = [settings.beta] if settings.beta else \
+            list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
+        pasts = [settings.past] if settings.past else \
+            [p for p in _PASTS if self._holds(p, n)]
+        return [Tuning(b, settings.gamma or _GAMMA * b, p, settings.future or p)
+                for b in shifts for p in pasts]
+
+    def _holds(self, p: int, n: int) -> bool:
+        ny = len(self.projection.y)
+        rows = (p + 1) * (ny + len(self.projection.u) + 2)
+        return p * ny > n and 2 * len(self.projection.s) >= 2 * rows
+
+    def _regress(self, tuning: Tuning) -> Subspace:
+        return regress(self.projection, tuning, feedthrough=self.settings.feedthrough,
+                       rank_tolerance=self.settings.rank_tolerance)
+
+    def candidates(self, n: int, tunings: list[Tuning]) -> Iterator[Candidate]:
+        """Yield the models of order n of the given tunings; those not finite are left out."""
+        for tuning in tunings:
+            subspace = self._subspace(tuning)
+            if n > len(subspace.singular_values):
+                continue
+            matrices = realise(subspace, n)
+            if not np.isfinite(matrices.A).all():
+                continue
+            yield Candidate(
+                tuning, matrices, subspace.singular_values, subspace.condition,
+                self.output_error.fit(np.linalg.eigvals(matrices.A)),
+                innovation_cost(self.projection, matrices))
+
+    def pair(self, n: int, *, thorough: bool = True) -> Pair | None:
+        """
+        Return the best models of order n, or None if the data are too short for any.
+
+        Parameters
+        ----------
+        n : int
+        thorough : bool
+            Try the whole grid, not a part of it.
+        """
+        tunings = self.tunings(n)
+        if not thorough:
+            pasts = sorted({t.past for t in tunings})
+            kept = {pasts[0], pasts[len(pasts) // 2]} if pasts else set()
+            tunings = [t for t in tunings if t.past in kept]
+        found = list(self.candidates(n, tunings))
+        if not found:
+            return None
+        limit = 1.0 / (self.projection.end - self.projection.start)
+        stable = [c for c in found if c.growth <= limit]
+        first = min(found, key=_simulation)
+        if stable and first.growth > limit:
+            calm = min(stable, key=_simulation)
+            if calm.simulated.cost - first.simulated.cost < self._worth(_UNSTABLE):
+                first = calm
+        if first.growth > limit:
+            limit, group = np.inf, [c for c in found if c.growth > limit]
+        else:
+            group = stable
+        second = min(group, key=lambda c: c.innovation)
+        noisy = self._believe(first, second, first.simulated.cost)
+        return Pair(first, second, limit, noisy)
+
+    def _worth(self, ratio: float) -> float:
+        """Return the cost of residuals larger by a ratio in all outputs."""
+        return float(2 * len(self.projection.s) * len(self.projection.y) * 2.0 * np.log(ratio))
+
+    def _believe(self, first: Candidate, second: Candidate, simulated: float) -> bool:
+        nearly = second.simulated.cost - simulated < self._worth(_NEARLY)
+        return second.innovation < first.simulated.cost and (nearly or first.growth > 0.0)
+
+    def trial(self, n: int) -> OrderTrial | None:
+        """Return the best of order n, its poles at the output-error maximum."""
+        pair = self.pair(n, thorough=False)
+        if pair is None:
+            return None
+        refined = self.output_error.fit(pair.simulating.simulated.poles, _STEPS, pair.limit)
+        p = self.projection
+        ny, inputs = len(p.y), len(p.u) + len(p.tail)
+        direct = ny * (len(p.u) * self.settings.feedthrough + len(p.ones))
+        weight = np.log(ny * 2.0 * len(p.s))
+        parameters = n * (inputs + 2 * ny) + direct
+        noisy = self._believe(pair.simulating, pair.predicting, refined.cost)
+        return OrderTrial(n, refined.cost + refined.parameters * weight,
+                          pair.predicting.innovation + parameters * weight,
+                          pair.process_noise and noisy, refined.residual)
+
+    def orders(self) -> list[OrderTrial]:
+        """Try the orders from 1 upwards until neither criterion falls any more."""
+        trials: list[OrderTrial] = []
+        for n in range(1, self.settings.max_order + 1):
+            trial = self.trial(n)
+            if trial is None:
+                break
+            trials.append(trial)
+            last = max(best_order(trials, noisy).order for noisy in (False, True))
+            if trial.residual <= _EXPLAINED or n - last >= _PATIENCE:
+                break
+        return trials
+
+
+def best_order(trials: list[OrderTrial], process_noise: bool) -> OrderTrial:
+    """Return the trial with the smallest criterion under one noise model."""
+    return min(trials, key=lambda t: t.innovation if process_noise else t.simulation)
+
+
+def choose_order(trials: list[OrderTrial]) -> tuple[OrderTrial, bool]:
+    """Return the trial to take, and whether process noise was believed in choosing it."""
+    with_noise = best_order(trials, True)
+    if with_noise.process_noise:
+        return with_noise, True
+    return best_order(trials, False), False
+
+
+def _simulation(candidate: Candidate) -> float:
+    return candidate.simulated.cost

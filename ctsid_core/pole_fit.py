@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+How well simulations with given poles can explain the outputs, and the poles that do it best.
+
+With measurement noise alone (output error) the residuals of a simulation are white over the
+lines. What enters linearly (inputs' effects, tail, trim) is solved for, so that the likelihood
+depends on the poles only (variable projection), and a few Gauss-Newton steps take them to its
+maximum from almost anywhere.
+
+References
+----------
+Golub and Pereyra 1973, SIAM J. Numer. Anal. 10; Kaufman 1975, BIT 15, for the Jacobian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.bases.base import Array, Lines, Projection, as_real
+
+_FLOOR = 1e-20        # residual power below this fraction of the output's counts as rounding
+_HALVINGS = 6
+_LEAST_GAIN = 1e-3    # -2 log likelihood
+
+
+@dataclass(frozen=True)
+class OutputErrorFit:
+    """
+    Poles and how well simulations with them can explain the outputs.
+
+    Parameters
+    ----------
+    cost : float
+        -2 log likelihood, up to a constant.
+    poles : ndarray, shape (n,)
+        [rad/s].
+    parameters : int
+        Number of free parameters.
+    residual : float
+        Largest part of an output's power that stays unexplained.
+    """
+
+    cost: float
+    poles: NDArray[np.complex128]
+    parameters: int
+    residual: float
+
+
+class OutputError:
+    """
+    The output-error likelihood of one projection as a function of the poles.
+
+    Parameters
+    ----------
+    projection : Projection
+    feedthrough : bool
+
+    Notes
+    -----
+    Poles are grouped in quadratic factors s^2 + a s + b (and one s + c if n is odd), which take
+    real poles and conjugate pairs alike. Frequencies are scaled to the top of the band.
+    """
+
+    def __init__(self, projection: Projection, feedthrough: bool) -> None:
+        self._top = float(np.abs(projection.s[-1]))
+        self._driven = len(projection.u) + len(projection.tail)  # ones: the same as y's trim
+        self._s = projection.s / self._top
+        self._z = _unit_rows(np.vstack((projection.u, projection.tail, projection.ones)))
+        direct = (projection.u, projection.ones) if feedthrough else (projection.ones,)
+        self._direct = as_real(_unit_rows(np.vstack(direct)))
+        y = as_real(projection.y)
+        self._power = np.maximum(np.sum(y ** 2, axis=1), 1e-300)
+        self._y = y / np.sqrt(self._power)[:, np.newaxis]
+
+    def fit(self, poles: NDArray[np.complex128], steps: int = 0,
+            limit: float = np.inf) -> OutputErrorFit:
+        """
+        Evaluate the likelihood at given poles, or after some Gauss-Newton steps from there.
+
+        Parameters
+        ----------
+        poles : ndarray, shape (n,)
+            Real, or in conjugate pairs [rad/s].
+        steps : int
+            Gauss-Newton steps (0: at the poles themselves).
+        limit : float
+            Steps may not take the real part of a pole beyond this [rad/s].
+        """
+        factors = _factors(poles / self._top)
+        cost, theta, q, residual = self._solve(factors)
+        for _ in range(steps):
+            step = self._step(factors, theta, q, residual)
+            new = self._search(factors, step, cost, limit)
+            if new is None:
+                break
+            gain = cost - new[1][0]
+            factors, (cost, theta, q, residual) = new
+            if gain < _LEAST_GAIN:
+                break
+        n, (ny, lines) = len(poles), self._y.shape
+        count = ny * (n * self._driven + len(self._direct)) + n
+        offset = lines * float(np.log(self._power).sum())
+        left = float(np.sum(residual ** 2, axis=1).max())
+        return OutputErrorFit(cost + offset, _roots(factors) * self._top, count, left)
+
+    def _search(self, factors: Array, step: Array, cost: float, limit: float,
+                ) -> tuple[Array, tuple[float, Array, Array, Array]] | None:
+        for halving in range(_HALVINGS):
+            trial = factors + step * 0.5 ** halving
+            if np.isfinite(limit) and _roots(trial).real.max() * self._top > limit:
+                continue
+            found = self._solve(trial)
+            if found[0] < cost:
+                return trial, found
+        return None
+
+    def _solve(self, factors: Array) -> tuple[float, Array, Array, Array]:
+        """Return cost, weights theta, an orthonormal basis q of the regressors, residual."""
+        regressors = np.vstack((as_real(self._states(factors)), self._direct))
+        norm = np.linalg.norm(regressors, axis=1)
+        norm[norm == 0.0] = 1.0
+        q, r = np.linalg.qr((regressors / norm[:, np.newaxis]).T)
+        weights = self._y @ q
+        residual = self._y - weights @ q.T
+        ny, lines = self._y.shape
+        variance = np.maximum(np.sum(residual ** 2, axis=1), _FLOOR) / lines
+        theta = np.linalg.lstsq(r, weights.T, rcond=1e-12)[0].T / norm
+        return lines * float(np.log(variance).sum()), theta, q, residual
+
+    def _states(self, factors: Array) -> Lines:
+        """Return the rows z q and z s q of each factor, q = 1 / (s^2 + a s + b)."""
+        blocks = []
+        for a, b, quadratic in factors:
+            if quadratic:
+                q = 1.0 / (self._s * self._s + a * self._s + b)
+                blocks += [self._z * q, self._z * (q * self._s)]
+            else:
+                blocks.append(self._z / (self._s + b))
+        return np.vstack(blocks) if blocks else np.empty((0, len(self._s)), dtype=complex)
+
+    def _step(self, factors: Array, theta: Array, q: Array, residual: Array) -> Array:
+        """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""
+        size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
+        columns, places = [], []
+        width, first = len(self._z), 0
+        for i, (a, b, quadratic) in enumerate(factors):
+            if quadratic:
+                q2 = (self._s * self._s + a * self._s + b) ** -2.0
+                part = theta[:, first:first + width] @ self._z \
+                    + theta[:, first + width:first + 2 * width] @ (self._z * self._s)
+                moves = ((0, -part * q2 * self._s), (1, -part * q2))
+                first += 2 * width
+            else:
+                part = theta[:, first:first + width] @ self._z
+                moves = ((1, -part * (self._s + b) ** -2.0),)
+                first += width
+            for k, change in moves:
+                real = as_real(change)
+                columns.append(((real - (real @ q) @ q.T) / size).ravel())
+                places.append((i, k))
+        jacobian = np.stack(columns, axis=1)
+        norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        found = np.linalg.lstsq(jacobian / norm, (residual / size).ravel(), rcond=1e-8)[0] / norm
+        step = np.zeros_like(factors)
+        for (i, k), value in zip(places, found, strict=True):
+            step[i, k] = value
+        return step
+
+
+def _unit_rows(rows: Lines) -> Lines:
+    norm = np.linalg.norm(rows, axis=1, keepdims=True)
+    return rows / np.where(norm > 0.0, norm, 1.0)
+
+
+def _factors(poles: NDArray[np.complex128]) -> Array:
+    """Group poles in rows (a, b, 1) of s^2 + a s + b, and one (0, b, 0) of s + b."""
+    complex_ones = poles[poles.imag > 0.0]
+    real = np.sort(poles[poles.imag == 0.0].real)
+    rows = [(-2.0 * p.real, abs(p) ** 2, 1.0) for p in complex_ones]
+    rows += [(-(p + q), p * q, 1.0) for p, q in zip(real[0::2], real[1::2], strict=False)]
+    if len(real) % 2:
+        rows.append((0.0, -real[-1], 0.0))
+    return np.array(rows).reshape(-1, 3)
+
+
+def _roots(factors: Array) -> NDArray[np.complex128]:
+    roots: list[complex] = []
+    for a, b, quadratic in factors:
+        if not quadratic:
+            roots.append(complex(-b))
+            continue
+        root = np.sqrt(complex(a * a - 4.0 * b))
+        roots += [(-a + root) / 2.0, (-a - root) / 2.0]
+    return np.array(roots, dtype=complex)

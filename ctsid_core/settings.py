@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The one declaration of every parameter of identification.
+
+From the metadata of these fields come the validation, the ROS parameter names and descriptors,
+the command line's help, the commented YAML files and `docs/parameters.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+import difflib
+import math
+from typing import Any, Literal
+
+from ctsid_core.errors import SettingsError
+
+Hold = Literal['zoh', 'linear', 'smooth']
+HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
+
+
+def parameter(
+    default: Any, doc: str, *, name: str = '', unit: str = '', low: float | None = None,
+    high: float | None = None, choices: tuple[str, ...] = (), auto: str = '',
+    structural: bool = False, when: str = '',
+) -> Any:
+    """
+    Declare one parameter as a dataclass field.
+
+    Parameters
+    ----------
+    default
+        Its default; the type of the parameter is the type of the default.
+    doc : str
+        One sentence: what it means.
+    name : str
+        Dotted ROS name; the field's own name where empty.
+    unit : str
+        Unit, for people.
+    low, high : float, optional
+        Inclusive range.
+    choices : tuple of str
+        Allowed words.
+    auto : str
+        What the value 0 means where 0 stands for 'automatic'.
+    structural : bool
+        True if it can only change while the node is not active.
+    when : str
+        When to change it.
+    """
+    return field(default=default, metadata={
+        'doc': doc, 'name': name, 'unit': unit, 'low': low, 'high': high, 'choices': choices,
+        'auto': auto, 'structural': structural, 'when': when})
+
+
+def ros_name(declared: Field[Any]) -> str:
+    """Return the dotted name under which a declared field appears in parameter files."""
+    return declared.metadata['name'] or declared.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """
+    All that an identification can be told; the defaults find everything from the data.
+
+    Raises
+    ------
+    SettingsError
+        If any value is of wrong type or out of range; all faults are listed at once.
+    """
+
+    method: str = parameter(
+        'hd-pbsid', 'Identification method.', choices=('hd-pbsid',), structural=True)
+    order: int = parameter(
+        0, 'Number of states of the model.', low=0, high=50, auto='chosen from the data',
+        when='Set it when the physics say how many states there are.')
+    max_order: int = parameter(
+        10, 'Largest order that the automatic choice considers.', low=1, high=50,
+        when='Raise it for structures with many modes.')
+    feedthrough: bool = parameter(
+        True, 'Whether u acts on y at once (the matrix D).',
+        when='Set it to false in closed loop and whenever the physics exclude it.')
+    trim: bool = parameter(
+        True, 'Whether constant offsets of states and outputs are estimated with the model.',
+        when='Set it to false only if all signals are deviations from an equilibrium.')
+    delay: float | tuple[float, ...] = parameter(
+        0.0, 'Dead time of the inputs: one for all, or one per input.', unit='s', low=0.0,
+        high=60.0, when='Set it when commands are known to act late.')
+    refine: bool = parameter(
+        True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
+        when='Set it to false to see the plain subspace estimate.')
+    edges: str = parameter(
+        'exact', 'Treatment of the ends of the window: exact for any window, or as in the paper '
+        'for signals that start and end at rest.', name='hermite.edges',
+        choices=('exact', 'paper'))
+    nmax: int = parameter(
+        0, 'Highest order of the Hermite functions: the time-bandwidth product of the window.',
+        name='hermite.nmax', low=0, high=5000, auto='from the bandwidth of the data',
+        when='Raise it if fast dynamics are missed, lower it if noise dominates.')
+    edge_margin: float = parameter(
+        5.0, 'How far the basis stays inside the window, in widths of the Airy tail of its last '
+        'function (edges: exact).', name='hermite.edge_margin', low=2.0, high=20.0)
+    beta: float = parameter(
+        0.0, 'Shift of the modified derivative operator.', name='hermite.beta', unit='rad/s',
+        low=0.0, high=1e6, auto='chosen from the data')
+    gamma: float = parameter(
+        0.0, 'Radius of the region that contains the predictor poles.', name='hermite.gamma',
+        unit='rad/s', low=0.0, high=1e6, auto='chosen from the data',
+        when='It has to exceed |pole + beta| for every pole of interest.')
+    past: int = parameter(
+        0, 'Past window p.', name='pbsid.past', low=0, high=50, auto='chosen from the data',
+        when='Raise it for lightly damped or high-order plants; lower it for noisy data.')
+    future: int = parameter(
+        0, 'Future window f, at most p.', name='pbsid.future', low=0, high=50, auto='equal to p')
+    rank_tolerance: float = parameter(
+        1e-10, 'Singular values below this fraction of the largest count as zero.',
+        name='pbsid.rank_tolerance', low=1e-15, high=1e-2)
+    window_length: float = parameter(
+        10.0, 'Length of the sliding window.', name='window.length', unit='s', low=1e-3,
+        high=1e5, structural=True,
+        when='At least a few times the slowest time constant of interest.')
+    window_stride: float = parameter(
+        1.0, 'Time from one window to the next.', name='window.stride', unit='s', low=1e-3,
+        high=1e5, structural=True)
+    window_max_delay: float = parameter(
+        0.5, 'How late a message may arrive and still be put in order.',
+        name='window.max_delay', unit='s', low=0.0, high=60.0, structural=True,
+        when='Raise it if late samples are reported; models appear that much later.')
+
+    def __post_init__(self) -> None:
+        faults = [f for declared in fields(self)
+                  for f in value_faults(declared, getattr(self, declared.name))]
+        if not faults and self.past and self.future > self.past:
+            faults.append(f'`pbsid.future` is {self.future} but must not exceed `pbsid.past` '
+                          f'({self.past}); lower it or set it to 0')
+        if faults:
+            raise SettingsError(faults)
+
+    def replace(self, **changes: Any) -> Settings:
+        """Return a copy with the given fields changed; raises `SettingsError` like `Settings`."""
+        return replace(self, **changes)
+
+    def delays(self, nu: int) -> tuple[float, ...]:
+        """
+        Return the dead time of each of `nu` inputs [s].
+
+        Raises
+        ------
+        SettingsError
+            If `delay` is a sequence of another length.
+        """
+        if isinstance(self.delay, tuple):
+            if len(self.delay) != nu:
+                raise SettingsError([f'`delay` has {len(self.delay)} values but there are {nu} '
+                                     'inputs; give one number, or one per input'])
+            return self.delay
+        return (float(self.delay),) * nu
+
+    @classmethod
+    def from_ros(cls, values: Mapping[str, object]) -> Settings:
+        """
+        Build settings from dotted ROS names.
+
+        Raises
+        ------
+        SettingsError
+            If any name is unknown or any value is wrong; all faults are listed at once.
+        """
+        settings: Settings = build_from_ros(cls, values)
+        return settings
+
+    def to_ros(self) -> dict[str, object]:
+        """Return the values under their dotted ROS names."""
+        return {ros_name(f): getattr(self, f.name) for f in fields(self)}
+
+
+def build_from_ros(cls: type[Any], values: Mapping[str, object], prefix: str = '') -> Any:
+    """
+    Build a declared dataclass from dotted names, listing unknown names and bad values at once.
+
+    Parameters
+    ----------
+    cls : type
+        A dataclass whose fields were made by `parameter`.
+    values : mapping
+        Dotted name to value, as a parameter file gives them.
+    prefix : str
+        Put before each name in messages.
+
+    Raises
+    ------
+    SettingsError
+        With one sentence per fault.
+    """
+    declared = {ros_name(f): f for f in fields(cls)}
+    faults, accepted = [], {}
+    for name, value in values.items():
+        if name not in declared:
+            near = difflib.get_close_matches(name, declared, n=3)
+            hint = f'did you mean {" or ".join(near)}?' if near else \
+                f'known names: {", ".join(declared)}'
+            faults.append(f'`{prefix}{name}` is not a parameter; {hint}')
+            continue
+        converted = tuple(value) if isinstance(value, list) else value
+        new = value_faults(declared[name], converted, prefix)
+        faults += new
+        if not new:
+            accepted[declared[name].name] = converted
+    missing = [n for n, f in declared.items() if f.default is MISSING and n not in values]
+    faults += [f'`{prefix}{name}` is missing; add it' for name in missing]
+    if faults:
+        try:  # faults between accepted values are found by the constructor: report them too
+            cls(**accepted)
+        except (SettingsError, TypeError) as error:
+            faults += getattr(error, 'faults', ())
+        raise SettingsError(faults)
+    return cls(**accepted)
+
+
+def value_faults(declared: Field[Any], value: object, prefix: str = '') -> list[str]:
+    """Return what is wrong with `value` for a declared field, as sentences; empty if nothing."""
+    name, meta = prefix + ros_name(declared), declared.metadata
+    if isinstance(value, tuple):
+        if 'tuple' not in str(declared.type):
+            return [f'`{name}` is a list, but one {_kind(declared)} is wanted']
+        return [f for item in value for f in _scalar_faults(name, declared, meta, item)]
+    return _scalar_faults(name, declared, meta, value)
+
+
+def _kind(declared: Field[Any]) -> str:
+    kind = type(declared.default) if declared.default is not MISSING else str
+    return {bool: 'true or false', int: 'whole number', float: 'number', str: 'word'}.get(
+        kind, 'value')
+
+
+def _scalar_faults(name: str, declared: Field[Any], meta: Mapping[str, Any],
+                   value: object) -> list[str]:
+    wanted = type(declared.default) if declared.default is not MISSING else str
+    good = isinstance(value, int | float) and not isinstance(value, bool) \
+        if wanted is float else type(value) is wanted
+    if not good:
+        return [f'`{name}` is {value!r} ({type(value).__name__}), but a {_kind(declared)} is '
+                'wanted']
+    if meta['choices'] and value not in meta['choices']:
+        return [f'`{name}` is {value!r}; choose one of {", ".join(map(repr, meta["choices"]))}']
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        low = -math.inf if meta['low'] is None else meta['low']
+        high = math.inf if meta['high'] is None else meta['high']
+        if not low <= value <= high or abs(value) == math.inf:
+            unit = f' {meta["unit"]}' if meta['unit'] else ''
+            return [f'`{name}` is {value!r}, but must lie between {low:g} and {high:g}{unit}']
+    return []
