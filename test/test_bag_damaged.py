@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged bags: what is complete is read, nothing false is, and it is said."""
+
+from __future__ import annotations
+
+from io import BytesIO
+import sqlite3
+import struct
+
+from bag_fixtures import (
+    Sent,
+    bare,
+    flight,
+    flight_ros1,
+    make,
+    notes,
+    refused,
+    rows,
+    write_mcap,
+    write_ros1,
+    write_rosbag2,
+    written,
+)
+from mcap.exceptions import McapError
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+import numpy as np
+import pytest
+
+from ctsid_core.errors import BagError
+from ctsid_ros.bag import open_bag
+
+
+def rival(data: bytes) -> list[int]:
+    """Return the log times that the mcap library's stream reader gives before it fails."""
+    times: list[int] = []
+    try:
+        for record in StreamReader(BytesIO(data)).records:
+            if isinstance(record, Message):
+                times.append(record.log_time)
+    except (McapError, struct.error, ValueError):
+        pass  # it fails in many ways at the end of a file
+    return times
+
+
+@pytest.mark.parametrize('compression', ['none', 'lz4', 'zstd'])
+@pytest.mark.parametrize('chunks', [True, False], ids=['chunks', 'no chunks'])
+def test_cut_off_mcap_gives_what_is_complete(tmp_path, compression, chunks):
+    sent = flight(60)
+    data = write_mcap(tmp_path / 'whole.mcap', sent, compression,
+                      use_chunking=chunks).read_bytes()
+    path = tmp_path / 'cut.mcap'
+    recovered = []
+    for size in [*range(200, len(data), 397), len(data) - 8, len(data) - 20, len(data) - 40]:
+        path.write_bytes(data[:size])
+        there = sorted(rival(data[:size]))
+        if not there:
+            assert 'cut off or damaged' in refused(path)
+            continue
+        with open_bag(path) as bag:
+            if size < len(data) - 8:
+                assert f'truncated: {len(there)} messages recovered' in bag.notes[0]
+            assert sum(t.count for t in bag.topics.values()) == len(there)
+            assert [m.log_ns for m in bag.messages()] == there
+            assert bag.end_ns == there[-1]
+        recovered.append(len(there))
+    assert recovered[-1] == len(sent)
+    assert len(set(recovered)) > 5
+
+
+@pytest.mark.parametrize('options', [{}, {'enable_crcs': False}, {'use_chunking': False}],
+                         ids=['CRC', 'no CRC', 'no chunks'])
+def test_mcap_that_ends_in_zeros_gives_nothing_false(tmp_path, options):
+    """The disk was full or the power failed: the file has its size, but not its data."""
+    sent = flight(60)
+    data = write_mcap(tmp_path / 'whole.mcap', sent, 'none', **options).read_bytes()
+    path = tmp_path / 'cut.mcap'
+    real = written(sent)
+    recovered = 0
+    for size in range(200, len(data) - 3000, 293):
+        path.write_bytes(data[:size] + bytes(len(data) - size))
+        try:
+            got = rows(path)
+        except BagError:
+            got = []
+        assert got == real[:len(got)]
+        assert len(got) >= len(rival(data[:size])) - 1
+        assert not got or 'truncated' in notes(path)
+        recovered = max(recovered, len(got))
+    assert recovered > 55
+
+
+def chunk_at(data: bytes, number: int) -> tuple[int, int]:
+    """Return start and end of the content of a chunk."""
+    position = 8
+    while True:
+        opcode, length = data[position], int.from_bytes(data[position + 1:position + 9], 'little')
+        if opcode == 6:
+            number -= 1
+            if number < 0:
+                name = int.from_bytes(data[position + 37:position + 41], 'little')
+                return position + 49 + name, position + 9 + length
+        position += 9 + length
+
+
+@pytest.mark.parametrize('compression', ['none', 'lz4', 'zstd'])
+def test_damaged_chunk_is_skipped_and_noted(tmp_path, compression):
+    sent = flight(60)
+    path = write_mcap(tmp_path / 'b.mcap', sent, compression)
+    whole = rows(path)
+    data = bytearray(path.read_bytes())
+    start, end = chunk_at(data, 2)
+    data[(start + end) // 2] ^= 0xff
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        got = [(m.topic, m.log_ns, bytes(m.raw)) for m in bag.messages()]
+        lost = len(whole) - len(got)
+        assert 0 < lost < 20
+        assert f'damaged chunk at byte {start} skipped ({lost} messages lost)' in bag.notes[0]
+        assert list(bag.messages()) != []
+        assert len(bag.notes) == 1
+    first = next(i for i, row in enumerate(got) if row != whole[i])
+    assert got == whole[:first] + whole[first + lost:]
+
+
+def test_damage_without_crc_ends_the_chunk(tmp_path):
+    path = write_mcap(tmp_path / 'b.mcap', flight(60), 'none', enable_crcs=False)
+    data = bytearray(path.read_bytes())
+    start, end = chunk_at(data, 1)
+    data[start + 1:start + 9] = b'\xff' * 8  # length of its first record
+    path.write_bytes(data)
+    assert 40 < len(rows(path)) < 75
+    assert f'chunk at byte {start} is damaged inside' in notes(path)
+
+
+def test_chunks_of_other_topics_are_not_touched(tmp_path):
+    sent = flight(20)
+    picture = make('sensor_msgs/msg/Image', data=np.zeros(4000, np.uint8))
+    sent[10:10] = [Sent('/camera', 'sensor_msgs/msg/Image', sent[10].log_ns, picture)
+                   for _ in range(5)]
+    path = write_mcap(tmp_path / 'b.mcap', sent, 'none')
+    data = path.read_bytes()
+    at = data.index(bytes(3000))
+    path.write_bytes(data[:at] + b'\1' + data[at + 1:])  # spoils the CRC of its chunk
+    with open_bag(path) as bag:
+        assert len(list(bag.messages(['/cmd']))) == 5
+        touched = bool(bag.notes)
+        list(bag.messages(['/camera']))
+        assert bag.notes
+    assert not touched
+
+
+def test_false_statistics_are_noted(tmp_path):
+    path = write_mcap(tmp_path / 'b.mcap', flight(), 'none')
+    data = path.read_bytes()
+    at = data.rindex((50).to_bytes(8, 'little'))
+    path.write_bytes(data[:at] + bytes(8) + data[at + 8:])
+    assert rows(path) == written(flight())
+    assert 'statistics state 0 messages, 50 are there' in notes(path)
+
+
+def test_unknown_compression_is_an_error(tmp_path):
+    path = write_mcap(tmp_path / 'b.mcap', flight(), 'zstd')
+    path.write_bytes(path.read_bytes().replace(b'\4\0\0\0zstd', b'\4\0\0\0brtl'))
+    with pytest.raises(BagError, match="'brtl'.*mcap compress"):
+        open_bag(path)
+
+
+def test_random_damage_never_gives_anything_but_messages_or_bag_errors(tmp_path):
+    sent = flight(60)
+    data = write_mcap(tmp_path / 'b.mcap', sent, 'lz4').read_bytes()
+    real = set(written(sent))
+    rng = np.random.default_rng(6)
+    path = tmp_path / 'spoilt.mcap'
+    survived = 0
+    for _ in range(150):
+        spoilt = bytearray(data)
+        for at in rng.integers(8, len(data), size=2):
+            spoilt[at] = rng.integers(256)
+        path.write_bytes(spoilt)
+        try:
+            survived += len(real.intersection(rows(path)))
+        except BagError:
+            continue
+    assert survived > 150 * 40
+
+
+@pytest.mark.parametrize('tail', [b'', bytes(200_000)], ids=['cut', 'zeros'])
+def test_cut_off_sqlite_gives_what_is_there(tmp_path, tail):
+    sent = flight(1000)
+    path = bare(write_rosbag2(tmp_path / 'b', sent, 'sqlite3'), '.db3')
+    data = path.read_bytes()
+    share = []
+    for part in (0.9, 0.5, 0.2):
+        path.write_bytes(data[:int(part * len(data))] + tail)
+        with open_bag(path) as bag:
+            got = [(m.topic, m.log_ns, bytes(m.raw)) for m in bag.messages()]
+            assert f'truncated: {len(got)} messages recovered' in bag.notes[0]
+            assert sum(t.count for t in bag.topics.values()) == len(got)
+        assert got == written(sent)[:len(got)]
+        share.append(len(got) / len(sent))
+    np.testing.assert_allclose(share, [0.9, 0.5, 0.2], atol=0.1)
+
+
+def test_sqlite_cut_off_beyond_use(tmp_path):
+    path = bare(write_rosbag2(tmp_path / 'b', flight(100), 'sqlite3'), '.db3')
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(BagError, match='no message can be recovered'):
+        open_bag(path)
+
+
+def test_other_databases_are_not_bags(tmp_path):
+    path = tmp_path / 'other.db3'
+    database = sqlite3.connect(path)
+    database.execute('CREATE TABLE customers (name)')
+    database.close()
+    with pytest.raises(BagError, match='not a bag: its tables are customers'):
+        open_bag(path)
+
+
+def test_cut_off_ros1_bag_gives_what_is_there(tmp_path):
+    path = write_ros1(tmp_path / 'b.bag', flight_ros1(60), 'lz4')
+    data = path.read_bytes()
+    counts = []
+    for part in (0.85, 0.65, 0.5):
+        path.write_bytes(data[:int(part * len(data))])
+        with open_bag(path) as bag:
+            got = list(bag.messages())
+            assert f'truncated: {len(got)} messages recovered' in bag.notes[0]
+        assert [m.log_ns for m in got] == [s.log_ns for s in flight_ros1(60)][:len(got)]
+        counts.append(len(got))
+    assert 60 >= counts[0] > counts[1] > counts[2] > 0
+
+
+def test_ros1_bag_without_index(tmp_path):
+    """A `.bag.active` file: the recorder never came back to write index_pos."""
+    path = write_ros1(tmp_path / 'b.bag', flight_ros1(60))
+    data = path.read_bytes()
+    at = data.index(b'index_pos=') + 10
+    index = int.from_bytes(data[at:at + 8], 'little')
+    path.write_bytes(data[:at] + bytes(8) + data[at + 8:index])
+    path = path.rename(tmp_path / 'b.bag.active')
+    assert [log_ns for _, log_ns, _ in rows(path)] == [s.log_ns for s in flight_ros1(60)]
+    assert rows(path) == rows(tmp_path)
+    assert 'truncated: 60 messages recovered' in notes(path)
+
+
+@pytest.mark.parametrize(('old', 'new', 'said'), [
+    (b'#ROSBAG V2.0', b'#ROSBAG V1.2', "version '1.2'"),
+    (b'compression=none', b'compression=rar0', 'rar0'),
+    (b'chunk_count=', b'encryptor=xx', 'encrypted')])
+def test_unreadable_ros1_bags(tmp_path, old, new, said):
+    path = write_ros1(tmp_path / 'b.bag', flight_ros1())
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(BagError, match=said):
+        open_bag(path)
+
+
+def test_ros1_bag_cut_off_beyond_use(tmp_path):
+    path = write_ros1(tmp_path / 'b.bag', flight_ros1())
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(BagError, match='cut off before its first complete chunk'):
+        open_bag(path)
+
+
+def test_damaged_ros1_chunk_is_noted(tmp_path):
+    path = write_ros1(tmp_path / 'b.bag', flight_ros1(60), 'bz2')
+    data = bytearray(path.read_bytes())
+    at = data.index(b'BZh', data.index(b'BZh') + 1) + 40
+    data[at:at + 20] = bytes(20)
+    path.write_bytes(data)
+    assert 0 < len(rows(path)) < 60
+    assert 'damaged chunk' in notes(path)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The import law.
+
+The staircase below names the modules of the architecture and their levels. One that can reach
+another through imports, directly or through modules without a level of their own, lies higher.
+Nothing is imported in a circle, the core knows nothing of ROS, messages and files of others, and
+each foreign library is known to a few modules only.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from functools import cache
+from graphlib import TopologicalSorter
+from pathlib import Path
+import sys
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LEVELS = {
+    'ctsid_core': [
+        ['errors'], ['settings'], ['signals'], ['statespace'], ['estimate', 'windows'],
+        ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
+        ['pbsid'], ['order'], ['refine'], ['identify']],
+    'ctsid_ros': [
+        ['field_path'], ['config_file'], ['bag', 'ingest', 'messages'], ['report'],
+        ['parameters', 'replay'], ['node'], ['cli']],
+}
+PLANNED = {'refine', 'messages', 'parameters', 'node'}
+# Which modules may know a library. Those of the core may import it inside a function only.
+USERS = {
+    'control': ['ctsid_core.statespace'],
+    'lz4': ['ctsid_ros.bag*'],
+    'mcap': ['ctsid_ros.bag*'],
+    'rclpy': ['ctsid_ros.node', 'ctsid_ros.parameters'],
+    'rich': ['ctsid_ros.cli*', 'ctsid_ros.progress'],
+    'rosbags': ['ctsid_ros.bag*'],
+    'yaml': ['ctsid_ros.config_file', 'ctsid_ros.bag*'],
+    'zstandard': ['ctsid_ros.bag*'],
+    'numpy': ['ctsid_core*', 'ctsid_ros*'],
+    'scipy': ['ctsid_core*'],
+}
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Dotted name of every module, and its file."""
+    files = [f for package in LEVELS for f in (ROOT / package).rglob('*.py')]
+    return {'.'.join(f.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): f
+            for f in files}
+
+
+def imported(name: str) -> Iterator[tuple[str, bool]]:
+    """Yield each dotted name that a module imports, and whether only inside a function."""
+    tree = ast.parse(modules()[name].read_text(encoding='utf-8'))
+    lazy = {id(node) for function in ast.walk(tree) if isinstance(function, ast.FunctionDef)
+            for node in ast.walk(function)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, id(node) in lazy) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{name}: imports are absolute'
+            yield from ((f'{node.module}.{alias.name}', id(node) in lazy) for alias in node.names)
+
+
+@cache
+def own(name: str) -> frozenset[str]:
+    """Our own modules that a module imports, beside the packages' lists of public names."""
+    found = set()
+    for target, _ in imported(name):
+        while target and target not in modules():
+            target = target.rpartition('.')[0]
+        found.add(target)
+    is_list = modules()[name].name == '__init__.py'
+    return frozenset(found - {''} if not is_list else ())
+
+
+@cache
+def reached(name: str) -> frozenset[str]:
+    return frozenset(own(name)).union(*(reached(target) for target in own(name)))
+
+
+def levels(package: str) -> dict[str, int]:
+    return {f'{package}.{name}': level for level, names in enumerate(LEVELS[package])
+            for name in names if f'{package}.{name}' in modules()}
+
+
+def test_nothing_is_imported_in_a_circle():
+    list(TopologicalSorter({name: own(name) for name in modules()}).static_order())
+
+
+@pytest.mark.parametrize('package', LEVELS)
+def test_modules_reach_lower_levels_only(package):
+    level = levels(package)
+    assert len(level) > 4
+    wrong = [f'{name} reaches {target}' for name in level for target in reached(name)
+             if level.get(target, -1) >= level[name]]
+    assert wrong == []
+
+
+def test_modules_do_not_use_the_lists_of_public_names():
+    """They exist for users; inside, one imports from where a name is made."""
+    lists = {name for name, path in modules().items() if path.name == '__init__.py'}
+    wrong = {name: own(name) & lists for name in modules() if own(name) & lists}
+    assert wrong == {}
+
+
+def test_the_core_does_not_know_ros():
+    wrong = [name for name in modules() if name.startswith('ctsid_core')
+             and any(target.startswith('ctsid_ros') for target, _ in imported(name))]
+    assert wrong == []
+
+
+def test_libraries_are_known_where_they_may_be():
+    wrong = []
+    for name in modules():
+        for target, lazy in imported(name):
+            library = target.partition('.')[0]
+            if library in {*sys.stdlib_module_names, '__future__', *LEVELS}:
+                continue
+            allowed = any(fnmatch(name, pattern) for pattern in USERS.get(library, ()))
+            extra = name.startswith('ctsid_core') and library not in ('numpy', 'scipy')
+            if not allowed or (extra and not lazy):
+                wrong.append(f'{name} imports {target}')
+    assert wrong == []
+
+
+def test_the_staircase_names_real_modules():
+    named = {f'{package}.{name}' for package, steps in LEVELS.items()
+             for names in steps for name in names if name not in PLANNED}
+    assert named - set(modules()) == set()

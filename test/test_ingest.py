@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+
+from ctsid_core.errors import DataError, SettingsError
+from ctsid_core.settings import Settings
+from ctsid_ros.channels import Channel, Config
+from ctsid_ros.field_path import parse_field
+from ctsid_ros.ingest import Ingest
+
+S = 10**9
+EPOCH = 1_700_000_000 * S
+U = Channel('u', 'input', '/cmd', '', 'data[0]', 'N m')
+P = Channel('p', 'output', '/imu', '', 'angular_velocity.x', 'rad/s')
+Q = replace(P, name='q', field='angular_velocity.y')
+SETTINGS = Settings(window_length=2.0, window_stride=1.0, window_max_delay=0.1)
+
+
+def make(*channels: Channel, **settings: float) -> Ingest:
+    return Ingest(Config(channels, SETTINGS.replace(**settings)))
+
+
+def play(ingest: Ingest, *, seconds: float = 6.0, offset_ns: int = 0, header_u=None):
+    """u at 25 Hz without header, p at 100 Hz with one; logged 3 ms later than stamped."""
+    records = []
+    for k in range(int(seconds * 100)):
+        stamp = EPOCH + offset_ns + k * S // 100
+        ingest.push('/imu', stamp + 3_000_000, stamp + 1_000_000, stamp,
+                    (math.sin(0.05 * k),) * sum(f.width for f in ingest.fields['/imu']))
+        if k % 4 == 0 and '/cmd' in ingest.fields:
+            ingest.push('/cmd', stamp + 3_000_000, stamp + 1_000_000, header_u, (float(k),))
+        records += ingest.due()
+    return records + list(ingest.flush())
+
+
+def test_messages_become_windows_with_names_units_holds_and_stamps():
+    records = play(make(U, P))
+    assert len(records) == 4
+    for number, record in enumerate(records):
+        # u starts last; it has no header, so its time is that of recording
+        assert record.epoch_ns == EPOCH + 3_000_000 + number * S
+        u, p = record.inputs[0], record.outputs[0]
+        assert (record.input_names, record.output_names) == (('u',), ('p',))
+        assert (record.input_units, record.output_units) == (('N m',), ('rad/s',))
+        assert (u.hold, p.hold) == ('zoh', 'smooth')
+        k = np.round((p.time + 0.003 + number) * 100)
+        np.testing.assert_allclose(p.time + 0.003 + number, k / 100, atol=1e-9)
+        np.testing.assert_allclose(p.values[:, 0], np.sin(0.05 * k))
+        np.testing.assert_allclose(u.values[:, 0], np.round((u.time + number) * 100))
+
+
+def test_sources_are_named_with_their_reason():
+    ingest = make(U, P, replace(Q, stamp='publish'))
+    play(ingest, seconds=1.0)
+    channels = ingest.counts().channels
+    assert [channels[c].source for c in 'upq'] == ['log', 'header', 'publish']
+    record = ingest.whole()
+    assert [s.names for s in record.outputs] == [('p',), ('q',)]
+    assert record.outputs[1].time[0] - record.outputs[0].time[0] == pytest.approx(0.001)
+    assert channels['u'].why == 'its messages have no header'
+    assert channels['q'].why == 'it is set so'
+    assert make(U, P).counts().channels['u'].source == ''
+
+
+@pytest.mark.parametrize(('stamp', 'first'), [
+    ('log', 3_000_000), ('publish', 1_000_000), ('header', 0), ('auto', 0)])
+def test_the_source_of_stamps_can_be_chosen(stamp, first):
+    ingest = make(replace(U, stamp='header'), replace(P, stamp=stamp))
+    ingest.push('/cmd', 1, 1, EPOCH, (0.0,))
+    for k in range(100):
+        stamp = EPOCH + k * S // 100
+        ingest.push('/imu', stamp + 3_000_000, stamp + 1_000_000, stamp, (1.0,))
+    ingest.push('/cmd', 1, 1, EPOCH + S, (0.0,))
+    record = ingest.whole()
+    assert record.epoch_ns == EPOCH + first
+
+
+def test_channels_of_one_message_share_their_stamps_and_keep_the_order_of_the_file():
+    ingest = make(U, P, Q)
+    assert ingest.fields == {'/cmd': (parse_field('data[0]'),),
+                             '/imu': (P.path, Q.path)}
+    record = play(ingest)[0]
+    assert record.output_names == ('p', 'q')
+    assert len(record.outputs) == 1
+    other = Channel('o', 'output', '/odom', '', 'x')
+    ingest = make(U, P, other, Q)
+    for k in range(300):
+        ingest.push('/imu', EPOCH + k * S // 100, 0, None, (1.0, 2.0))
+        ingest.push('/odom', EPOCH + k * S // 100 + 5, 0, None, (3.0,))
+        ingest.push('/cmd', EPOCH + k * S // 100, 0, None, (0.0,))
+    record = next(ingest.flush())
+    assert record.output_names == ('p', 'o', 'q')
+    assert [s.values[0, 0] for s in record.outputs] == [1.0, 3.0, 2.0]
+    assert record.outputs[0].values.shape[1] == 1
+
+
+def test_input_and_output_of_one_message():
+    effort = Channel('effort', 'input', '/joints', '', 'effort[0:2]', hold='smooth')
+    speed = Channel('speed', 'output', '/joints', '', 'velocity[0:2]')
+    ingest = make(effort, speed)
+    assert ingest.fields['/joints'] == (effort.path, speed.path)
+    for k in range(300):
+        ingest.push('/joints', 0, 0, EPOCH + k * S // 100, (1.0, 2.0, 3.0, 4.0))
+    record = next(ingest.flush())
+    assert record.input_names == ('effort[0]', 'effort[1]')
+    assert record.output_names == ('speed[0]', 'speed[1]')
+    np.testing.assert_array_equal(record.inputs[0].values[0], [1.0, 2.0])
+    np.testing.assert_array_equal(record.outputs[0].values[0], [3.0, 4.0])
+    ingest.push('/joints', 0, 0, EPOCH + 4 * S, (1.0, 2.0, 3.0, 4.0, 5.0))
+    ingest.push('/joints', 0, 0, EPOCH + 4 * S, (1.0, math.nan, math.nan, 4.0))
+    ingest.push('/joints', 0, 0, EPOCH + 4 * S, (1.0, 2.0, 3.0, math.nan))
+    samples = [ingest.counts().channels[name].samples for name in ('effort', 'speed')]
+    assert [(s.wrong_width, s.non_finite, s.accepted) for s in samples] == [
+        (1, 1, 301), (1, 2, 300)]
+
+
+def test_a_stream_of_zero_header_stamps_uses_the_log_and_says_so():
+    ingest, plain = make(U, P), make(U, P)
+    records, wanted = play(ingest, header_u=0), play(plain, header_u=None)
+    assert [r.epoch_ns for r in records] == [r.epoch_ns for r in wanted]
+    for a, b in zip(records, wanted, strict=True):
+        np.testing.assert_array_equal(a.inputs[0].values, b.inputs[0].values)
+    counts = ingest.counts().channels['u']
+    assert (counts.source, counts.samples.accepted) == ('log', 150)
+    assert any('zero' in line and '`u`' in line for line in ingest.report())
+    assert plain.report() == []
+
+
+@pytest.mark.parametrize('at', [0, 1, 2, 50])
+def test_zero_stamps_in_a_good_stream_are_dropped_not_mixed_in(at):
+    ingest = make(U, P)
+    for k in range(300):
+        stamp = EPOCH + k * S // 100
+        ingest.push('/cmd', stamp + 7, 0, 0 if k in (at, at + 1) else stamp, (float(k),))
+        ingest.push('/imu', stamp, 0, stamp, (0.0,))
+    counts = ingest.counts().channels['u']
+    assert (counts.source, counts.samples.bad_stamp, counts.samples.accepted) == ('header', 2, 298)
+    record = ingest.whole()
+    u = record.inputs[0]
+    stamps = record.epoch_ns + np.round(u.time * 1e9).astype(np.int64)
+    np.testing.assert_array_equal((stamps - EPOCH) // (S // 100), u.values[:, 0])
+    assert any('2 of 300 samples have a stamp of zero' in line for line in ingest.report())
+
+
+def test_a_short_stream_of_zero_stamps_is_not_lost_at_its_end():
+    ingest = make(replace(U, hold='linear'), P)
+    for k in range(2):
+        ingest.push('/cmd', EPOCH + 2 * k * S, 0, 0, (1.0,))
+    for k in range(201):
+        ingest.push('/imu', 0, 0, EPOCH + k * S // 100, (1.0,))
+    assert ingest.counts().channels['u'].samples.accepted == 0
+    record = ingest.whole()
+    assert ingest.counts().channels['u'].source == 'log'
+    assert ingest.counts().channels['u'].samples.late == 1  # it came before the others
+    assert record is None
+
+
+def test_a_short_stream_of_zero_stamps_has_its_windows():
+    ingest = make(U, P, window_length=0.5)
+    ingest.push('/cmd', EPOCH, 0, 0, (1.0,))
+    for k in range(101):
+        ingest.push('/imu', 0, 0, EPOCH + k * S // 1000, (1.0,))
+    ingest.push('/cmd', EPOCH + S // 2 + 1, 0, 0, (1.0,))
+    assert len(list(ingest.flush())) == 1
+
+
+def test_header_wanted_but_there_is_none():
+    ingest = make(replace(U, stamp='header'), P)
+    assert play(ingest) == []
+    samples = ingest.counts().channels['u'].samples
+    assert (samples.accepted, samples.bad_stamp) == (0, 150)
+    assert any('set `u.stamp` to auto or log' in line for line in ingest.report())
+
+
+def test_everything_is_counted_per_channel_and_reported():
+    ingest = make(U, P, Q)
+    play(ingest, seconds=3.0)
+    end = EPOCH + 3 * S
+    ingest.push('/imu', 0, 0, end, (math.nan, 1.0))
+    ingest.push('/imu', 0, 0, end, (math.nan, math.inf))
+    ingest.push('/imu', 0, 0, end, (1.0, 1.0))
+    ingest.push('/imu', 0, 0, end, (1.0, 1.0))
+    ingest.push('/imu', 0, 0, end, (1.0,))
+    ingest.push('/imu', 0, 0, end, ())
+    ingest.push('/imu', 0, 0, end - S // 2, (1.0, 1.0))
+    ingest.push('/imu', 0, 0, end + 10**16, (1.0, 1.0))
+    ingest.push('/imu', 0, 0, end + 1, (1.0, 1.0))
+    p, q, u = (ingest.counts().channels[name].samples for name in 'pqu')
+    assert (p.non_finite, q.non_finite, u.non_finite) == (2, 1, 0)
+    assert (p.duplicate, p.wrong_width, p.late, p.astray, p.accepted) == (1, 2, 1, 1, 302)
+    assert replace(p, non_finite=1) == q
+    assert (u.accepted, u.late) == (75, 0)
+    text = '\n'.join(ingest.report())
+    for part in ('`p`: 2 of', 'not finite', '`q`: 1 of', 'came too late, up to 1e+07 s',
+                 '`window.max_delay` (0.1 s)', 'stamp of another', 'far from all others',
+                 'could not be decoded'):
+        assert part in text
+    assert '`u`' not in text
+
+
+def test_a_silent_channel_and_a_restart_and_empty_windows_are_reported():
+    ingest = make(U, P)
+    for k in range(100):
+        ingest.push('/imu', 0, 0, EPOCH + k * S // 100, (1.0,))
+    assert ingest.report() == ['`u`: no message has come on /cmd']
+    ingest = make(U, P)
+    for offset in (0, 20 * S, 0):
+        play(ingest, offset_ns=offset)
+    counts = ingest.counts()
+    assert (counts.resets, counts.empty) == (1, 12)
+    # four; two that reach into the gap, and six with the samples after it; four once more
+    assert counts.windows == 4 + 2 + 6 + 4
+    assert [line.split()[0] for line in ingest.report()] == ['the', '12']
+
+
+def test_angles_are_unwrapped_in_the_order_of_stamps():
+    yaw = Channel('yaw', 'output', '/odom', '', 'euler(pose.orientation).yaw')
+    channels = U, yaw, replace(P, topic='/odom'), replace(Q, topic='/odom', stamp='header')
+    rng = np.random.default_rng(1)
+    true = 2.4 * np.arange(300)  # nearly half a turn from one to the next
+    wrapped = (true + np.pi) % (2 * np.pi) - np.pi
+    order = np.argsort(np.arange(300) + rng.uniform(0, 9, 300))
+    ingest = make(*channels)
+    for k in order:
+        ingest.push('/odom', 0, 0, EPOCH + int(k) * S // 100, (wrapped[k],) * 3)
+        ingest.push('/cmd', EPOCH + int(k) * S // 100, 0, None, (0.0,))
+    for record in ingest.flush():
+        signal = record.outputs[0]
+        np.testing.assert_allclose(np.diff(signal.values[:, 0]), 2.4)
+        for numbers in (signal.values[:, 1], record.outputs[1].values):  # left alone
+            assert np.abs(numbers).max() <= np.pi
+        assert abs(signal.values[0, 0]) <= np.pi
+    assert ingest.counts().windows == 1
+
+
+def test_dead_time_gives_inputs_their_history():
+    record = play(make(replace(U, delay=0.5), P))[0]
+    assert record.epoch_ns == EPOCH + 3_000_000 + S // 2
+    assert record.inputs[0].time[0] == -0.5
+
+
+def test_two_doors_give_the_same_records():
+    """What arrives in bursts live is the same as what a bag has in order."""
+    live, replay = make(U, P), make(U, P)
+    messages = []
+    for k in range(900):
+        stamp = EPOCH + k * S // 100
+        messages.append((stamp, ('/imu', stamp + 5, 0, stamp, (math.sin(k),))))
+        messages.append((stamp + 7, ('/cmd', stamp + 7, 0, None, (math.cos(k),))))
+    got = []
+    for burst in range(0, len(messages), 14):
+        part = messages[burst:burst + 14]
+        for _, message in sorted(part, key=lambda m: m[1][0]):
+            live.push(*message)
+        got += live.due()
+    got += live.flush()
+    wanted = []
+    for _, message in messages:
+        replay.push(*message)
+        wanted += replay.due()
+    wanted += replay.flush()
+    assert len(got) == len(wanted) == 7
+    for a, b in zip(got, wanted, strict=True):
+        assert a.epoch_ns == b.epoch_ns
+        for x, z in zip(a.inputs + a.outputs, b.inputs + b.outputs, strict=True):
+            assert x.time.tobytes() == z.time.tobytes()
+            assert x.values.tobytes() == z.values.tobytes()
+    assert live.counts() == replay.counts()
+
+
+def test_misuse_raises():
+    with pytest.raises(DataError, match="no channel is of topic '/imus'; nearest: /imu"):
+        make(U, P).push('/imus', 1, 1, 1, (1.0,))
+    with pytest.raises(DataError, match='int nanoseconds'):
+        make(U, P).push('/imu', 1, 1, 1.7e18, (1.0,))
+    with pytest.raises(SettingsError, match='give the end of the range'):
+        make(replace(U, field='data[:]'), P)
+
+
+def test_real_recording_agrees_with_reading_it_by_hand(data_folder):
+    """Stamps of the aircraft: aileron stick without header, pose with one."""
+    highlevel = pytest.importorskip('rosbags.highlevel')
+    path = data_folder / 'cubs2' / 'cub_stabilize_2025_11_13.mcap'
+    stick = Channel('stick', 'input', '/cub1/joy_serial_status', '', 'data[0]')
+    x = Channel('x', 'output', '/cub1/pose', '', 'pose.position.x')
+    ingest, by_hand, windows = make(stick, x, window_length=20.0, window_stride=5.0), {}, []
+    with highlevel.AnyReader([path]) as reader:
+        for connection, log_ns, raw in reader.messages(
+                [c for c in reader.connections if c.topic in ingest.fields]):
+            if len(by_hand.get('/cub1/pose', [])) > 6000:
+                break
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = getattr(getattr(message, 'header', None), 'stamp', None)
+            header = None if stamp is None else stamp.sec * S + stamp.nanosec
+            values = ingest.fields[connection.topic][0].get(message)
+            ingest.push(connection.topic, log_ns, log_ns, header, values)
+            windows += ingest.due()
+            by_hand.setdefault(connection.topic, []).append((header or log_ns, values[0]))
+    assert len(windows) > 5
+    for record in windows:
+        for topic, signal in (('/cub1/joy_serial_status', record.inputs[0]),
+                              ('/cub1/pose', record.outputs[0])):
+            stamps = record.epoch_ns + np.round(signal.time * 1e9).astype(np.int64)
+            wanted = [v for v in by_hand[topic] if stamps[0] <= v[0] <= stamps[-1]]
+            np.testing.assert_array_equal(stamps, [t for t, _ in wanted])
+            np.testing.assert_array_equal(signal.values[:, 0], [v for _, v in wanted])
+    counts = ingest.counts().channels
+    assert (counts['stick'].source, counts['x'].source) == ('log', 'header')
+    assert counts['x'].samples.accepted == len(by_hand['/cub1/pose'])
