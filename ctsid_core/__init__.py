@@ -1,2 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ctsid: continuous-time state-space models from irregularly sampled signals."""
+"""
+ctsid: continuous-time state-space models from irregularly sampled signals.
+
+    record = Record.from_arrays(t_u, u, t_y, y)
+    estimate = identify(record)
+    estimate.model.poles
+"""
+
+from ctsid_core.errors import BagError, CtsidError, DataError, SettingsError, StorageError
+from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.identify import identify
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Record, Signal
+from ctsid_core.statespace import StateSpace
+from ctsid_core.storage import load_model, save_model
+from ctsid_core.windows import SlidingWindow
+
+__all__ = [
+    'BagError', 'Choice', 'CtsidError', 'DataError', 'Estimate', 'Record', 'Settings',
+    'SettingsError', 'Signal', 'SlidingWindow', 'StateSpace', 'Status', 'StorageError',
+    'identify', 'load_model', 'save_model',
+]

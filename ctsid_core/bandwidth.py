@@ -68,7 +68,7 @@ def signal_band(signal: Signal, start: float, end: float) -> float:
     inside = signal.between(start, end, context=0)
     count = len(inside.time)
     if count < 16:
-        return np.pi / signal.period
+        return float(np.pi / signal.period)
     grid = np.linspace(inside.time[0], inside.time[-1], count)
     values = smooth_values(inside.time, inside.values.T, grid)
     values = values - values.mean(axis=1, keepdims=True)
@@ -76,11 +76,11 @@ def signal_band(signal: Signal, start: float, end: float) -> float:
     width = min(_SMOOTHING, max(power.shape[1] // 8, 1))
     kernel = np.ones(width) / width
     smooth = np.array([np.convolve(row, kernel, mode='same') for row in power])
-    step = 2.0 * np.pi / (grid[-1] - grid[0])
+    step = 2.0 * np.pi / float(grid[-1] - grid[0])
     return step * max(_last_above(row) for row in smooth)
 
 
 def _last_above(power: Array) -> int:
     floor = np.median(power[-max(len(power) // 4, 1):])
-    above = np.flatnonzero(power > max(_ABOVE_NOISE * floor, _DYNAMIC_RANGE * power.max()))
+    above = np.flatnonzero(power > max(_ABOVE_NOISE * floor, _DYNAMIC_RANGE * np.max(power)))
     return int(above[-1]) if len(above) else 0

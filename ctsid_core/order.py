@@ -18,15 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Projection
+from ctsid_core.pbsid import Matrices, Subspace, Tuning, realise, regress
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
 from ctsid_core.prediction_errors import innovation_cost
-from ctsid_core.pbsid import Matrices, Subspace, Tuning, realise, regress
 from ctsid_core.settings import Settings
 
 _PASTS = (2, 3, 4, 6, 8, 12)
@@ -39,34 +39,52 @@ _UNSTABLE = 1.25              # how much better simulations must be to believe a
 _NEARLY = 1.1                 # how much worse they may be with a model that has a K
 
 
-@dataclass(frozen=True)
 class Candidate:
     """
-    A subspace model and what the data say of it.
+    A subspace model, and what the data say of it: computed when asked for.
 
     Parameters
     ----------
-    tuning : Tuning
-    matrices : Matrices
-    singular_values : ndarray
-    condition : float
-    simulated : OutputErrorFit
-        At its poles, as a simulation (noise of measurement only).
-    innovation : float
-        -2 log likelihood with its own K.
+    search : Search
+        Where it was found.
+    subspace : Subspace
+    n : int
+        Order.
     """
 
-    tuning: Tuning
-    matrices: Matrices
-    singular_values: NDArray[np.float64]
-    condition: float
-    simulated: OutputErrorFit
-    innovation: float
+    def __init__(self, search: Search, subspace: Subspace, n: int) -> None:
+        self._search = search
+        self.subspace = subspace
+        self.matrices: Matrices = realise(subspace, n)
+
+    @cached_property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles, shape (n,) [rad/s]."""
+        return np.linalg.eigvals(self.matrices.A).astype(complex)
+
+    @cached_property
+    def simulated(self) -> OutputErrorFit:
+        """Fit of a simulation with these poles (noise of measurement only)."""
+        return self._search.output_error.fit(self.poles)
+
+    @cached_property
+    def innovation(self) -> float:
+        """-2 log likelihood with its own K."""
+        return innovation_cost(self._search.projection, self.matrices)
+
+    def nearly_as_good(self, poles: NDArray[np.complex128], simulated: float) -> bool:
+        """Return whether simulations with given poles are nearly as good as one of given cost."""
+        cost = self._search.output_error.fit(poles).cost
+        return cost - simulated < self._search.worth(_NEARLY)
+
+    def refined(self, limit: float) -> OutputErrorFit:
+        """Return the output-error maximum reached from these poles, within a limit [rad/s]."""
+        return self._search.output_error.fit(self.poles, _STEPS, limit)
 
     @property
     def growth(self) -> float:
         """Largest real part of the poles [rad/s]."""
-        return float(self.simulated.poles.real.max())
+        return float(np.max(self.poles.real))
 
 
 @dataclass(frozen=True)
@@ -131,8 +149,12 @@ class Search:
     def __init__(self, projection: Projection, settings: Settings) -> None:
         self.projection = projection
         self.settings = settings
-        self.output_error = OutputError(projection, settings.feedthrough)
         self._subspace = lru_cache(maxsize=None)(self._regress)
+
+    @cached_property
+    def output_error(self) -> OutputError:
+        """Likelihood of simulations of this projection, as a function of the poles."""
+        return OutputError(self.projection, self.settings.feedthrough)
 
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
@@ -160,13 +182,9 @@ class Search:
             subspace = self._subspace(tuning)
             if n > len(subspace.singular_values):
                 continue
-            matrices = realise(subspace, n)
-            if not np.isfinite(matrices.A).all():
-                continue
-            yield Candidate(
-                tuning, matrices, subspace.singular_values, subspace.condition,
-                self.output_error.fit(np.linalg.eigvals(matrices.A)),
-                innovation_cost(self.projection, matrices))
+            candidate = Candidate(self, subspace, n)
+            if np.isfinite(candidate.matrices.A).all():
+                yield candidate
 
     def pair(self, n: int, *, thorough: bool = True) -> Pair | None:
         """
@@ -187,40 +205,44 @@ class Search:
         if not found:
             return None
         limit = 1.0 / (self.projection.end - self.projection.start)
+        if len(found) == 1:
+            limit = limit if found[0].growth <= limit else np.inf
+            return Pair(found[0], found[0], limit, process_noise=True)
         stable = [c for c in found if c.growth <= limit]
         first = min(found, key=_simulation)
         if stable and first.growth > limit:
             calm = min(stable, key=_simulation)
-            if calm.simulated.cost - first.simulated.cost < self._worth(_UNSTABLE):
+            if calm.simulated.cost - first.simulated.cost < self.worth(_UNSTABLE):
                 first = calm
         if first.growth > limit:
             limit, group = np.inf, [c for c in found if c.growth > limit]
         else:
             group = stable
         second = min(group, key=lambda c: c.innovation)
-        noisy = self._believe(first, second, first.simulated.cost)
+        noisy = self._believe(first, second, first.simulated.cost, limit)
         return Pair(first, second, limit, noisy)
 
-    def _worth(self, ratio: float) -> float:
+    def worth(self, ratio: float) -> float:
         """Return the cost of residuals larger by a ratio in all outputs."""
         return float(2 * len(self.projection.s) * len(self.projection.y) * 2.0 * np.log(ratio))
 
-    def _believe(self, first: Candidate, second: Candidate, simulated: float) -> bool:
-        nearly = second.simulated.cost - simulated < self._worth(_NEARLY)
-        return second.innovation < first.simulated.cost and (nearly or first.growth > 0.0)
+    def _believe(self, first: Candidate, second: Candidate, simulated: float,
+                 limit: float) -> bool:
+        nearly = first.nearly_as_good(second.poles, simulated) or limit == np.inf
+        return second.innovation < first.simulated.cost and nearly
 
     def trial(self, n: int) -> OrderTrial | None:
         """Return the best of order n, its poles at the output-error maximum."""
         pair = self.pair(n, thorough=False)
         if pair is None:
             return None
-        refined = self.output_error.fit(pair.simulating.simulated.poles, _STEPS, pair.limit)
+        refined = pair.simulating.refined(pair.limit)
         p = self.projection
         ny, inputs = len(p.y), len(p.u) + len(p.tail)
         direct = ny * (len(p.u) * self.settings.feedthrough + len(p.ones))
         weight = np.log(ny * 2.0 * len(p.s))
         parameters = n * (inputs + 2 * ny) + direct
-        noisy = self._believe(pair.simulating, pair.predicting, refined.cost)
+        noisy = self._believe(pair.simulating, pair.predicting, refined.cost, pair.limit)
         return OrderTrial(n, refined.cost + refined.parameters * weight,
                           pair.predicting.innovation + parameters * weight,
                           pair.process_noise and noisy, refined.residual)

@@ -103,14 +103,14 @@ class OutputError:
         n, (ny, lines) = len(poles), self._y.shape
         count = ny * (n * self._driven + len(self._direct)) + n
         offset = lines * float(np.log(self._power).sum())
-        left = float(np.sum(residual ** 2, axis=1).max())
+        left = float(np.max(np.sum(residual ** 2, axis=1)))
         return OutputErrorFit(cost + offset, _roots(factors) * self._top, count, left)
 
     def _search(self, factors: Array, step: Array, cost: float, limit: float,
                 ) -> tuple[Array, tuple[float, Array, Array, Array]] | None:
         for halving in range(_HALVINGS):
             trial = factors + step * 0.5 ** halving
-            if np.isfinite(limit) and _roots(trial).real.max() * self._top > limit:
+            if np.isfinite(limit) and np.max(_roots(trial).real) * self._top > limit:
                 continue
             found = self._solve(trial)
             if found[0] < cost:
@@ -144,18 +144,19 @@ class OutputError:
     def _step(self, factors: Array, theta: Array, q: Array, residual: Array) -> Array:
         """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""
         size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
-        columns, places = [], []
+        columns: list[Array] = []
+        places: list[tuple[int, int]] = []
         width, first = len(self._z), 0
         for i, (a, b, quadratic) in enumerate(factors):
             if quadratic:
                 q2 = (self._s * self._s + a * self._s + b) ** -2.0
                 part = theta[:, first:first + width] @ self._z \
                     + theta[:, first + width:first + 2 * width] @ (self._z * self._s)
-                moves = ((0, -part * q2 * self._s), (1, -part * q2))
+                moves = [(0, -part * q2 * self._s), (1, -part * q2)]
                 first += 2 * width
             else:
                 part = theta[:, first:first + width] @ self._z
-                moves = ((1, -part * (self._s + b) ** -2.0),)
+                moves = [(1, -part * (self._s + b) ** -2.0)]
                 first += width
             for k, change in moves:
                 real = as_real(change)

@@ -2,8 +2,8 @@
 """
 Prediction errors of a model in the projected domain, their likelihood and derivatives.
 
-    E  = Y - C X - D U,                  X  = (s I - A bar)^-1 (B bar U + K Y)
-    dE = -C dX - dC X - dD U,            dX = (s I - A bar)^-1 (dA X + dB U + dK E - K (dC X + dD U))
+    E  = Y - C X - D U,           X  = (s I - A bar)^-1 (B bar U + K Y)
+    dE = -C dX - dC X - dD U,     dX = (s I - A bar)^-1 (dA X + dB U + dK E - K (dC X + dD U))
 
 with A bar = A - K C ([HD] eq. 35); tail and ones are inputs like U. K = 0 is the output-error
 form. In the innovation form E = H (Y - G U), H = I - C (s I - A bar)^-1 K, the errors are white;
@@ -14,10 +14,12 @@ diverges to ever faster predictors.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
-from ctsid_core.pbsid import Matrices
+from ctsid_core.pbsid import Matrices, solve
 
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
 
@@ -74,7 +76,7 @@ def innovation_cost(projection: Projection, m: Matrices) -> float:
     """
     closed = m.A - m.K @ m.C
     poles = np.linalg.eigvals(closed)
-    if poles.real.max() > -float(np.abs(projection.s[1] - projection.s[0])):
+    if np.max(poles.real) > -float(np.abs(projection.s[1] - projection.s[0])):
         return np.inf
     count = line_weights(projection).sum()
     error = as_real(prediction_errors(projection, m))
@@ -140,3 +142,39 @@ def jacobian(projection: Projection, m: Matrices, feedthrough: bool, *,
     stacked = np.concatenate([b.reshape(ny, -1, len(projection.s)) for b in blocks], axis=1)
     return np.swapaxes(as_real(stacked.reshape(-1, len(projection.s))).reshape(
         ny, stacked.shape[1], -1), 1, 2)
+
+
+def line_fit(projection: Projection, m: Matrices, *, refit_tail: bool = False) -> Array:
+    """
+    Return the simulation fit (NRMSE) of each output, in the band of the projection [%].
+
+    Parameters
+    ----------
+    projection : Projection
+    m : Matrices
+    refit_tail : bool
+        Estimate the state at the ends of the window anew (for data the model has not seen).
+    """
+    y = as_real(projection.y)
+    if refit_tail and projection.tail.size:
+        still = replace(m, tail=np.zeros_like(m.tail))
+        error = y - as_real(simulate_lines(projection, still))
+        modes = np.concatenate([as_real(_free(projection, m, i)) for i in range(len(m.A))])
+        weights, _ = solve(modes, error.reshape(1, -1), 1e-10)
+        error = error - (weights @ modes).reshape(y.shape)
+    else:
+        error = y - as_real(simulate_lines(projection, m))
+    ones = as_real(projection.ones)
+    if len(ones):
+        y = y - (y @ ones.T) / np.sum(ones ** 2) * ones
+    fit: Array = 100.0 * (1.0 - np.linalg.norm(error, axis=1) / np.linalg.norm(y, axis=1))
+    return fit
+
+
+def _free(projection: Projection, m: Matrices, i: int) -> Lines:
+    """Return the outputs' lines if only state i is driven, by the tail: one row."""
+    start = np.zeros_like(m.tail)
+    start[i] = 1.0
+    quiet = replace(m, tail=start, B=np.zeros_like(m.B), D=np.zeros_like(m.D),
+                    x_trim=np.zeros_like(m.x_trim), y_trim=np.zeros_like(m.y_trim))
+    return simulate_lines(projection, quiet).reshape(1, -1)

@@ -13,8 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
+from ctsid_core.order import Pair
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.prediction_errors import (
     innovation_cost,
@@ -22,14 +24,70 @@ from ctsid_core.prediction_errors import (
     line_weights,
     output_error_cost,
     prediction_errors,
+    simulate_lines,
     spread_gradient,
 )
+from ctsid_core.settings import Settings
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _LEAST_GAIN = 1e-2    # -2 log likelihood: smaller gains are not worth another step
 _HALVINGS = 5
 _DAMPINGS = 8         # tries with ten times the damping each
+
+
+def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
+    """
+    Return the model at the maximum of the likelihood, and whether it has process noise.
+
+    Parameters
+    ----------
+    projection : Projection
+    pair : Pair
+        The subspace models to start from.
+    settings : Settings
+        With `refine` false the subspace model itself is returned.
+    """
+    if not settings.refine:
+        return pair.best.matrices, pair.process_noise
+    feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
+    top = first.refined(limit)
+    starts = [first.matrices]
+    if len(set(np.round(top.poles, 12))) == len(top.poles):
+        starts.append(realise_poles(projection, top.poles, feed))
+    model, cost = min((refine_output_error(projection, start, feed, limit) for start in starts),
+                      key=lambda found: found[1])
+    price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
+    if pair.process_noise:
+        noisy, noisy_cost = refine_innovation(projection, pair.predicting.matrices, feed,
+                                              limit=limit)
+        poles = np.linalg.eigvals(noisy.A).astype(complex)
+        if noisy_cost + price < cost and (limit == np.inf
+                                          or first.nearly_as_good(poles, top.cost)):
+            return noisy, True
+    start = replace(model, K=_gain(projection, model))
+    noisy, noisy_cost = refine_innovation(projection, start, feed, plant=False)
+    return noisy if noisy_cost + price < cost else start, False
+
+
+def _gain(projection: Projection, m: Matrices) -> Array:
+    """
+    Return the stationary Kalman gain where there is no process noise.
+
+    Zero for a stable plant. An unstable one needs a predictor: the gain that mirrors its
+    unstable poles, the limit of small process noise.
+    """
+    if _growth(m) < 0.0:
+        return np.zeros_like(m.K)
+    error = as_real(projection.y - simulate_lines(projection, m))
+    R = np.diag(np.mean(error ** 2, axis=1) + 1e-300)
+    state = np.linalg.norm(m.A) * np.eye(len(m.A)) * 1e-9 * np.trace(R) / np.trace(m.C @ m.C.T)
+    try:
+        P = solve_continuous_are(m.A.T, m.C.T, state, R)
+    except (np.linalg.LinAlgError, ValueError):
+        return np.zeros_like(m.K)
+    gain: Array = np.linalg.solve(R, m.C @ P).T
+    return gain
 
 
 def realise_poles(projection: Projection, poles: NDArray[np.complex128],
@@ -152,10 +210,37 @@ def _gauss_newton(projection: Projection, m: Matrices, feedthrough: bool) -> Arr
     error = as_real(prediction_errors(projection, m))
     size = np.sqrt(np.mean(error ** 2, axis=1, keepdims=True)) + 1e-150
     columns = jacobian(projection, m, feedthrough, with_noise=False) / size[:, np.newaxis]
-    flat = columns.reshape(-1, columns.shape[2])
-    norm = np.maximum(np.linalg.norm(flat, axis=0), 1e-150)
-    found: Array = np.linalg.lstsq(flat / norm, (error / size).ravel(), rcond=_RANK)[0] / norm
+    left, s, right, norm = _directions(columns.reshape(-1, columns.shape[2]),
+                                       (error / size).ravel())
+    found: Array = right.T @ (left / s) / norm
     return found
+
+
+def _directions(flat: Array, error: Array) -> tuple[Array, Array, Array, Array]:
+    """
+    Return what of the errors lies along each direction that the data determine.
+
+    Parameters
+    ----------
+    flat : ndarray, shape (N, parameters)
+        Jacobian; columns of zeros belong to entries that do not move.
+    error : ndarray, shape (N,)
+
+    Returns
+    -------
+    along, s : ndarray, shape (r,)
+        Left singular vectors times the errors, and singular values.
+    right : ndarray, shape (r, parameters)
+    norm : ndarray, shape (parameters,)
+        What the columns were divided by.
+    """
+    norm = np.linalg.norm(flat, axis=0)
+    norm[norm == 0.0] = np.inf
+    size = np.linalg.norm(error) + 1e-300
+    triangle = np.linalg.qr(np.column_stack((flat / norm, error / size)), mode='r')
+    left, s, right = np.linalg.svd(triangle[:, :-1], full_matrices=False)
+    kept = s > _RANK * s[0]
+    return size * (triangle[:, -1] @ left[:, kept]), s[kept], right[kept], norm
 
 
 def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool, *,
@@ -206,7 +291,7 @@ def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool
 
 
 def _growth(m: Matrices) -> float:
-    return float(np.linalg.eigvals(m.A).real.max())
+    return float(np.max(np.linalg.eigvals(m.A).real))
 
 
 def _curvature(projection: Projection, m: Matrices, feedthrough: bool, plant: bool,
@@ -221,13 +306,9 @@ def _curvature(projection: Projection, m: Matrices, feedthrough: bool, plant: bo
         flat = flat * _noise_entries(m, flat.shape[1])
     if not np.isfinite(flat).all():
         return None
-    norm = np.linalg.norm(flat, axis=0)
-    norm[norm == 0.0] = np.inf
-    left, s, right = np.linalg.svd(flat / norm, full_matrices=False)
-    kept = s > _RANK * s[0]
+    along, s, right, norm = _directions(flat, error)
     gradient = spread_gradient(projection, m, feedthrough) / norm
-    pull = s[kept] * (left[:, kept].T @ error) - 0.5 * right[kept] @ gradient
-    return right[kept], s[kept], pull, norm
+    return right, s, s * along - 0.5 * right @ gradient, norm
 
 
 def _noise_entries(m: Matrices, parameters: int) -> Array:
@@ -286,13 +367,11 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool) -> Ar
         Square root of the expected |error|^2 of an efficient estimator (the Cramer-Rao bound at
         this model and its noise level) [rad/s]; a plain subspace estimate scatters more.
     """
-    flat, _ = _whitened(projection, m, feedthrough, with_noise=bool(np.any(m.K)))
+    flat, error = _whitened(projection, m, feedthrough, with_noise=bool(np.any(m.K)))
     lines = len(flat) / len(m.C)
     spare = max(1.0 - (flat.shape[1] - len(m.A) ** 2) / len(flat), 1.0 / lines)
-    norm = np.maximum(np.linalg.norm(flat, axis=0), 1e-150)
-    _, s, right = np.linalg.svd(flat / norm, full_matrices=False)
-    kept = s > _RANK * s[0]
-    root = right[kept] / s[kept, np.newaxis] / norm               # covariance = root^T root
+    _, s, right, norm = _directions(flat, error)
+    root = right / s[:, np.newaxis] / norm                        # covariance = root^T root
     _, modes = np.linalg.eig(m.A)
     left = np.linalg.inv(modes)
     n = len(m.A)

@@ -116,6 +116,10 @@ class Settings:
     rank_tolerance: float = parameter(
         1e-10, 'Singular values below this fraction of the largest count as zero.',
         name='pbsid.rank_tolerance', low=1e-15, high=1e-2)
+    held_out: float = parameter(
+        0.3, 'Last part of every window on which a model of the rest is tested; 0: no test.',
+        name='validation.held_out', low=0.0, high=0.5,
+        when='Set it to 0 to halve the computing time, if models are tested elsewhere.')
     window_length: float = parameter(
         10.0, 'Length of the sliding window.', name='window.length', unit='s', low=1e-3,
         high=1e5, structural=True,

@@ -23,7 +23,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.errors import StorageError
+from ctsid_core.errors import DataError, StorageError
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.model_json import from_json, parse, to_json
 from ctsid_core.settings import Settings
@@ -106,6 +106,7 @@ def _load(path: str | os.PathLike[str]) -> tuple[Estimate, dict[str, object]]:
 
 
 def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
+                columns: Mapping[str, Sequence[float]] | None = None,
                 force: bool = False) -> None:
     """
     Write the estimates of many windows; the suffix of the path decides how.
@@ -117,6 +118,8 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
         frequency and damping, fits. '.npz': the same and the matrices as arrays with one entry
         per window, padded with NaN to the largest order, and each whole estimate as JSON.
     estimates : sequence of Estimate
+    columns : mapping, optional
+        Further numbers, by name with unit: one per estimate.
     force : bool
         Whether an existing file may be replaced.
 
@@ -124,11 +127,18 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
     ------
     StorageError
         If the suffix is another, the file exists, or it cannot be written.
+    DataError
+        If a column is of another length.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in ('.csv', '.npz'):
         raise StorageError(f'{path} ends in {suffix!r}; name it .csv or .npz')
-    data = _csv(estimates) if suffix == '.csv' else _npz(estimates)
+    columns = columns or {}
+    for name, values in columns.items():
+        if len(values) != len(estimates):
+            raise DataError(f'column {name!r} has {len(values)} numbers for {len(estimates)} '
+                            'estimates; give one for each')
+    data = (_csv if suffix == '.csv' else _npz)(estimates, columns)
     write_file(path, data, force=force)
 
 
@@ -166,7 +176,7 @@ def _named(estimates: Sequence[Estimate], ny: int) -> list[str]:
     return [name or f'y{i + 1}' for i, name in enumerate((*names, *('',) * ny)[:ny])]
 
 
-def _csv(estimates: Sequence[Estimate]) -> bytes:
+def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
     orders = [e.model.n if e.model else 0 for e in estimates]
     ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
     head = ['start_ns', 'end_ns', 'status', 'order']
@@ -175,15 +185,17 @@ def _csv(estimates: Sequence[Estimate]) -> bytes:
                  f'pole{k}_natural_frequency [rad/s]', f'pole{k}_damping']
     names = _named(estimates, ny)
     head += [f'fit_{name} [%]' for name in names] + [f'held_out_fit_{name} [%]' for name in names]
+    head += columns
     stream = io.StringIO(newline='')
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(head)
-    for estimate in estimates:
-        writer.writerow(_csv_row(estimate, max(orders), ny))
+    for i, estimate in enumerate(estimates):
+        more = [float(values[i]) for values in columns.values()]
+        writer.writerow(_csv_row(estimate, max(orders), ny, more))
     return stream.getvalue().encode()
 
 
-def _csv_row(estimate: Estimate, order: int, ny: int) -> list[object]:
+def _csv_row(estimate: Estimate, order: int, ny: int, more: Sequence[float]) -> list[object]:
     row: list[object] = [estimate.start_ns, estimate.end_ns, estimate.status.name,
                          estimate.model.n if estimate.model else '']
     cells: list[float] = []
@@ -192,7 +204,7 @@ def _csv_row(estimate: Estimate, order: int, ny: int) -> list[object]:
         for k, pole in enumerate(model.poles):
             cells += [pole.real, pole.imag, std[k], model.natural_frequency[k], model.damping[k]]
     cells += [np.nan] * (5 * order - len(cells))
-    cells += [*_padded(estimate.fit, (ny,)), *_padded(estimate.held_out_fit, (ny,))]
+    cells += [*_padded(estimate.fit, (ny,)), *_padded(estimate.held_out_fit, (ny,)), *more]
     return row + ['' if np.isnan(x) else repr(float(x)) for x in cells]
 
 
@@ -202,7 +214,7 @@ def _padded(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     return whole
 
 
-def _npz(estimates: Sequence[Estimate]) -> bytes:
+def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
     arrays: dict[str, Any] = {
         'format': SERIES_FORMAT, 'version': SERIES_VERSION,
         'start_ns': np.array([e.start_ns for e in estimates], dtype=np.int64),
@@ -219,6 +231,7 @@ def _npz(estimates: Sequence[Estimate]) -> bytes:
         rank = 2 if name in 'ABCDK' else 1
         arrays[name] = _stacked([np.asarray(getattr(m, name)) if m else np.empty((0,) * rank)
                                  for m in models])
+    arrays |= {name: np.array(values, dtype=float) for name, values in columns.items()}
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()

@@ -53,10 +53,14 @@ class HermiteLines:
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients (m, nc) to lines (m, L)."""
-        out = np.empty((len(f), len(self.w)), dtype=complex)
-        out.real = f[:, 0::2] @ self.even
-        out.imag = f[:, 1::2] @ self.odd
-        return out
+        return _lines(f, self.even, self.odd)
+
+
+def _lines(f: Array, even: Array, odd: Array) -> Lines:
+    out = np.empty((len(f), even.shape[1]), dtype=np.complex128)
+    out.real = f[:, 0::2] @ even
+    out.imag = f[:, 1::2] @ odd
+    return out
 
 
 @lru_cache(maxsize=32)
@@ -75,10 +79,10 @@ def hermite_lines(nmax: int) -> HermiteLines:
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
     sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
     even, odd = (sign[:, np.newaxis] * q)[0::2], (-sign[:, np.newaxis] * q)[1::2]
-    unmade = HermiteLines(w, even, odd, np.empty((1, 0)), np.empty((1, 0)))
     last = np.zeros((1, nmax + 1))
     last[0, -1] = 1.0
-    return HermiteLines(w, even, odd, unmade.lines(last), unmade.lines(_constant(nmax)))
+    return HermiteLines(w, even, odd, _lines(last, even, odd),
+                        _lines(_constant(nmax), even, odd))
 
 
 def _constant(nmax: int) -> Array:
@@ -130,7 +134,7 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
-        s=1j * basis.w / alpha,
+        s=(1j * basis.w / alpha).astype(np.complex128),
         u=basis.lines(np.vstack(found[:count])) if count else nothing,
         y=basis.lines(np.vstack(found[count:])),
         tail=basis.tail if exact else nothing,

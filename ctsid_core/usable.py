@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a record can be used: the interval, the channels that move, the gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctsid_core.bases.quadrature import gap_time
+from ctsid_core.estimate import Status
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Record, Signal
+
+_CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
+_FEWEST = 20            # samples of an output
+_GAP_SHARE = 0.3        # of the window that may lie in gaps
+
+
+@dataclass(frozen=True)
+class Usable:
+    """
+    A record with the channels that move, and where they belong among all channels.
+
+    Parameters
+    ----------
+    record : Record
+        Of the moving channels, from where their inputs are known.
+    whole : Record
+        The record as it was given.
+    u, y : tuple of int
+        Places of the moving inputs and outputs among all.
+    notes : tuple of str
+        What the user should know.
+    """
+
+    record: Record
+    whole: Record
+    u: tuple[int, ...]
+    y: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def usable(record: Record, settings: Settings) -> Usable | Status:
+    """
+    Return what of a record can be used, or the status that says why nothing can.
+
+    Raises
+    ------
+    SettingsError
+        If `settings.delay` does not fit the number of inputs.
+    """
+    start = _known_from(record, settings)
+    if start >= record.end:
+        return Status.TOO_SHORT
+    notes = []
+    if start > record.start:
+        notes.append(f'the first {start - record.start:.3g} s were left out: an input has no '
+                     'known value there, because of its dead time')
+    shorter = replace(record, start=start) if start > record.start else record
+    inputs, u, fixed_u = _moving(shorter, shorter.inputs)
+    outputs, y, fixed_y = _moving(shorter, shorter.outputs)
+    for kind, names, fixed in (('input', record.input_names, fixed_u),
+                               ('output', record.output_names, fixed_y)):
+        notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
+                  for j in fixed]
+    if not outputs:
+        return Status.NO_RESPONSE
+    if not inputs:
+        return Status.NO_EXCITATION
+    if min(_count(signal, shorter) for signal in outputs) < _FEWEST:
+        return Status.TOO_SHORT
+    for signal in (*inputs, *outputs):
+        share = gap_time(signal, shorter.start, shorter.end) / shorter.duration
+        if share > _GAP_SHARE:
+            return Status.GAPS
+        if share > 0.0:
+            notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
+                         f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
+    return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
+                  tuple(notes))
+
+
+def _known_from(record: Record, settings: Settings) -> float:
+    """Return the time from which all inputs, delayed, are known [s]."""
+    delays, start, first = settings.delays(record.nu), record.start, 0
+    for signal in record.inputs:
+        delay = max(delays[first:first + signal.width])
+        first += signal.width
+        if delay > 0.0 and len(signal.time):
+            start = max(start, float(signal.time[0]) + delay)
+    return start
+
+
+def _within(signal: Signal, record: Record) -> slice:
+    return slice(int(np.searchsorted(signal.time, record.start, side='left')),
+                 int(np.searchsorted(signal.time, record.end, side='right')))
+
+
+def _count(signal: Signal, record: Record) -> int:
+    inside = _within(signal, record)
+    return int(inside.stop) - int(inside.start)
+
+
+def _moving(record: Record, signals: tuple[Signal, ...],
+            ) -> tuple[list[Signal], tuple[int, ...], list[int]]:
+    """Return the signals without constant channels, and the places of moving and constant ones."""
+    kept_signals: list[Signal] = []
+    kept: list[int] = []
+    fixed: list[int] = []
+    first = 0
+    for signal in signals:
+        inside = _within(signal, record)
+        values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
+        if len(values):
+            low, high = values.min(axis=0), values.max(axis=0)
+            moves = high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high))
+        else:
+            moves = np.zeros(signal.width, dtype=bool)
+        kept += [first + int(j) for j in np.flatnonzero(moves)]
+        fixed += [first + int(j) for j in np.flatnonzero(~moves)]
+        first += signal.width
+        if moves.all():
+            kept_signals.append(signal)
+        elif moves.any():
+            kept_signals.append(replace(
+                signal, values=signal.values[:, moves],
+                names=tuple(np.array(signal.names)[moves]) if signal.names else (),
+                units=tuple(np.array(signal.units)[moves]) if signal.units else ()))
+    return kept_signals, tuple(kept), fixed
