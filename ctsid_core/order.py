@@ -24,12 +24,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Projection
-from ctsid_core.pbsid import Matrices, Subspace, Tuning, realise, regress
+from ctsid_core.pbsid import (
+    Levels,
+    Matrices,
+    Subspace,
+    Tuning,
+    realise,
+    regress,
+    stack_levels,
+)
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
 from ctsid_core.prediction_errors import innovation_cost
 from ctsid_core.settings import Settings
 
 _PASTS = (2, 3, 4, 6, 8, 12)
+_LENGTHS = 4                  # values of p tried: the shortest that can hold the order
 _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
@@ -150,6 +159,7 @@ class Search:
         self.projection = projection
         self.settings = settings
         self._subspace = lru_cache(maxsize=None)(self._regress)
+        self._levels = lru_cache(maxsize=None)(self._stack)
 
     @cached_property
     def output_error(self) -> OutputError:
@@ -163,7 +173,7 @@ class Search:
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
         pasts = [settings.past] if settings.past else \
-            [p for p in _PASTS if self._holds(p, n)]
+            [p for p in _PASTS if self._holds(p, n)][:_LENGTHS]
         return [Tuning(b, settings.gamma or _GAMMA * b, p, settings.future or p)
                 for b in shifts for p in pasts]
 
@@ -173,8 +183,14 @@ class Search:
         return p * ny > n and 2 * len(self.projection.s) >= 2 * rows
 
     def _regress(self, tuning: Tuning) -> Subspace:
-        return regress(self.projection, tuning, feedthrough=self.settings.feedthrough,
+        # One factorisation serves the past windows up to 6, which most searches stay within.
+        top = max(tuning.past, 0 if self.settings.past else 6) + 1
+        return regress(self._levels(tuning.beta, tuning.gamma, top), tuning,
+                       feedthrough=self.settings.feedthrough,
                        rank_tolerance=self.settings.rank_tolerance)
+
+    def _stack(self, beta: float, gamma: float, top: int) -> Levels:
+        return stack_levels(self.projection, beta, gamma, top)
 
     def candidates(self, n: int, tunings: list[Tuning]) -> Iterator[Candidate]:
         """Yield the models of order n of the given tunings; those not finite are left out."""

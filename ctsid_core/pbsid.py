@@ -76,18 +76,33 @@ class Matrices:
 
 
 @dataclass(frozen=True)
+class Levels:
+    """
+    Signals at the powers of the inverse operator, compressed to what their products tell.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (p + 2 or more, nz, columns)
+        z g^m at index m.
+    scale : ndarray, shape (nz,)
+        What the rows of z were divided by.
+    counts : tuple of int
+        Rows of u, tail, ones, y.
+    """
+
+    rows: Array
+    scale: Array
+    counts: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
 class Subspace:
     """
     A regression from which models of any order are realised.
 
     Parameters
     ----------
-    levels : ndarray, shape (p + 2, nz, columns)
-        Compressed rows z g^m at index m.
-    scale : ndarray, shape (nz,)
-        What the rows of z were divided by.
-    counts : tuple of int
-        Rows of u, tail, ones, y.
+    levels : Levels
     left : ndarray, shape (f ny, r)
         Left singular vectors of Gamma^f K^p Z (eq. 50).
     singular_values : ndarray, shape (r,)
@@ -97,9 +112,7 @@ class Subspace:
         Condition number of the scaled regressors of eq. 46.
     """
 
-    levels: Array
-    scale: Array
-    counts: tuple[int, int, int, int]
+    levels: Levels
     left: Array
     singular_values: Array
     gamma_k: Array
@@ -136,14 +149,15 @@ def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, f
     return theta, float(s[0] / max(s[-1], 1e-300)) if len(s) else 1.0
 
 
-def regress(projection: Projection, tuning: Tuning, *, feedthrough: bool,
+def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
             rank_tolerance: float) -> Subspace:
     """
     Estimate the extended observability times controllability matrix.
 
     Parameters
     ----------
-    projection : Projection
+    levels : Levels
+        Of the tuning's beta and gamma, to level p + 1 at least.
     tuning : Tuning
     feedthrough : bool
         Whether u acts on y at once.
@@ -154,36 +168,44 @@ def regress(projection: Projection, tuning: Tuning, *, feedthrough: bool,
     [HD] eq. 43 to 50.
     """
     p, f = tuning.past, tuning.future
-    levels, scale, counts = _levels(projection, tuning)
-    nz, ny = len(scale), counts[3]
-    Z = levels[p:0:-1].reshape(p * nz, -1)                                    # eq. 43
-    y = levels[0, nz - ny:]
-    direct = _direct(levels[0], counts, feedthrough)
+    nz, ny = len(levels.scale), levels.counts[3]
+    Z = levels.rows[p:0:-1].reshape(p * nz, -1)                               # eq. 43
+    y = levels.rows[0, nz - ny:]
+    direct = _direct(levels.rows[0], levels.counts, feedthrough)
     theta, condition = solve(np.vstack((Z, direct)), y, rank_tolerance)       # eq. 46
     gamma_k = np.zeros((f * ny, p * nz))
     for i in range(f):                                                        # eq. 48
         gamma_k[i * ny:(i + 1) * ny, i * nz:] = theta[:, :(p - i) * nz]
     left, s, _ = np.linalg.svd(gamma_k @ Z, full_matrices=False)              # eq. 50
-    return Subspace(levels, scale, counts, left, s, gamma_k, condition, tuning, feedthrough,
-                    rank_tolerance)
+    return Subspace(levels, left, s, gamma_k, condition, tuning, feedthrough, rank_tolerance)
 
 
-def _levels(projection: Projection, tuning: Tuning,
-            ) -> tuple[Array, Array, tuple[int, int, int, int]]:
+def stack_levels(projection: Projection, beta: float, gamma: float, top: int) -> Levels:
+    """
+    Return the levels z g^0 .. z g^top, compressed by one QR factorisation.
+
+    Parameters
+    ----------
+    projection : Projection
+    beta, gamma : float
+        [HD] eq. 37 [rad/s].
+    top : int
+        p + 1 of the longest past window that is wanted.
+    """
     blocks = (projection.u, projection.tail, projection.ones, projection.y)
     z = np.vstack(blocks)
     scale = np.sqrt(np.sum(as_real(z) ** 2, axis=1))
     scale[scale == 0.0] = 1.0
-    g = tuning.gamma / (projection.s + tuning.beta)                           # inverse of eq. 37
-    stack = np.empty((tuning.past + 2, *z.shape), dtype=complex)
+    g = gamma / (projection.s + beta)                                         # inverse of eq. 37
+    stack = np.empty((top + 1, *z.shape), dtype=complex)
     np.divide(z, scale[:, np.newaxis], out=stack[0])
-    for m in range(1, tuning.past + 2):
+    for m in range(1, top + 1):
         np.multiply(stack[m - 1], g, out=stack[m])
     rows = as_real(stack[::-1].reshape(-1, z.shape[1]))
     triangle = np.linalg.qr(rows.T, mode='r').T
-    levels = triangle.reshape(tuning.past + 2, len(z), -1)[::-1]
+    levels = triangle.reshape(top + 1, len(z), -1)[::-1]
     counts = (len(projection.u), len(projection.tail), len(projection.ones), len(projection.y))
-    return levels, scale, counts
+    return Levels(levels, scale, counts)
 
 
 def _direct(level: Array, counts: tuple[int, int, int, int], feedthrough: bool) -> Array:
@@ -208,8 +230,8 @@ def realise(subspace: Subspace, n: int) -> Matrices:
     [HD] eq. 51 to 54; eq. 54 multiplied by the inverse operator.
     """
     p, tolerance = subspace.tuning.past, subspace.rank_tolerance
-    levels, counts = subspace.levels, subspace.counts
-    nz, ny = len(subspace.scale), counts[3]
+    levels, counts = subspace.levels.rows, subspace.levels.counts
+    nz, ny = len(subspace.levels.scale), counts[3]
     root = np.sqrt(np.maximum(subspace.singular_values[:n], 1e-300))
     to_state = (subspace.left[:, :n] / root).T @ subspace.gamma_k             # eq. 51
     x = to_state @ levels[p:0:-1].reshape(p * nz, -1)
@@ -230,8 +252,8 @@ def realise(subspace: Subspace, n: int) -> Matrices:
 
 def _unscale(A: Array, B: Array, K: Array, C: Array, D: Array, subspace: Subspace) -> Matrices:
     """Undo the scaling of the rows of z, and split what belongs to u, tail and ones."""
-    nu, tail, ones, ny = subspace.counts
-    size = subspace.scale
+    nu, tail, ones, ny = subspace.levels.counts
+    size = subspace.levels.scale
     own = size[nu + tail + ones:, np.newaxis]
     B = B / size[:nu + tail + ones]
     columns = np.r_[:nu * subspace.feedthrough, nu + tail:nu + tail + ones].astype(int)

@@ -66,7 +66,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
                                           or first.nearly_as_good(poles, top.cost)):
             return noisy, True
     start = replace(model, K=_gain(projection, model))
-    noisy, noisy_cost = refine_innovation(projection, start, feed, plant=False)
+    noisy, noisy_cost = refine_innovation(projection, start, feed, plant=False, steps=8)
     return noisy if noisy_cost + price < cost else start, False
 
 
