@@ -13,7 +13,7 @@ from ctsid_core.bases.hermite import project_record
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.order import Candidate, Search, choose_order
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import line_fit, simulate_lines
+from ctsid_core.prediction_errors import line_fit, prediction_errors
 from ctsid_core.refine import most_likely, pole_deviation
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
@@ -176,7 +176,8 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         pole_std=np.array([deviation[np.argmin(np.abs(poles - p))] for p in model.poles]),
         fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
         singular_values=found.best.subspace.singular_values,
-        condition=found.best.subspace.condition, choices=found.choices, notes=(*part.notes, *notes),
+        condition=found.best.subspace.condition, choices=found.choices,
+        notes=(*part.notes, *notes),
         statistics={'process_noise': float(found.process_noise)})
 
 
@@ -204,9 +205,9 @@ def _to_statespace(part: Usable, found: _Found) -> StateSpace:
     B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
     level = np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
     level[y] = m.y_trim[:, 0] if m.y_trim.size else 0.0
-    error = as_real(found.projection.y - simulate_lines(found.projection, m))
+    error = as_real(prediction_errors(found.projection, m))
     noise = np.zeros((ny, ny))
-    noise[np.ix_(y, y)] = error @ error.T / error.shape[1]
+    noise[np.ix_(y, y)] = found.projection.unit * (error @ error.T) / error.shape[1]
     return StateSpace(
         A=m.A, B=B, C=C, D=D, K=K, delay=found.settings.delays(nu),
         x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(n), y_trim=level, noise=noise,

@@ -72,15 +72,17 @@ class Bag:
         """What was damaged, recovered, skipped or odd; may grow while messages are read."""
         return tuple(self._notes)
 
-    def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
+    def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
-        Iterate over the messages of topics (of all, if None) in the order of log time.
+        Iterate over the messages of one or more topics (all if None) in the order of log time.
 
         Raises
         ------
         BagError
             If a topic is not in the bag.
         """
+        if isinstance(topics, str):
+            topics = [topics]
         wanted = set(self.topics if topics is None else topics)
         for topic in wanted:
             self.topic(topic)
@@ -259,12 +261,10 @@ def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],
     unusable: list[BagError] = []
     count = 0
     for file in found.files:
-        key = file.resolve()
         try:
-            if key not in recordings:
-                recordings[key] = scan_file(file, resources)
-                notes += recordings[key].notes
-            count += recordings[key].count
+            recording = recordings[file.resolve()] = scan_file(file, resources)
+            notes += recording.notes
+            count += recording.count
         except BagError as error:
             unusable.append(error)
     if len(unusable) == len(found.files):

@@ -63,7 +63,7 @@ class _Scan:
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self.path, self.file = path, file
         self.chunks: dict[int, Chunk] = {}  # by position of the record
-        self.connections: dict[int, Header] = {}
+        self.connections: dict[int, Connection] = {}
         self.stated_chunks: int | None = None  # None: never closed
         self.complete = False
         self.notes: list[str] = []
@@ -113,7 +113,10 @@ class _Scan:
 
     def connect(self, header: Header, data: bytes) -> None:
         (number,) = _U32.unpack(header[b'conn'])
-        self.connections[number] = {**_fields(data), b'topic': header[b'topic']}
+        fields = _fields(data)
+        self.connections[number] = Connection(
+            number, _topic(header[b'topic']), fields[b'type'].decode(), 'ros1', 'ros1msg',
+            fields[b'message_definition'].decode(errors='replace'), 0)
 
     def chunk_info(self, header: Header, data: bytes) -> None:
         (position,) = _U64.unpack(header[b'chunk_pos'])
@@ -154,11 +157,8 @@ class _Scan:
         totals: Counter[int] = Counter()
         for chunk in self.chunks.values():
             totals.update(chunk.counts or {})
-        connections = tuple(
-            Connection(number, _topic(fields[b'topic']), fields[b'type'].decode(), 'ros1',
-                       'ros1msg', fields[b'message_definition'].decode(errors='replace'),
-                       totals[number])
-            for number, fields in self.connections.items())
+        connections = tuple(replace(connection, count=totals[number])
+                            for number, connection in self.connections.items())
         path, chunks = self.path, tuple(self.chunks.values())
 
         def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:

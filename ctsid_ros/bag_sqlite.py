@@ -27,6 +27,9 @@ TABLES = {
     'messages': ('id', 'topic_id', 'timestamp', 'data'),
     'message_definitions': ('topic_type', 'encoding', 'encoded_message_definition'),
 }
+# A damaged schema may even come with an error message that is not UTF-8.
+DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
+SOUND = "typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"  # columns can hold anything
 
 
 def scan_sqlite(path: Path, resources: ExitStack) -> Recording:
@@ -41,7 +44,7 @@ def scan_sqlite(path: Path, resources: ExitStack) -> Recording:
     database = _connect(path, resources)
     try:
         return _recording(path, database, ())
-    except sqlite3.DatabaseError as error:
+    except DAMAGE as error:
         salvaged, count = _salvage(path, resources, error)
         note = f'{path.name}: truncated: {count} messages recovered ({error})'
         return _recording(path, salvaged, (note,))
@@ -53,8 +56,13 @@ def _connect(path: Path, resources: ExitStack) -> sqlite3.Connection:
     mode = 'mode=ro' if log.exists() and log.stat().st_size else 'immutable=1'
     database = sqlite3.connect(f'{path.resolve().as_uri()}?{mode}', uri=True,
                                check_same_thread=False)
+    database.text_factory = _text
     resources.callback(database.close)
     return database
+
+
+def _text(stored: bytes) -> str:
+    return stored.decode(errors='replace')
 
 
 def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...]) -> Recording:
@@ -63,14 +71,15 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
         raise BagError(f'{path} is an SQLite database, but not a bag: its tables are '
                        f'{", ".join(sorted(present)) or "none"}')
     spans = {topic: (count, first, last) for topic, count, first, last in database.execute(
-        'SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages '
+        f'SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages WHERE {SOUND} '
         'GROUP BY topic_id')}
     definitions = _definitions(database) if 'message_definitions' in present else {}
     connections = tuple(
         Connection(number, topic, kind, encoding, *definitions.get(kind, ('', '')),
                    spans.get(number, (0,))[0])
         for number, topic, kind, encoding in database.execute(
-            f'SELECT {", ".join(TABLES["topics"])} FROM topics'))
+            f'SELECT {", ".join(TABLES["topics"])} FROM topics')
+        if all(isinstance(text, str) for text in (topic, kind, encoding)))
 
     def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
         return _rows(path, database, wanted, note)
@@ -82,27 +91,25 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
     columns = ', '.join(TABLES['message_definitions'])
-    return {kind: (encoding, text) for kind, encoding, text in database.execute(
+    return {kind: (str(encoding), str(text)) for kind, encoding, text in database.execute(
         f'SELECT {columns} FROM message_definitions')}
 
 
 def _rows(path: Path, database: sqlite3.Connection, wanted: Collection[int], note: Note
           ) -> Iterator[Row]:
     marks = ', '.join('?' * len(wanted))
-    cursor = database.execute(
-        f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
-        'ORDER BY timestamp, id', tuple(wanted))
+    query = (f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
+             f'AND {SOUND} ORDER BY timestamp, id')
     given = 0
     try:
-        for log_ns, topic, data in cursor:
-            if isinstance(data, bytes):
-                given += 1
-                yield log_ns, log_ns, topic, data
-    except sqlite3.DatabaseError as error:
+        for log_ns, topic, data in database.execute(query, tuple(wanted)):
+            given += 1
+            yield log_ns, log_ns, topic, data
+    except DAMAGE as error:
         note(f'{path.name}: damaged: {given} messages read, the rest is lost ({error})')
 
 
-def _salvage(path: Path, resources: ExitStack, error: sqlite3.DatabaseError
+def _salvage(path: Path, resources: ExitStack, error: Exception
              ) -> tuple[sqlite3.Connection, int]:
     """Copy into a new database what can be read of a malformed one."""
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix='ctsid-')))
@@ -111,6 +118,7 @@ def _salvage(path: Path, resources: ExitStack, error: sqlite3.DatabaseError
     damaged = _connect(copy, resources)
     new = sqlite3.connect(folder / 'salvaged.db3', check_same_thread=False)
     resources.callback(new.close)
+    new.executescript('PRAGMA synchronous = OFF; PRAGMA journal_mode = OFF')  # quick, temporary
     for table, columns in TABLES.items():
         new.execute(f'CREATE TABLE {table} ({", ".join(columns)})')
         _copy_rows(damaged, new, table, columns)
@@ -154,5 +162,5 @@ def _copy_rows(damaged: sqlite3.Connection, new: sqlite3.Connection, table: str,
     try:
         for row in damaged.execute(f'SELECT {", ".join(columns)} FROM {table} ORDER BY rowid'):
             new.execute(f'INSERT INTO {table} VALUES ({marks})', row)
-    except sqlite3.DatabaseError:
+    except DAMAGE:
         return  # no such table, or no further row

@@ -52,8 +52,8 @@ class Layout:
 _Wanted = dict[str | int, Any]  # tree of steps; an int at a leaf is its slot
 
 
-def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw,
-          sizes: Sizes) -> Layout:
+def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw, sizes: Sizes
+              ) -> Layout:
     """Walk one message up to the last wanted leaf and return its layout."""
     stamp = STAMP if message_type.has_header else ()
     wanted: _Wanted = {}
@@ -71,7 +71,7 @@ def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw,
     unpack = struct.Struct(walker.format()).unpack_from
     words = _picker(walker.words)
     return Layout(unpack, words, words(unpack(raw)), _picker(item_of[len(stamp):]),
-                   (item_of[0], item_of[1]) if stamp else None, floats)
+                  (item_of[0], item_of[1]) if stamp else None, floats)
 
 
 def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
@@ -97,8 +97,7 @@ class _Walker:
         passes share.
     """
 
-    def __init__(self, message_type: MessageType, raw: Raw, missing: int,
-                 sizes: Sizes) -> None:
+    def __init__(self, message_type: MessageType, raw: Raw, missing: int, sizes: Sizes) -> None:
         self.types, self.raw, self.missing, self.sizes = message_type.types, raw, missing, sizes
         self.packed = message_type.encoding == 'ros1'
         self.items: list[tuple[int, str]] = []
@@ -154,8 +153,6 @@ class _Walker:
             position = self.field(position, declared, wanted.get(field, {}))
             if not self.missing:
                 break
-        if not self.types[name] and not self.packed:
-            position += 1  # CDR gives a type without fields one byte
         return position
 
     def field(self, position: int, declared: FieldType, wanted: Any) -> int:
@@ -196,7 +193,6 @@ class _Walker:
             return position + SIZES[base]
         if base == 'string':
             length, position = self.word(position)
-            self.need(position + length)
             return position + length
         if not wanted:
             size = self.fixed_size(base, (position - self.start) % 8)
@@ -225,5 +221,5 @@ class _Walker:
             if declared.kind == 'sequence':
                 return None
         if not self.types[name] and not self.packed:
-            position += 1
+            position += 1  # CDR gives a type without fields one byte
         return position - self.start - phase

@@ -235,4 +235,5 @@ def bare(folder: Path, suffix: str) -> Path:
 def refused(path) -> str:
     with pytest.raises(BagError) as error:
         open_bag(path)
+    assert str(error.value).count(str(path)) <= 1
     return str(error.value)

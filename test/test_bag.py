@@ -88,6 +88,8 @@ CONTAINERS = {
     'mcap, no message index': lambda p, s: write_mcap(
         p / 'b.mcap', s, index_types=IndexType.CHUNK),
     'mcap, no index, no summary': lambda p, s: write_mcap(p / 'b.mcap', s, **NO_SUMMARY),
+    'mcap, message index only': lambda p, s: write_mcap(
+        p / 'b.mcap', s, **{**NO_SUMMARY, 'index_types': IndexType.MESSAGE}),
     'mcap, no CRC': lambda p, s: write_mcap(p / 'b.mcap', s, enable_crcs=False),
     'mcap under another name': lambda p, s: renamed(write_mcap(p / 'b.mcap', s)),
     'name with odd letters': lambda p, s: bare(
@@ -107,6 +109,7 @@ def test_every_container_gives_what_was_written(tmp_path, container):
         got = [(m.topic, m.log_ns, bytes(m.raw)) for m in bag.messages()]
         assert got == written(sent)
         assert [m.topic for m in bag.messages(['/cmd'])] == ['/cmd'] * 10
+        assert sum(1 for _ in bag.messages('/cmd')) == 10
         assert {m.publish_ns - m.log_ns for m in bag.messages()} == {0}
         assert bag.notes == ()
 
@@ -190,6 +193,7 @@ def test_files_that_metadata_forgets_are_read_and_noted(tmp_path):
     write_mcap(folder / 'more.mcap', second)
     assert rows(folder) == written(flight())
     assert 'does not list them: more.mcap' in notes(folder)
+    assert 'states' not in notes(folder)
 
 
 def test_files_that_are_gone_are_noted(tmp_path):
@@ -489,8 +493,7 @@ def test_real_flight(data_folder):
     assert pwm[:, :4].max() <= 2100
 
 
-def test_imu_helper_is_what_the_bag_gives(tmp_path):
-    """The fixtures tell the truth: stamps and rates come back."""
+def test_what_the_fixtures_write_comes_back(tmp_path):
     sent = [Sent('/imu', IMU, 7, imu(5, 0.5))]
     with open_bag(write_mcap(tmp_path / 'b.mcap', sent)) as bag:
         extract = bag.extractor('/imu', [parse_field('angular_velocity.x')])

@@ -113,6 +113,12 @@ def test_frames_of_any_length_and_byte_orders_mixed():
         assert extract(raw_of(message, k % 3 > 0)) == expected(message, *texts)
 
 
+def test_byte_orders_mixed_without_any_length_word():
+    extract = extractor('geometry_msgs/msg/Vector3', 'y')
+    for little in (True, False, True):
+        assert extract(raw_of(vector(1, 2, 3), little)) == (None, (2.0,))
+
+
 def test_random_messages_of_a_custom_type():
     rng = np.random.default_rng(2)
     texts = ('latest.value', 'history[0].value', 'armed', 'ticks', 'few[0]', 'pair[1].value')

@@ -32,6 +32,9 @@ class Projection:
         The virtual input that stands for the truncated part of the state's derivative.
     ones : ndarray, shape (0 or 1, L)
         The constant 1: trim of states and outputs.
+    unit : float
+        Time that a coordinate unit stands for [s]: white noise of intensity R has variance
+        R / unit in every real and imaginary part.
     start, end : float
         The interval of the record [s].
     """
@@ -41,6 +44,7 @@ class Projection:
     y: Lines
     tail: Lines
     ones: Lines
+    unit: float
     start: float
     end: float
 

@@ -139,7 +139,7 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
         y=basis.lines(np.vstack(found[count:])),
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, record, alpha, nmax, exact) if settings.trim else nothing,
-        start=record.start, end=record.end)
+        unit=alpha, start=record.start, end=record.end)
 
 
 def _ones(basis: HermiteLines, record: Record, alpha: float, nmax: int, exact: bool) -> Lines:
