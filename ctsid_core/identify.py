@@ -11,10 +11,11 @@ from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record
 from ctsid_core.estimate import Choice, Estimate, Status
-from ctsid_core.order import Candidate, Search, choose_order
+from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors
-from ctsid_core.refine import most_likely, pole_deviation
+from ctsid_core.refine import pole_deviation
+from ctsid_core.selection import choose_order, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace
@@ -133,10 +134,7 @@ def _order(search: Search, choices: list[Choice]) -> int:
     trials = search.orders()
     if not trials:
         return 0
-    chosen, noisy = choose_order(trials)
-    values = [t.innovation if noisy else t.simulation for t in trials]
-    table = ', '.join(f'{t.order}: {value - min(values):.0f}'
-                      for t, value in zip(trials, values, strict=True))
+    chosen, table = choose_order(search, trials)
     choices.append(Choice('order', chosen.order, "Schwarz's criterion, above its smallest value, "
                           f'by order: {table}'))
     return chosen.order

@@ -11,7 +11,7 @@ most likely model kept. Three questions have to be answered together:
   nearly as well as those of the best simulation; else its K has taken up plant dynamics.
 - Which order? The poles of the best candidate of each order are taken to the maximum of the
   output-error likelihood first (else a badly placed mode looks like two), then Schwarz's
-  criterion decides.
+  criterion decides (`selection.py`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond 
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
 _STEPS = 12                   # Gauss-Newton steps of the poles
-_UNSTABLE = 1.25              # how much better simulations must be to believe an unstable pole
+_UNSTABLE = 1.75              # how much better simulations must be to believe an unstable pole
 _NEARLY = 1.1                 # how much worse they may be with a model that has a K
 
 
@@ -129,19 +129,19 @@ class OrderTrial:
     Parameters
     ----------
     order : int
+    pair : Pair
+    refined : OutputErrorFit
+        The simulating candidate's poles at the output-error maximum.
     simulation, innovation : float
-        Schwarz's criterion of the two noise models; the smallest wins.
-    process_noise : bool
-        Whether the second noise model is to be believed at this order.
-    residual : float
-        Largest part of an output's power that no simulation explains.
+        Schwarz's criterion of the two noise models; the smallest wins. The second is that of a
+        subspace model, not of a maximum.
     """
 
     order: int
+    pair: Pair
+    refined: OutputErrorFit
     simulation: float
     innovation: float
-    process_noise: bool
-    residual: float
 
 
 class Search:
@@ -247,47 +247,58 @@ class Search:
         nearly = first.nearly_as_good(second.poles, simulated) or limit == np.inf
         return second.innovation < first.simulated.cost and nearly
 
+    def price(self, n: int) -> float:
+        """Return what Schwarz's criterion charges for an innovation form of order n."""
+        p = self.projection
+        ny, inputs = len(p.y), len(p.u) + len(p.tail)
+        direct = ny * (len(p.u) * self.settings.feedthrough + len(p.ones))
+        return float((n * (inputs + 2 * ny) + direct) * self.charge)
+
+    @property
+    def charge(self) -> float:
+        """What Schwarz's criterion charges for one parameter."""
+        return float(np.log(len(self.projection.y) * 2.0 * len(self.projection.s)))
+
     def trial(self, n: int) -> OrderTrial | None:
         """Return the best of order n, its poles at the output-error maximum."""
         pair = self.pair(n, thorough=False)
         if pair is None:
             return None
         refined = pair.simulating.refined(pair.limit)
-        p = self.projection
-        ny, inputs = len(p.y), len(p.u) + len(p.tail)
-        direct = ny * (len(p.u) * self.settings.feedthrough + len(p.ones))
-        weight = np.log(ny * 2.0 * len(p.s))
-        parameters = n * (inputs + 2 * ny) + direct
-        noisy = self._believe(pair.simulating, pair.predicting, refined.cost, pair.limit)
-        return OrderTrial(n, refined.cost + refined.parameters * weight,
-                          pair.predicting.innovation + parameters * weight,
-                          pair.process_noise and noisy, refined.residual)
+        return OrderTrial(n, pair, refined, refined.cost + refined.parameters * self.charge,
+                          pair.predicting.innovation + self.price(n))
 
     def orders(self) -> list[OrderTrial]:
-        """Try the orders from 1 upwards until neither criterion falls any more."""
+        """
+        Try the orders from 1 upwards until neither criterion falls any more.
+
+        Orders at which only unstable models were found are left out unless these simulate much
+        better than the stable ones of lower order.
+        """
         trials: list[OrderTrial] = []
         for n in range(1, self.settings.max_order + 1):
             trial = self.trial(n)
             if trial is None:
                 break
+            calm = [t.refined.cost for t in trials if t.pair.limit < np.inf]
+            if trial.pair.limit == np.inf and calm \
+                    and min(calm) - trial.refined.cost < self.worth(_UNSTABLE):
+                continue
             trials.append(trial)
-            last = max(best_order(trials, noisy).order for noisy in (False, True))
-            if trial.residual <= _EXPLAINED or n - last >= _PATIENCE:
+            last = max(min(trials, key=by).order for by in (by_simulation, by_innovation))
+            if trial.refined.residual <= _EXPLAINED or n - last >= _PATIENCE:
                 break
         return trials
 
 
-def best_order(trials: list[OrderTrial], process_noise: bool) -> OrderTrial:
-    """Return the trial with the smallest criterion under one noise model."""
-    return min(trials, key=lambda t: t.innovation if process_noise else t.simulation)
+def by_simulation(trial: OrderTrial) -> float:
+    """Return the criterion of a trial without process noise."""
+    return trial.simulation
 
 
-def choose_order(trials: list[OrderTrial]) -> tuple[OrderTrial, bool]:
-    """Return the trial to take, and whether process noise was believed in choosing it."""
-    with_noise = best_order(trials, True)
-    if with_noise.process_noise:
-        return with_noise, True
-    return best_order(trials, False), False
+def by_innovation(trial: OrderTrial) -> float:
+    """Return the criterion of a trial with process noise."""
+    return trial.innovation
 
 
 def _simulation(candidate: Candidate) -> float:

@@ -13,10 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
-from ctsid_core.order import Pair
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.prediction_errors import (
     innovation_cost,
@@ -24,70 +22,14 @@ from ctsid_core.prediction_errors import (
     line_weights,
     output_error_cost,
     prediction_errors,
-    simulate_lines,
     spread_gradient,
 )
-from ctsid_core.settings import Settings
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _LEAST_GAIN = 1e-2    # -2 log likelihood: smaller gains are not worth another step
 _HALVINGS = 5
 _DAMPINGS = 8         # tries with ten times the damping each
-
-
-def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
-    """
-    Return the model at the maximum of the likelihood, and whether it has process noise.
-
-    Parameters
-    ----------
-    projection : Projection
-    pair : Pair
-        The subspace models to start from.
-    settings : Settings
-        With `refine` false the subspace model itself is returned.
-    """
-    if not settings.refine:
-        return pair.best.matrices, pair.process_noise
-    feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
-    top = first.refined(limit)
-    starts = [first.matrices]
-    if len(set(np.round(top.poles, 12))) == len(top.poles):
-        starts.append(realise_poles(projection, top.poles, feed))
-    model, cost = min((refine_output_error(projection, start, feed, limit) for start in starts),
-                      key=lambda found: found[1])
-    price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
-    if pair.process_noise:
-        noisy, noisy_cost = refine_innovation(projection, pair.predicting.matrices, feed,
-                                              limit=limit)
-        poles = np.linalg.eigvals(noisy.A).astype(complex)
-        if noisy_cost + price < cost and (limit == np.inf
-                                          or first.nearly_as_good(poles, top.cost)):
-            return noisy, True
-    start = replace(model, K=_gain(projection, model))
-    noisy, noisy_cost = refine_innovation(projection, start, feed, plant=False, steps=8)
-    return noisy if noisy_cost + price < cost else start, False
-
-
-def _gain(projection: Projection, m: Matrices) -> Array:
-    """
-    Return the stationary Kalman gain where there is no process noise.
-
-    Zero for a stable plant. An unstable one needs a predictor: the gain that mirrors its
-    unstable poles, the limit of small process noise.
-    """
-    if _growth(m) < 0.0:
-        return np.zeros_like(m.K)
-    error = as_real(projection.y - simulate_lines(projection, m))
-    R = np.diag(np.mean(error ** 2, axis=1) + 1e-300)
-    state = np.linalg.norm(m.A) * np.eye(len(m.A)) * 1e-9 * np.trace(R) / np.trace(m.C @ m.C.T)
-    try:
-        P = solve_continuous_are(m.A.T, m.C.T, state, R)
-    except (np.linalg.LinAlgError, ValueError):
-        return np.zeros_like(m.K)
-    gain: Array = np.linalg.solve(R, m.C @ P).T
-    return gain
 
 
 def realise_poles(projection: Projection, poles: NDArray[np.complex128],
@@ -196,7 +138,7 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
         for halving in range(_HALVINGS):
             trial = _moved(model, step * 0.5 ** halving, feedthrough)
             new = output_error_cost(projection, trial)
-            if new < cost and _growth(trial) <= limit:
+            if new < cost and growth(trial) <= limit:
                 break
         else:
             return model, cost
@@ -279,7 +221,7 @@ def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool
             step = right.T @ (pull / (s ** 2 + damping * s[0] ** 2)) / norm
             trial = _moved(model, step, feedthrough)
             new = innovation_cost(projection, trial)
-            if new < cost and _growth(trial) <= limit:
+            if new < cost and growth(trial) <= limit:
                 break
             damping = 10.0 * max(damping, 1e-8)
         else:
@@ -290,7 +232,8 @@ def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool
     return model, cost
 
 
-def _growth(m: Matrices) -> float:
+def growth(m: Matrices) -> float:
+    """Return the largest real part of the poles [rad/s]."""
     return float(np.max(np.linalg.eigvals(m.A).real))
 
 

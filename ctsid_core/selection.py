@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The decisions: which order, which noise model, and the model at its likelihood's maximum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solve_continuous_are
+
+from ctsid_core.bases.base import Array, Projection, as_real
+from ctsid_core.order import OrderTrial, Pair, Search, by_innovation, by_simulation
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import simulate_lines
+from ctsid_core.refine import growth, realise_poles, refine_innovation, refine_output_error
+from ctsid_core.settings import Settings
+
+_CONTENDERS = 3       # orders whose innovation forms are refined before they are compared
+_STEPS = 6            # of that refinement: enough to compare
+
+
+def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, str]:
+    """
+    Return the trial to take, and the table of criteria that decided.
+
+    Parameters
+    ----------
+    search : Search
+    trials : list of OrderTrial
+        Not empty.
+
+    Notes
+    -----
+    Simulations come at their maximum already. The most promising innovation forms are taken to
+    theirs, and believed if they are likelier than any simulation and simulate nearly as well
+    as the best of the same order.
+    """
+    chosen, least = min(trials, key=by_simulation), min(t.simulation for t in trials)
+    criterion = {t.order: t.simulation for t in trials}
+    for trial in sorted(trials, key=by_innovation)[:_CONTENDERS]:
+        pair, feed = trial.pair, search.settings.feedthrough
+        if not search.settings.refine:
+            value, poles = trial.innovation, pair.predicting.poles
+        else:
+            model, cost = refine_innovation(search.projection, pair.predicting.matrices, feed,
+                                            limit=pair.limit, steps=_STEPS)
+            value = cost + search.price(trial.order)
+            poles = np.linalg.eigvals(model.A).astype(complex)
+        if value < least and (pair.limit == np.inf or pair.simulating.nearly_as_good(
+                poles, trial.refined.cost)):
+            chosen, least = trial, value
+            criterion[trial.order] = value
+    table = ', '.join(f'{order}: {value - least:.0f}' for order, value in criterion.items())
+    return chosen, table
+
+
+def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
+    """
+    Return the model at the maximum of the likelihood, and whether it has process noise.
+
+    Parameters
+    ----------
+    projection : Projection
+    pair : Pair
+        The subspace models to start from.
+    settings : Settings
+        With `refine` false the subspace model itself is returned.
+    """
+    if not settings.refine:
+        return pair.best.matrices, pair.process_noise
+    feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
+    top = first.refined(limit)
+    starts = [first.matrices]
+    if len(set(np.round(top.poles, 12))) == len(top.poles):
+        starts.append(realise_poles(projection, top.poles, feed))
+    model, cost = min((refine_output_error(projection, start, feed, limit) for start in starts),
+                      key=lambda found: found[1])
+    price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
+    if pair.process_noise:
+        noisy, noisy_cost = refine_innovation(projection, pair.predicting.matrices, feed,
+                                              limit=limit)
+        poles = np.linalg.eigvals(noisy.A).astype(complex)
+        if noisy_cost + price < cost and (limit == np.inf
+                                          or first.nearly_as_good(poles, top.cost)):
+            return noisy, True
+    start = replace(model, K=_gain(projection, model))
+    noisy, noisy_cost = refine_innovation(projection, start, feed, plant=False, steps=8)
+    return noisy if noisy_cost + price < cost else start, False
+
+
+def _gain(projection: Projection, m: Matrices) -> Array:
+    """
+    Return the stationary Kalman gain where there is no process noise.
+
+    Zero for a stable plant. An unstable one needs a predictor: the gain that mirrors its
+    unstable poles, the limit of small process noise.
+    """
+    if growth(m) < 0.0:
+        return np.zeros_like(m.K)
+    error = as_real(projection.y - simulate_lines(projection, m))
+    R = np.diag(np.mean(error ** 2, axis=1) + 1e-300)
+    state = np.linalg.norm(m.A) * np.eye(len(m.A)) * 1e-9 * np.trace(R) / np.trace(m.C @ m.C.T)
+    try:
+        P = solve_continuous_are(m.A.T, m.C.T, state, R)
+    except (np.linalg.LinAlgError, ValueError):
+        return np.zeros_like(m.K)
+    gain: Array = np.linalg.solve(R, m.C @ P).T
+    return gain
