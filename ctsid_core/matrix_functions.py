@@ -16,6 +16,7 @@ from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
+import scipy.linalg
 from scipy.linalg import matrix_balance
 
 Array = NDArray[np.float64]
@@ -148,3 +149,17 @@ def _double(functions: list[Array], rows: NDArray[np.intp], step: Array) -> None
         extra = sum((h ** (j - i) / factorial(j - i) * old[i] for i in range(1, j + 1)),
                     np.zeros(()))
         f[rows] = old[0] @ old[j] + extra
+
+
+def svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """
+    Return the thin singular value decomposition, also where the fast algorithm gives up.
+
+    Divide and conquer (LAPACK's gesdd) fails to converge on rare matrices that are perfectly
+    sound; the QR iteration (gesvd) is slower and does not.
+    """
+    try:
+        left, s, right = np.linalg.svd(matrix, full_matrices=False)
+    except np.linalg.LinAlgError:
+        left, s, right = scipy.linalg.svd(matrix, full_matrices=False, lapack_driver='gesvd')
+    return left, s, right

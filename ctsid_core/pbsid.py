@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.bases.base import Array, Projection, as_real
+from ctsid_core.matrix_functions import svd
 
 NEGLIGIBLE = 1e-7     # innovations below this fraction of the outputs carry no information on K
 
@@ -143,7 +144,7 @@ def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, f
     """
     norm = np.linalg.norm(regressors, axis=1)
     norm[norm == 0.0] = 1.0
-    left, s, right = np.linalg.svd(regressors / norm[:, np.newaxis], full_matrices=False)
+    left, s, right = svd(regressors / norm[:, np.newaxis])
     kept = s > tolerance * s[0] if len(s) else np.zeros(0, dtype=bool)
     theta = ((targets @ right[kept].T) / s[kept]) @ left[:, kept].T / norm
     return theta, float(s[0] / max(s[-1], 1e-300)) if len(s) else 1.0
@@ -176,7 +177,7 @@ def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
     gamma_k = np.zeros((f * ny, p * nz))
     for i in range(f):                                                        # eq. 48
         gamma_k[i * ny:(i + 1) * ny, i * nz:] = theta[:, :(p - i) * nz]
-    left, s, _ = np.linalg.svd(gamma_k @ Z, full_matrices=False)              # eq. 50
+    left, s, _ = svd(gamma_k @ Z)                                             # eq. 50
     return Subspace(levels, left, s, gamma_k, condition, tuning, feedthrough, rank_tolerance)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
+from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.prediction_errors import (
     innovation_cost,
@@ -180,7 +181,7 @@ def _directions(flat: Array, error: Array) -> tuple[Array, Array, Array, Array]:
     norm[norm == 0.0] = np.inf
     size = np.linalg.norm(error) + 1e-300
     triangle = np.linalg.qr(np.column_stack((flat / norm, error / size)), mode='r')
-    left, s, right = np.linalg.svd(triangle[:, :-1], full_matrices=False)
+    left, s, right = svd(triangle[:, :-1])
     kept = s > _RANK * s[0]
     return size * (triangle[:, -1] @ left[:, kept]), s[kept], right[kept], norm
 
@@ -247,7 +248,7 @@ def _curvature(projection: Projection, m: Matrices, feedthrough: bool, plant: bo
     flat, error = _whitened(projection, m, feedthrough, with_noise=True)
     if not plant:
         flat = flat * _noise_entries(m, flat.shape[1])
-    if not np.isfinite(flat).all():
+    if not (np.isfinite(flat).all() and np.isfinite(error).all()):
         return None
     along, s, right, norm = _directions(flat, error)
     gradient = spread_gradient(projection, m, feedthrough) / norm
