@@ -29,13 +29,14 @@ lint: $(VENV)/.installed-dev
 	$(VENV)/bin/mypy
 
 bench: $(VENV)/.installed-bench
-	for script in benchmarks/bench_*.py; do $(PY) $$script || exit 1; done
+	$(PY) benchmarks/floor.py
+	$(PY) benchmarks/peers.py
 
 bags: $(VENV)/.installed
 	$(PY) bags/make_quadrotor_roll.py
 
 clean:
-	rm -rf $(VENV) results build install log *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .venv-ci-* results build install log *.egg-info .mypy_cache .ruff_cache .pytest_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):

@@ -3,7 +3,7 @@
 
 from glob import glob
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
@@ -18,7 +18,7 @@ setup(
     author='The ctsid developers',
     maintainer='The ctsid developers',
     maintainer_email='ctsid@users.noreply.github.com',
-    packages=['ctsid_core', 'ctsid_core.bases', 'ctsid_ros'],
+    packages=find_packages(include=['ctsid_core*', 'ctsid_ros*']),
     package_data={'ctsid_core': ['py.typed'], 'ctsid_ros': ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
@@ -28,7 +28,8 @@ setup(
           if glob(f'{folder}/{pattern}')),
     ],
     python_requires='>=3.11',
-    install_requires=['numpy>=1.26', 'scipy', 'mcap', 'rosbags', 'PyYAML', 'rich'],
+    install_requires=['numpy>=1.26', 'scipy', 'mcap', 'rosbags', 'lz4', 'zstandard',
+                      'PyYAML', 'rich'],
     extras_require={
         'ros': ROS,
         'test': TEST,

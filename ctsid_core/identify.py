@@ -75,10 +75,14 @@ def _identify(record: Record, settings: Settings) -> Estimate:
     part = usable(record, settings)
     if isinstance(part, Status):
         return Estimate(status=part, settings=settings)
-    found = _estimate(part, settings)
-    if found is None:
-        return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-    return _judge(part, found)
+    try:
+        found = _estimate(part, settings)
+        if found is None:
+            return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+        return _judge(part, found)
+    except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
+        return Estimate(status=Status.UNRELIABLE, settings=settings,
+                        notes=(*part.notes, f'the arithmetic failed: {error}'))
 
 
 @dataclass(frozen=True)
