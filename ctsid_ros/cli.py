@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The command `ctsid`.
+
+stdout carries the result, stderr everything else. Exit codes: 0 a model was accepted (or there
+was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is acceptable,
+130 interrupted (what was found until then is written).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import io
+import os
+import sys
+
+# Before NumPy is imported. The matrices of an identification are small: several BLAS threads only
+# wait for each other, and on a busy machine make it ten times slower. Who knows better sets them.
+for _name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
+    os.environ.setdefault(_name, '1')
+
+_EPILOG = """first steps:
+  ctsid info BAG                              what is in it
+  ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
+  ctsid identify BAG --params params.yaml     one model of the whole bag
+  ctsid replay BAG --params params.yaml       models in sliding windows along it
+  ctsid simulate MODEL OTHER_BAG              how well a model explains another bag
+
+exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line; return the exit code."""
+    from ctsid_core.errors import CtsidError  # after the environment above
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
+        sys.stdout.reconfigure(errors='replace')
+    parser = _parser()
+    try:
+        args = parser.parse_args(argv)
+        code: int = args.command(args)
+        sys.stdout.flush()
+    except SystemExit as stop:  # argparse has printed why
+        return stop.code if isinstance(stop.code, int) else 2
+    except KeyboardInterrupt:
+        print('ctsid: interrupted', file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # `ctsid info BAG | head`: the reader has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
+    except (CtsidError, OSError) as error:
+        print(f'ctsid: error: {error}', file=sys.stderr)
+        return 1
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    from ctsid_ros.results import package_version
+    from ctsid_ros.verbs import identify, info, init, params, replay, show, simulate
+    parser = argparse.ArgumentParser(
+        prog='ctsid', description='Continuous-time models from bags: own stamps per topic, no '
+        'resampling.', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--version', action='version', version=f'ctsid {package_version()}')
+    verbs = parser.add_subparsers(metavar='VERB', required=True)
+    for name, verb in (('info', info), ('init', init), ('identify', identify),
+                       ('replay', replay), ('simulate', simulate), ('show', show),
+                       ('params', params)):
+        own = verbs.add_parser(name, help=verb.HELP, epilog=verb.EPILOG,
+                               description=f'{verb.HELP[0].upper()}{verb.HELP[1:]}.',
+                               formatter_class=argparse.RawDescriptionHelpFormatter)
+        verb.add_arguments(own)
+        own.set_defaults(command=verb.command)
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sections of a report: the same words on the terminal, in report.md and in report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.estimate import Estimate, Status
+from ctsid_core.statespace import StateSpace
+from ctsid_core.validation import ResidualTests, Validation
+from ctsid_ros.document import Bullets, Section
+from ctsid_ros.figures import (
+    bode_figures,
+    frequencies,
+    label,
+    response_of,
+    supported_band,
+)
+from ctsid_ros.playback import Played
+from ctsid_ros.replay import Result
+from ctsid_ros.tables import Table, join, number, percent, pole_text, thinned
+from ctsid_ros.tracks import Mode, match, modes, modes_of
+
+Array = NDArray[np.float64]
+_MOST_ROWS = 40  # of the table of windows
+_MOST_MODES = 4  # in a row of it
+_NEAR_TRUTH = 3.0  # standard deviations
+
+
+def channel_section(played: Played) -> Section:
+    """Return which signals were used, and where their stamps came from."""
+    rows = []
+    for c in played.config.channels:
+        counts = played.counts.channels[c.name]
+        rows.append((c.role, label(c.name, c.unit), c.topic, c.field, c.hold,
+                     number(c.delay, 3) if c.role == 'input' else '',
+                     counts.source, str(counts.samples.accepted)))
+    head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
+    why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'
+           for name, counts in played.counts.channels.items() if counts.why.endswith('no header')]
+    return Section('Signals', (Table(head, tuple(rows), head[:5] + head[6:7]),
+                               *([Bullets(tuple(why))] if why else [])))
+
+
+def complaint_section(notes: Sequence[str]) -> Section:
+    """Return what is not as it should be with the data."""
+    unique = tuple(dict.fromkeys(notes))
+    return Section('Notes on the data', (Bullets(unique),) if unique else ())
+
+
+def choice_section(estimate: Estimate, *, brief: bool = False) -> Section:
+    """Return what was chosen from the data, and why."""
+    lines = tuple(f'`{c.name}` = {_value(c.value)}: {c.why}' for c in estimate.choices)
+    return Section('Chosen from the data', (Bullets(lines),) if lines else (), brief=brief)
+
+
+def _value(value: object) -> str:
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def mode_table(found: Sequence[Mode]) -> Table:
+    """Return poles with all that engineers ask of them."""
+    rows = tuple((pole_text(m.pole), number(m.std, 2), number(m.frequency),
+                  number(m.frequency / (2 * math.pi), 3), number(m.damping, 3),
+                  number(1 / abs(m.pole.real), 3) if m.pole.real else '-')
+                 for m in found)
+    return Table(('pole [rad/s]', 'std', 'natural freq. [rad/s]', '[Hz]', 'damping',
+                  'time constant [s]'), rows)
+
+
+def model_section(estimate: Estimate, title: str) -> Section:
+    """Return a model, accepted or rejected, with its poles, fits and gains."""
+    model = estimate.model or estimate.rejected_model
+    if model is None:
+        return Section(title, (estimate.status.value,))
+    parts: list[str | Table | Bullets] = []
+    if not estimate.ok:
+        parts.append(f'NOT ACCEPTED. {estimate.status.value} What was computed all the same, to '
+                     'look at:')
+    words = f'{model.n} state{"s" if model.n > 1 else ""}, {"with" if model.D.any() else "no"} ' \
+            'direct feedthrough'
+    if any(model.delay):
+        words += f', dead time {", ".join(f"{d:g}" for d in model.delay)} s'
+    return Section(title, (*parts, f'{words}.', mode_table(modes_of(estimate)),
+                           fit_table(estimate, model)))
+
+
+def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
+    """Return the fits of each output [%]; `more` columns by name."""
+    columns = {'fit [%]': estimate.fit, 'held-out fit [%]': estimate.held_out_fit}
+    columns |= {name.replace('_', ' ') + ' [%]': values for name, values in more.items()}
+    rows = tuple((name, *(percent(v[i]) if i < len(v) else '-' for v in columns.values()))
+                 for i, name in enumerate(model.output_names))
+    return Table(('output', *columns), rows, ('output',))
+
+
+def gain_section(model: StateSpace) -> Section:
+    """Return the steady gains, where they mean something."""
+    if not (model.poles.real < 0).all():
+        return Section('', ())
+    gain = model.dc_gain
+    rows = tuple((label(y, model.output_units[i]),
+                  *(number(gain[i, j]) for j in range(model.nu)))
+                 for i, y in enumerate(model.output_names))
+    heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
+    return Section('Steady gain: output per input', (Table(('output', *heads), rows,
+                                                           ('output',)),))
+
+
+def bode_section(model: StateSpace, points: int = 13) -> Section:
+    """Return the frequency response as a table."""
+    omega = frequencies(model, count=points)
+    columns: dict[str, Array] = {}
+    for i, y in enumerate(model.output_names):
+        for j, u in enumerate(model.input_names):
+            gain, phase = response_of(model, omega, i, j)
+            columns[f'{u} → {y} [dB]'], columns[f'[deg]{" " * len(columns)}'] = gain, phase
+    head = ('frequency [rad/s]', '[Hz]', *columns)
+    rows = tuple((number(w), number(w / (2 * math.pi), 3),
+                  *(f'{v[k]:.1f}' if math.isfinite(v[k]) else '-' for v in columns.values()))
+                 for k, w in enumerate(omega))
+    return Section('Frequency response in numbers', (Table(head, rows),))
+
+
+def response_section(model: StateSpace, found: Validation, truth: StateSpace | None) -> Section:
+    """Return the Bode diagrams; shaded where the data of a simulation support the model."""
+    band = supported_band(found)
+    words = ['Shaded: there the model explains more than half of the power of an output. Beyond, '
+             'it is extrapolation.'] if band else []
+    return Section('Frequency response', (*words, *bode_figures(model, band, truth)))
+
+
+def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
+    """Return what the residuals still contain."""
+    rows = tuple((y, number(tests.whiteness[i], 2),
+                  *(number(v, 2) for v in tests.independence[i]))
+                 for i, y in enumerate(model.output_names))
+    head = ('output', 'white', *(f'independent of {u}' for u in model.input_names))
+    return Section('What the simulation leaves over', (
+        'p-values: below 0.01 the residuals are not white (gusts and other disturbances colour '
+        'them, which is no fault), or they still know the past of an input (then dynamics from '
+        'that input are missing, or a controller closes a loop).',
+        Table(head, rows, ('output',))), brief=False)
+
+
+def window_section(results: Sequence[Result], start_ns: int, best: int = 0) -> Section:
+    """Return the windows along a bag, thinned where they are many."""
+    rows = [_window_row(index, r, start_ns) for index, r in enumerate(results, 1)]
+    head = ('window', 'from [s]', 'to [s]', 'order', 'fit [%]', 'next fit [%]',
+            'poles of the model [rad/s]')
+    shown = thinned(rows, _MOST_ROWS, best)
+    more = [f'{len(shown)} of {len(rows)} windows are shown; all are in `estimates.csv`.'] \
+        if len(shown) < len(rows) else []
+    return Section('Models along the bag', (Table(head, shown, head[-1:]), *more))
+
+
+def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
+    estimate = result.estimate
+    span = (f'{(t - start_ns) * 1e-9:.1f}' for t in (estimate.start_ns, estimate.end_ns))
+    found = modes(estimate.model)
+    poles = ',  '.join(pole_text(m.pole, 3) for m in found[:_MOST_MODES]) if estimate.model \
+        else f'none: {estimate.status.name}'
+    poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''
+    order = str(estimate.model.n) if estimate.model else '-'
+    return (str(index), *span, order, _fits(estimate.fit), _fits(result.next_fit), poles)
+
+
+def _fits(values: Array) -> str:
+    return ' / '.join(percent(v) for v in values) if len(values) else '-'
+
+
+def status_section(results: Sequence[Result]) -> Section:
+    """Return how many windows gave no model, and why."""
+    bad = [r.estimate.status for r in results if not r.estimate.ok]
+    lines = [f'{bad.count(s)} of {len(results)} windows gave no model ({s.name}). {s.value}'
+             for s in Status if s in bad]
+    return Section('Windows without a model', (Bullets(tuple(lines)),) if lines else ())
+
+
+def truth_section(estimate: Estimate, results: Sequence[Result], truth: StateSpace) -> Section:
+    """Return the identified poles beside the true ones, and a closing sentence."""
+    found, true = modes_of(estimate), modes(truth)
+    pairs = match([m.pole for m in true], [m.pole for m in found])
+    every = _nearest_of_all(true, results)
+    rows = []
+    for i, m in enumerate(true):
+        own = found[pairs[i]] if i in pairs else None
+        rows.append((pole_text(m.pole), *_beside(m, own),
+                     *([pole_text(every[i]) if i in every else '-'] if results else [])))
+    head = ('true pole', 'identified', 'its std', 'difference', 'in std',
+            *([f'median of {len(results)} windows'] if results else []))
+    extra = [m for j, m in enumerate(found) if j not in pairs.values()]
+    verdict = _verdict([(m, found[pairs[i]]) for i, m in enumerate(true) if i in pairs], len(true))
+    return Section('Identified beside true poles [rad/s]',
+                   (Table(head, tuple(rows)), *_extra_words(extra), verdict))
+
+
+def _beside(true: Mode, own: Mode | None) -> tuple[str, str, str, str]:
+    if own is None:
+        return ('-',) * 4
+    away = abs(own.pole - true.pole)
+    return pole_text(own.pole), number(own.std, 2), number(away, 2), number(away / own.std, 2) \
+        if own.std > 0 else '-'
+
+
+def _nearest_of_all(true: Sequence[Mode], results: Sequence[Result]) -> dict[int, complex]:
+    """Return the median over all windows of the poles that match each true one."""
+    gathered: dict[int, list[complex]] = {}
+    for result in results:
+        found = modes(result.estimate.model)
+        for i, j in match([m.pole for m in true], [m.pole for m in found]).items():
+            gathered.setdefault(i, []).append(found[j].pole)
+    return {i: complex(np.median(np.real(p)), np.median(np.imag(p)))
+            for i, p in gathered.items()}
+
+
+def _extra_words(extra: Sequence[Mode]) -> list[str]:
+    if not extra:
+        return []
+    listed = join([f'{pole_text(m.pole, 3)} (std {number(m.std, 2)})' for m in extra])
+    return [f'The model has more poles than the truth: {listed}.']
+
+
+def _verdict(pairs: Sequence[tuple[Mode, Mode]], count: int) -> str:
+    known = [abs(own.pole - true.pole) / own.std for true, own in pairs if own.std > 0]
+    if len(pairs) < count or len(known) < count:
+        return f'{len(pairs)} of {count} true poles or pairs have a counterpart in the model.'
+    worst = max(known, default=0.0)
+    if worst <= _NEAR_TRUTH:
+        return (f'All {count} true poles and pairs are found; the farthest is {worst:.1f} of its '
+                'standard deviations from the truth, as chance allows.')
+    return (f'{sum(k <= _NEAR_TRUTH for k in known)} of {count} true poles and pairs are found '
+            f'within {_NEAR_TRUTH:g} standard deviations; the farthest is {worst:.1f} away.')
+
+
+def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Section:
+    """Return what to try next."""
+    lines = tuple(_advice(estimate, test_fit, complaints))
+    return Section('What to try next', (Bullets(lines),) if lines else (), brief=False)
+
+
+def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Iterator[str]:
+    model, settings = estimate.model or estimate.rejected_model, estimate.settings
+    if not estimate.ok:
+        yield estimate.status.value
+    if model is None:
+        return
+    unseen = test_fit if np.isfinite(test_fit).any() else estimate.held_out_fit
+    if np.isfinite(unseen).any() and np.nanmax(estimate.fit - unseen) > 15.0:
+        yield ('The model explains its own data far better than unseen data: take a longer '
+               '`window.length` (or interval), or lower `max_order`.')
+    if model.n == settings.max_order:
+        yield f'The order reached `max_order` ({settings.max_order}): raise it.'
+    if any(m.std > abs(m.pole) for m in modes_of(estimate)):
+        yield ('Some poles are hardly determined (std beyond their own size): lower `max_order`, '
+               'or excite the plant around their frequency.')
+    if (model.poles.real > 0).any():
+        yield ('The model is unstable: right for a plant that a controller holds upright; else '
+               'lower `max_order` or take a longer interval.')
+    if not any(model.delay) and model.n > 1:
+        yield ('If commands act late, set the `delay` of the input to the dead time; the model '
+               'otherwise spends states on it.')
+    if complaints:
+        yield 'Mend what the notes on the data say, or choose an interval without it.'

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What several verbs share: their arguments, the config, and how results are told."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+import json
+import math
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+
+from ctsid_core.errors import SettingsError
+from ctsid_ros.bag import Bag
+from ctsid_ros.channels import Config
+from ctsid_ros.config_file import read_config
+from ctsid_ros.guess import guess
+from ctsid_ros.playback import Interval
+from ctsid_ros.survey import survey
+
+ACCEPTED, FAILED, NO_MODEL, INTERRUPTED = 0, 1, 3, 130
+_DAY = 86_400 * 10**9
+
+
+def seconds(text: str) -> float:
+    """Parse a time that is not negative [s]."""
+    return _number(text, 0.0, 'zero or more')
+
+
+def positive_seconds(text: str) -> float:
+    """Parse a positive time [s]."""
+    return _number(text, math.ulp(0.0), 'more than zero')
+
+
+def _number(text: str, least: float, wanted: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value < math.inf:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number of seconds, {wanted}')
+    return value
+
+
+def steps(text: str) -> int:
+    """Parse a positive whole number."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number, 1 or more')
+    return int(text)
+
+
+def add_bag(parser: argparse.ArgumentParser) -> None:
+    """Add the bag."""
+    parser.add_argument(
+        'bag', nargs='+', metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag file; '
+        'several are the parts of one recording')
+
+
+def add_interval(parser: argparse.ArgumentParser) -> None:
+    """Add the interval."""
+    parser.add_argument('--start', type=seconds, default=0.0, metavar='S',
+                        help='where to begin, after the first message of the bag [s, default 0]')
+    parser.add_argument('--duration', type=positive_seconds, default=math.inf, metavar='S',
+                        help='how much to take [s, default: to the end]')
+
+
+def add_params(parser: argparse.ArgumentParser) -> None:
+    """Add the parameter file."""
+    parser.add_argument('--params', metavar='FILE', help='ROS parameter file with channels and '
+                        'settings; `ctsid init` writes one [default: its guess]')
+
+
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Add the folder of results."""
+    parser.add_argument('--out', metavar='DIR', help='folder for the results [default '
+                        'results/<bag>-<method>-<UTC>]')
+    parser.add_argument('--force', action='store_true', help='replace the results in that folder')
+
+
+def add_style(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
+    """Add how to tell the result."""
+    parser.add_argument('--json', action='store_true',
+                        help='print the result as JSON instead of tables')
+    if quiet:
+        parser.add_argument('--quiet', action='store_true', help='show no progress')
+
+
+def interval_of(args: argparse.Namespace) -> Interval:
+    """Return the interval that the arguments name."""
+    return Interval(args.start, args.duration)
+
+
+def config_for(args: argparse.Namespace, bag: Bag) -> Config:
+    """Return the config of --params, or else a guess, and say so."""
+    if args.params is not None:
+        return read_params(args.params)
+    guessed = guess(survey(bag))
+    inputs, outputs = (', '.join(f'{c.topic} {c.field}' for c in channels) for channels in
+                       (guessed.config.inputs, guessed.config.outputs))
+    say(f'no --params given, so the channels are guessed: {inputs} acts, {outputs} is measured; '
+        '`ctsid init` writes this guess to a file, to correct it')
+    return guessed.config
+
+
+def read_params(path: str) -> Config:
+    """Read a parameter file; faults are told with its name."""
+    try:
+        return read_config(path)
+    except SettingsError as error:
+        faults = [fault if path in fault else f'{path}: {fault}' for fault in error.faults]
+        raise SettingsError(faults) from None
+
+
+def say(text: str) -> None:
+    """Tell the user something that is not the result."""
+    print(f'ctsid: {text}', file=sys.stderr, flush=True)
+
+
+def tell(value: Mapping[str, Any]) -> None:
+    """Print a result as JSON."""
+    print(json.dumps(plain(value), indent=2, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """Return what JSON has words for; null for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def zero_ns(bag: Bag, stamp_ns: int) -> int:
+    """Return what times are shown after: the start of the bag, or the stamp of another clock."""
+    return bag.start_ns if abs(stamp_ns - bag.start_ns) < _DAY else stamp_ns
+
+
+def date(stamp_ns: int) -> str:
+    """Return a stamp as a date, UTC; '' where it cannot be one."""
+    if not 10**9 < stamp_ns // 10**9 < 2**32:
+        return ''
+    return datetime.fromtimestamp(stamp_ns // 10**9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
+
+
+def named(bags: Sequence[str]) -> str:
+    """Return the bag as the user named it."""
+    return bags[0] if len(bags) == 1 else f'{bags[0]} and {len(bags) - 1} more'

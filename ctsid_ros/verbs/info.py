@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid info`: what is in a bag, how good its stamps are, and what moves."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+from ctsid_ros.bag import open_bag
+from ctsid_ros.document import Bullets, Section, to_text
+from ctsid_ros.survey import Survey, TopicSurvey, survey
+from ctsid_ros.survey_stats import FieldStats, StampStats
+from ctsid_ros.tables import Table, number
+from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_style, date, named, tell
+
+HELP = 'show topics, rates, stamps and the fields that could be signals'
+EPILOG = 'example: ctsid info flight.mcap'
+_MOST_FIELDS = 12  # of a topic, on the terminal
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_bag(parser)
+    add_style(parser, quiet=False)
+
+
+def command(args: argparse.Namespace) -> int:
+    """Look at the bag and tell."""
+    with open_bag(args.bag) as bag:
+        found = survey(bag)
+    if args.json:
+        tell(_document(found, args.bag))
+    else:
+        print(to_text(list(_sections(found, args.bag))))
+    return ACCEPTED
+
+
+def _document(found: Survey, bags: list[str]) -> dict[str, Any]:
+    topics = [{'name': t.info.name, 'type': t.info.type, 'count': t.info.count,
+               'has_header': t.info.has_header, 'rate': t.rate, 'first': t.first, 'last': t.last,
+               'stamp': t.stamp if t.stamps else None, 'late': t.late,
+               'stamps': [asdict(s) for s in t.stamps], 'fields': [asdict(f) for f in t.fields],
+               'undecodable': t.undecodable, 'note': t.note} for t in found.topics]
+    return {'verb': 'info', 'bag': bags, 'duration': found.duration, 'start_ns': found.start_ns,
+            'messages': found.messages, 'covered': found.covered, 'topics': topics,
+            'notes': list(found.notes)}
+
+
+def _sections(found: Survey, bags: list[str]) -> Iterable[Section]:
+    begun = date(found.start_ns)
+    yield Section(f'{named(bags)}: {found.duration:.1f} s, {found.messages} messages'
+                  + (f', recorded {begun}' if begun else ''), (_topics(found.topics),))
+    stamps = [(t, s) for t in found.topics for s in t.stamps]
+    if stamps:
+        yield Section('Time stamps (`stamp: auto` takes the first usable one of a topic)',
+                      (Table(('topic', 'source', 'usable', 'period [ms]', 'jitter [ms]', 'gaps',
+                              'longest [ms]', 'backward', 'repeated', 'remark'),
+                             tuple(_stamp_row(t, s) for t, s in stamps),
+                             ('topic', 'source', 'usable', 'remark')),))
+    moving = [(t, f) for t in found.topics for f in t.moving[:_MOST_FIELDS]]
+    if moving:
+        more = [f'{t.info.name}: {len(t.moving) - _MOST_FIELDS} more fields move (--json lists '
+                'them)' for t in found.topics if len(t.moving) > _MOST_FIELDS]
+        yield Section('Fields that move', (Table(
+            ('topic', 'field', 'min', 'max', 'mean', 'std', 'remark'),
+            tuple(_field_row(t, f) for t, f in moving), ('topic', 'field', 'remark')),
+            *([Bullets(tuple(more))] if more else [])))
+    else:
+        yield Section('No field moves: there is nothing to identify from', ())
+    still = [f'{t.info.name}: {len(quiet)} more do not move'
+             for t in found.topics if (quiet := [f for f in t.fields if not f.moves])]
+    torn = [f'{t.info.name}: {t.undecodable} messages cannot be decoded or lack some fields'
+            for t in found.topics if t.undecodable]
+    notes = (*still, *torn, *found.notes)
+    yield Section('Notes', (Bullets(notes),) if notes else ())
+    yield Section('', (f'Next: ctsid init {bags[0]} -o params.yaml',) if moving else ())
+
+
+def _topics(topics: Iterable[TopicSurvey]) -> Table:
+    rows = tuple((t.info.name, t.info.type, str(t.info.count), number(t.rate, 4),
+                  number(t.first, 3), number(t.last, 4), t.note) for t in topics)
+    return Table(('topic', 'type', 'messages', 'rate [Hz]', 'first [s]', 'last [s]', 'remark'),
+                 rows, ('topic', 'type', 'remark'))
+
+
+def _stamp_row(topic: TopicSurvey, s: StampStats) -> tuple[str, ...]:
+    remark = s.why
+    if s.source == 'header' and topic.late == topic.late:  # not NaN
+        remark = '; '.join(filter(None, (
+            remark, f'recorded {number(1e3 * topic.late, 3)} ms later (median)')))
+    return (topic.info.name, s.source, 'yes' if s.usable else 'NO', _ms(s.period), _ms(s.jitter),
+            str(s.gaps), _ms(s.longest), str(s.backward), str(s.repeated), remark)
+
+
+def _ms(value: float) -> str:
+    return number(1e3 * value, 3)
+
+
+def _field_row(topic: TopicSurvey, f: FieldStats) -> tuple[str, ...]:
+    remarks = [text for is_so, text in (
+        (f.white, 'looks like noise alone'),
+        (f.finite < 1, f'{100 * (1 - f.finite):.1f} % not finite')) if is_so]
+    return (topic.info.name, f.field, *(number(v, 4) for v in (f.low, f.high, f.mean, f.std)),
+            ', '.join(remarks))

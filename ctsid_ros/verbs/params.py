@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid params`: every parameter with its default, or their reference."""
+
+from __future__ import annotations
+
+import argparse
+
+from ctsid_ros.channels import Channel, Config
+from ctsid_ros.config_text import dump_config, parameters_markdown
+from ctsid_ros.verbs.arguments import ACCEPTED
+
+HELP = 'print all parameters with their defaults, as a commented parameter file'
+EPILOG = 'example: ctsid params > params.yaml'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('--markdown', action='store_true',
+                        help='print the reference of the parameters instead')
+
+
+def command(args: argparse.Namespace) -> int:
+    """Print them."""
+    print(parameters_markdown() if args.markdown else dump_config(example()), end='')
+    return ACCEPTED
+
+
+def example() -> Config:
+    """Return the defaults, with channels that stand for the user's own."""
+    return Config((
+        Channel('torque', 'input', '/command/torque', 'geometry_msgs/msg/WrenchStamped',
+                'wrench.torque.x', 'N m'),
+        Channel('rate', 'output', '/imu', 'sensor_msgs/msg/Imu', 'angular_velocity.x', 'rad/s')))

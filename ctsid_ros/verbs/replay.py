@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid replay`: models in sliding windows along a bag, as the live node would find them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctsid_core.estimate import Estimate
+from ctsid_core.statespace import StateSpace
+from ctsid_core.storage import load_model, save_series, to_json
+from ctsid_core.validation import simulation
+from ctsid_ros.bag import Bag, open_bag
+from ctsid_ros.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.figures import output_figures, track_figures
+from ctsid_ros.progress import progress
+from ctsid_ros.replay import Replay, Result
+from ctsid_ros.report import (
+    advice_section,
+    bode_section,
+    channel_section,
+    choice_section,
+    complaint_section,
+    fit_table,
+    model_section,
+    response_section,
+    status_section,
+    truth_section,
+    window_section,
+)
+from ctsid_ros.results import (
+    MODEL,
+    PAGE,
+    REPORT,
+    SERIES,
+    TABLE,
+    bag_name,
+    origin,
+    results_folder,
+    write_results,
+)
+from ctsid_ros.verbs.arguments import (
+    ACCEPTED,
+    INTERRUPTED,
+    NO_MODEL,
+    add_bag,
+    add_interval,
+    add_params,
+    add_results,
+    add_style,
+    config_for,
+    interval_of,
+    named,
+    say,
+    tell,
+    zero_ns,
+)
+
+HELP = 'identify models in sliding windows along a bag'
+EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results/flight
+
+The windows are those of the parameter file (window.length, window.stride). None is skipped; each
+model is tested on the first later window that shares no data with it: the "next fit". Ctrl-C ends
+the run early and keeps what was found."""
+
+_INTRODUCTION = ('Each window gives a model of its own. Its "next fit" is how well it simulates '
+                 'the first later window that shares no data with it.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_bag(parser)
+    add_params(parser)
+    add_interval(parser)
+    parser.add_argument('--truth', metavar='FILE',
+                        help='model.json of the true plant, to compare with (of a simulation)')
+    add_results(parser)
+    add_style(parser)
+
+
+def command(args: argparse.Namespace) -> int:
+    """Replay, write, tell."""
+    truth = load_model(args.truth) if args.truth else None
+    with open_bag(args.bag) as bag:
+        config = config_for(args, bag)
+        with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
+            run = Replay(bag, config, interval_of(args))
+            interrupted = _run(run, args.quiet)
+            if not run.results:
+                say('interrupted before the first window was complete: there are no results')
+                return INTERRUPTED
+            report = _Report(run, bag, args, truth)
+            report.write(out)
+    if args.json:
+        tell(report.document(out, interrupted))
+    else:
+        print(to_text(report.sections()))
+        print(f'\nResults: {out}/ ({PAGE} has the plots)')
+    if interrupted:
+        say(f'interrupted: the results are those of the first {len(run.results)} windows')
+        return INTERRUPTED
+    return NO_MODEL if run.best is None else ACCEPTED
+
+
+def _run(run: Replay, quiet: bool) -> bool:
+    """Run to the end; return whether it was interrupted."""
+    try:
+        with progress('replaying', quiet=quiet) as advance:
+            run.run(advance)
+    except KeyboardInterrupt:
+        return True
+    return False
+
+
+class _Report:
+    """What a replay gave, as sections, files and JSON."""
+
+    def __init__(self, run: Replay, bag: Bag, args: argparse.Namespace, truth: StateSpace | None
+                 ) -> None:
+        self.args, self.truth, self.played, self.results = args, truth, run.played, run.results
+        best = len(run.results) - 1 if run.best is None else run.best
+        self.run, self.best, self.number = run, run.results[best], best + 1
+        self.notes = tuple(dict.fromkeys((*bag.notes, *self.played.complaints)))
+        self.zero_ns = zero_ns(bag, run.results[0].estimate.start_ns)
+
+    @property
+    def model(self) -> StateSpace | None:
+        return self.best.estimate.model or self.best.estimate.rejected_model
+
+    def sections(self) -> list[Section]:
+        estimate, settings = self.best.estimate, self.played.config.settings
+        count = len(self.results)
+        title = (f'{named(self.args.bag)}: {count} window{"s" if count > 1 else ""} of '
+                 f'{settings.window_length:g} s, one every {settings.window_stride:g} s')
+        sections = [Section(title, (_INTRODUCTION,)), channel_section(self.played),
+                    window_section(self.results, self.zero_ns, self.number - 1),
+                    status_section(self.results),
+                    self._best_section()]
+        if self.truth:
+            sections.append(truth_section(estimate, self.results, self.truth))
+        return [*sections, choice_section(estimate), complaint_section(self.notes),
+                advice_section(estimate, self.best.next_fit, self.played.complaints)]
+
+    def _best_section(self) -> Section:
+        estimate, model = self.best.estimate, self.model
+        what = 'the best on data it has not seen' if self.best.tested else \
+            'the best on its own held-out data' if estimate.ok else 'the last one'
+        section = model_section(estimate, f'Model of window {self.number}, {what}: {MODEL}')
+        if model is None:
+            return section
+        table = fit_table(estimate, model, next_fit=self.best.next_fit)
+        return replace(section, parts=(*section.parts[:-1], table))
+
+    def write(self, out: Path) -> None:
+        metadata = origin(self.played.config, self.args.bag, {
+            'start': self.args.start, 'duration': self.args.duration, 'window': self.number})
+        sections = self.sections()
+        if self.model:
+            sections.append(bode_section(self.model))
+        title = f'Models along {bag_name(self.args.bag)}'
+        write_results(out, {MODEL: to_json(self.best.estimate, metadata),
+                            REPORT: to_markdown(title, sections),
+                            PAGE: to_html(title, [*sections[:2], *self._figures(),
+                                                  *sections[2:]])})
+        for name in (SERIES, TABLE):
+            save_series(out / name, [r.estimate for r in self.results],
+                        columns=self._next_fits(), force=True)
+
+    def _next_fits(self) -> dict[str, Sequence[float]]:
+        names = next((m.output_names for m in (e.model or e.rejected_model for e in
+                                               (r.estimate for r in self.results)) if m), ())
+        return {f'next_fit_{name} [%]': [float(r.next_fit[i]) for r in self.results]
+                for i, name in enumerate(names)}
+
+    def _figures(self) -> list[Section]:
+        middles = np.array([(r.estimate.start_ns + r.estimate.end_ns) / 2 - self.zero_ns
+                            for r in self.results]) * 1e-9
+        sections = [Section('Poles along the bag', tuple(track_figures(
+            [r.estimate for r in self.results], middles, self.truth)))]
+        if self.model:
+            record = self.run.record(self.number - 1)
+            found = simulation(self.model, record)
+            offset = (record.epoch_ns - self.zero_ns) * 1e-9
+            sections += [
+                Section('Measured and simulated', tuple(output_figures(
+                    self.model, found, offset, f'Window {self.number}, which the model is of'))),
+                response_section(self.model, found, self.truth)]
+        return sections
+
+    def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
+        return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
+                'interrupted': interrupted, 'accepted': sum(r.estimate.ok for r in self.results),
+                'best_window': self.number if self.best.estimate.ok else None,
+                'windows': [self._window(i, r) for i, r in enumerate(self.results, 1)],
+                'true_poles': self.truth.poles if self.truth else None,
+                'notes': self.notes}
+
+    def _window(self, index: int, result: Result) -> dict[str, Any]:
+        estimate: Estimate = result.estimate
+        span = ((t - self.zero_ns) * 1e-9 for t in (estimate.start_ns, estimate.end_ns))
+        return {'window': index, **dict(zip(('from', 'to'), span, strict=True)),
+                'start_ns': estimate.start_ns, 'end_ns': estimate.end_ns,
+                'status': estimate.status.name, 'message': estimate.status.value,
+                'order': estimate.model.n if estimate.model else None,
+                'poles': estimate.model.poles if estimate.model else [],
+                'pole_std': estimate.pole_std, 'fit': estimate.fit,
+                'held_out_fit': estimate.held_out_fit, 'next_fit': result.next_fit,
+                'condition': estimate.condition}

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid show`: a stored model in words and numbers."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from ctsid_core.estimate import Estimate
+from ctsid_core.statespace import StateSpace
+from ctsid_core.storage import load_estimate, load_metadata, to_json
+from ctsid_ros.document import Section, to_text
+from ctsid_ros.figures import frequencies
+from ctsid_ros.report import bode_section, gain_section, model_section
+from ctsid_ros.tables import Table
+from ctsid_ros.verbs.arguments import ACCEPTED, add_style, date, tell
+
+HELP = 'show a stored model: poles, gains, frequency response'
+EPILOG = 'example: ctsid show results/demo/model.json'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('model', metavar='MODEL', help='a model.json')
+    add_style(parser, quiet=False)
+
+
+def command(args: argparse.Namespace) -> int:
+    """Print it."""
+    estimate, metadata = load_estimate(args.model), load_metadata(args.model)
+    model = estimate.model or estimate.rejected_model
+    if args.json:
+        document = json.loads(to_json(estimate, metadata))
+        tell({'verb': 'show', **document, 'frequency_response': _response(model)})
+    else:
+        print(to_text(list(_sections(args.model, estimate, metadata))))
+    return ACCEPTED
+
+
+def _sections(path: str, estimate: Estimate, metadata: Mapping[str, object]
+              ) -> Iterator[Section]:
+    model = estimate.model or estimate.rejected_model
+    bag = metadata.get('bag')
+    words = [f'bag {", ".join(map(str, bag))}'] if isinstance(bag, list) else []
+    length = (estimate.end_ns - estimate.start_ns) * 1e-9
+    if length > 0:
+        words.append(f'{length:.4g} s from {date(estimate.start_ns) or "its start"}')
+    channels = metadata.get('channels')
+    parts = [f'Identified from {", ".join(words)}.' if words else
+             'Stored by itself: nothing is known of where it comes from.']
+    tables = [_channels(channels)] if isinstance(channels, list) and channels else []
+    yield Section(path, (*parts, *tables))
+    yield model_section(estimate, 'Model')
+    if model:
+        yield gain_section(model)
+        yield bode_section(model)
+
+
+def _channels(channels: list[Any]) -> Table:
+    head = ('role', 'name', 'topic', 'field', 'unit', 'hold')
+    rows = tuple(tuple(str(c.get(key, '')) if isinstance(c, dict) else '' for key in head)
+                 for c in channels)
+    return Table(head, rows, head)
+
+
+def _response(model: StateSpace | None) -> dict[str, Any] | None:
+    if model is None:
+        return None
+    omega = frequencies(model, count=100)
+    response = model.frequency_response(omega)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return {'omega': omega, 'magnitude_db': 20 * np.log10(np.abs(response)),
+                'phase_deg': np.angle(response) * 180 / math.pi}

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid simulate`: how well a stored model explains another bag."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.errors import DataError
+from ctsid_core.statespace import StateSpace
+from ctsid_core.storage import load_estimate, load_metadata, load_model
+from ctsid_core.validation import Validation, prediction, simulation
+from ctsid_ros.bag import Bag, open_bag
+from ctsid_ros.channels import Config
+from ctsid_ros.document import Section, to_text
+from ctsid_ros.playback import Recorded, read_record
+from ctsid_ros.progress import progress
+from ctsid_ros.report import channel_section, complaint_section
+from ctsid_ros.results import config_of
+from ctsid_ros.tables import Table, number, percent
+from ctsid_ros.verbs.arguments import (
+    ACCEPTED,
+    add_bag,
+    add_interval,
+    add_params,
+    add_style,
+    interval_of,
+    named,
+    read_params,
+    steps,
+    tell,
+    zero_ns,
+)
+
+HELP = 'tell how well a stored model explains a bag'
+EPILOG = 'example: ctsid simulate results/demo/model.json another_flight.mcap --horizon 1 10 100'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('model', metavar='MODEL', help='a model.json')
+    add_bag(parser)
+    add_params(parser)
+    add_interval(parser)
+    parser.add_argument('--horizon', type=steps, nargs='+', default=[1, 10], metavar='K',
+                        help='predict so many samples of the output ahead as well [default 1 10]')
+    parser.add_argument('--trim', choices=('refit', 'model'), default='refit',
+                        help='offsets of the outputs: fitted to this bag, for another flight has '
+                        'another operating point, or those of the model [default refit]')
+    add_style(parser)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What a comparison gave."""
+
+    model: StateSpace
+    data: Recorded
+    simulated: Validation
+    predicted: Mapping[int, Validation]
+    first: float  # interval, after the start of the bag [s]
+    last: float
+
+
+def command(args: argparse.Namespace) -> int:
+    """Read, compare, tell."""
+    model = load_model(args.model)
+    config = read_params(args.params) if args.params else config_of(
+        load_metadata(args.model), load_estimate(args.model).settings, args.model)
+    _check(model, config, args.model)
+    with open_bag(args.bag) as bag:
+        with progress('reading', quiet=args.quiet) as advance:
+            data = read_record(bag, config, interval_of(args), advance=advance)
+        outcome = _compare(model, data, args, bag)
+        notes = (*bag.notes, *data.complaints,
+                 *(note for v in outcome.predicted.values() for note in v.notes))
+    if args.json:
+        tell(_document(outcome, args, notes))
+    else:
+        print(to_text(_sections(outcome, args, notes)))
+    return ACCEPTED
+
+
+def _check(model: StateSpace, config: Config, path: str) -> None:
+    """Raise if the channels are not those of the model."""
+    for what, names, channels in (('inputs', model.input_names, config.inputs),
+                                  ('outputs', model.output_names, config.outputs)):
+        if any(channel.path.is_open for channel in channels):
+            continue  # its width is known from the bag only; the simulation will check it
+        given = tuple(name for channel in channels for name in channel.scalar_names)
+        if len(given) != len(names) or (all(names) and given != names):
+            raise DataError(f'the {what} of {path} are {", ".join(names)}, but those of the '
+                            f'channels are {", ".join(given)}; give the parameter file of the '
+                            'model with --params')
+
+
+def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
+    record = data.record
+    offset = (record.epoch_ns - zero_ns(bag, record.epoch_ns)) * 1e-9
+    return _Outcome(model, data, simulation(model, record, trim=args.trim),
+                    {k: prediction(model, record, k) for k in args.horizon},
+                    record.start + offset, record.end + offset)
+
+
+def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...]
+              ) -> list[Section]:
+    columns: dict[str, NDArray[np.float64]] = {
+        'simulation fit [%]': outcome.simulated.fit, 'VAF [%]': outcome.simulated.vaf}
+    periods = [s.period for s in outcome.data.record.outputs]
+    for k, found in outcome.predicted.items():
+        ahead = ' or '.join(dict.fromkeys(number(k * p, 2) for p in periods))
+        columns[f'{k} ahead ({ahead} s) [%]'] = found.fit
+    rows = tuple((name, *(percent(v[i]) for v in columns.values()))
+                 for i, name in enumerate(outcome.model.output_names))
+    title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
+    return [Section(title, (Table(('output', *columns), rows, ('output',)), _trim(args.trim))),
+            channel_section(outcome.data), complaint_section(notes)]
+
+
+def _trim(trim: str) -> str:
+    if trim == 'refit':
+        return ('The offsets of the outputs are fitted to this bag, for another flight may have '
+                'another operating point (--trim model keeps those of the model). A fit of 100 % '
+                'is perfect, 0 % no better than a constant.')
+    return ('The offsets of the outputs are those of the model (--trim refit fits them to this '
+            'bag). A fit of 100 % is perfect, 0 % no better than a constant.')
+
+
+def _document(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...]
+              ) -> dict[str, Any]:
+    return {'verb': 'simulate', 'model': args.model, 'bag': named(args.bag), 'trim': args.trim,
+            'from': outcome.first, 'to': outcome.last, 'outputs': outcome.model.output_names,
+            'fit': outcome.simulated.fit, 'vaf': outcome.simulated.vaf,
+            'prediction': {str(k): {'fit': v.fit, 'vaf': v.vaf}
+                           for k, v in outcome.predicted.items()}, 'notes': notes}

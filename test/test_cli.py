@@ -1,0 +1,672 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line on real bags: what it prints, writes and returns, and how it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from bag_fixtures import START, Sent, array, imu, make, write_mcap
+from flights import (
+    PARAMS,
+    TRUTH,
+    S,
+    at,
+    flight,
+    spoilt,
+    stamp_of,
+    write_flight,
+    write_params,
+)
+import numpy as np
+import pytest
+
+from ctsid_core.storage import load_estimate, load_metadata, load_model, load_series, save_model
+from ctsid_ros.cli import main
+from ctsid_ros.config_file import read_config
+from ctsid_ros.config_text import parameters_markdown
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = ['estimates.csv', 'estimates.npz', 'model.json', 'report.html', 'report.md']
+
+
+@pytest.fixture(scope='module')
+def shared(tmp_path_factory) -> Path:
+    """A folder with a bag, its parameters and the truth; nobody writes to it."""
+    folder = tmp_path_factory.mktemp('flight')
+    write_flight(folder / 'bag')
+    write_params(folder / 'params.yaml')
+    save_model(folder / 'truth.json', TRUTH)
+    return folder
+
+
+@pytest.fixture
+def ctsid(capsys, monkeypatch, tmp_path):
+    """Run a command line in an empty folder; return code, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        assert 'Traceback' not in out + err
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def refusal(ctsid):
+    """Run a command line that could not run; return the message."""
+    def run(*words: object) -> str:
+        code, out, err = ctsid(*words)
+        assert (code, out) == (1, ''), err
+        assert err.count('ctsid: error: ') == 1
+        return err
+
+    return run
+
+
+def close(poles, tolerance: float) -> bool:
+    return np.allclose(sorted(poles, key=np.imag), sorted(TRUTH.poles, key=np.imag),
+                       atol=tolerance)
+
+
+# --- what works
+
+
+def test_identify_finds_the_plant_and_writes_all_files(ctsid, shared):
+    code, out, err = ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml',
+                           '--out', 'res', '--test-from', 12)
+    assert code == 0, err
+    assert sorted(p.name for p in Path('res').iterdir()) == FILES
+    estimate = load_estimate('res/model.json')
+    assert close(estimate.model.poles, 0.15)
+    assert abs(estimate.end_ns - START - 12 * S) < 0.1 * S
+    assert '[N m]' in out
+    assert 'data the model has not seen, 12.0 to 20.0 s' in out
+    fit = float(re.search(r'simulation fit.*\n.*\n\s+rate\s+(\S+)', out)[1])
+    assert fit > 90
+    assert [c['topic'] for c in load_metadata('res/model.json')['channels']] == ['/cmd', '/imu']
+    assert 'stamps from log, for its messages have no header' in out
+
+
+def test_identify_of_an_interval_counts_from_the_start_of_the_bag(ctsid, shared):
+    code, _, err = ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml',
+                         '--out', 'res', '--start', 4, '--duration', 7)
+    assert code == 0, err
+    estimate = load_estimate('res/model.json')
+    # The input is known from its first message on, and for one more period after its last.
+    assert estimate.start_ns - START == pytest.approx(4 * S, abs=0.1 * S)
+    assert estimate.end_ns - START == pytest.approx(11 * S, abs=0.1 * S)
+
+
+def test_identify_as_json_is_one_document(ctsid, shared):
+    code, out, _ = ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml', '--json',
+                         '--test-from', 12)
+    found = json.loads(out)
+    assert (code, found['accepted'], found['status']) == (0, True, 'OK')
+    assert found['test']['fit'][0] > 90
+    assert found['estimate']['model']['n'] == 2
+    folder = Path(found['results'])
+    assert re.fullmatch(r'results/bag-hd-pbsid-\d{8}T\d{6}Z', str(folder))
+    assert sorted(p.name for p in folder.iterdir()) == FILES
+    assert json.loads((folder / 'model.json').read_text()) == found['estimate']
+
+
+def test_two_runs_never_share_a_default_folder(ctsid, shared):
+    for _ in range(2):
+        ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml', '--quiet')
+    assert len(list(Path('results').iterdir())) == 2
+
+
+def test_replay_identifies_every_window_and_tests_it_on_unseen_data(ctsid, shared):
+    code, out, err = ctsid('replay', shared / 'bag', '--params', shared / 'params.yaml',
+                           '--out', 'res', '--truth', shared / 'truth.json')
+    assert code == 0, err
+    series = load_series('res/estimates.npz')
+    assert [round((e.start_ns - START) / S, 1) for e in series] == [0.0, 2.5, 5.0, 7.5, 10.0,
+                                                                  12.5, 15.0][:len(series)]
+    assert len(series) == 6  # 0, 2.5, ... 12.5: the last window has to lie within the data
+    assert all(close(e.model.poles, 0.5) for e in series)
+    table = np.genfromtxt('res/estimates.csv', delimiter=',', names=True, dtype=None,
+                          encoding='utf-8')
+    next_fit = table['next_fit_rate_']
+    # Windows of 5 s every 2.5 s: the second after each one is the first that it shares nothing
+    # with; the last two have none.
+    assert (next_fit[:4] > 90).all()
+    assert np.isnan(next_fit[4:]).all()
+    assert 'All 1 true poles and pairs are found' in out
+    assert '-1.500 ± 3.000j' in out
+    assert sorted(p.name for p in Path('res').iterdir()) == FILES
+
+
+def test_replay_as_json(ctsid, shared):
+    code, out, _ = ctsid('replay', shared / 'bag', '--params', shared / 'params.yaml', '--json',
+                         '--out', 'res', '--start', 2, '--duration', 13)
+    found = json.loads(out)
+    assert code == 0
+    assert found['accepted'] == len(found['windows']) == 4
+    first = found['windows'][0]
+    assert first['from'] == pytest.approx(2.0, abs=0.1)
+    assert first['to'] == pytest.approx(7.0, abs=0.1)
+    assert close([complex(*p) for p in first['poles']], 0.5)
+    assert load_estimate('res/model.json').start_ns == \
+        found['windows'][found['best_window'] - 1]['start_ns']
+
+
+def test_simulate_explains_another_bag_without_parameters(ctsid, shared, tmp_path):
+    ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res')
+    other = write_flight(tmp_path / 'other', flight(10.0, seed=2))
+    code, out, _ = ctsid('simulate', 'res/model.json', other, '--horizon', 1, 5)
+    assert code == 0
+    fits = re.search(r'rate((?:\s+\d+\.\d)+)', out)[1].split()
+    assert len(fits) == 4
+    assert min(map(float, fits)) > 90
+    assert 'fitted to this bag' in out
+    code, out, _ = ctsid('simulate', 'res/model.json', other, '--json', '--trim', 'model',
+                         '--params', shared / 'params.yaml')
+    found = json.loads(out)
+    assert found['trim'] == 'model'
+    assert found['fit'][0] > 90
+    assert set(found['prediction']) == {'1', '10'}
+
+
+def test_trim_is_refitted_unless_told_otherwise(ctsid, shared, tmp_path):
+    ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res')
+    moved = write_flight(tmp_path / 'moved', spoilt(
+        '/imu', lambda _, s: at(s, stamp_of(s), s.message.angular_velocity.x + 5.0)))
+    fits = {}
+    for trim in ('refit', 'model'):
+        found = json.loads(ctsid('simulate', 'res/model.json', moved, '--json', '--trim', trim)[1])
+        fits[trim] = found['fit'][0]
+    assert fits['refit'] > 90 > 0 > fits['model']
+
+
+def test_show_prints_poles_and_frequency_response(ctsid, shared):
+    code, out, _ = ctsid('show', shared / 'truth.json')
+    assert code == 0
+    assert '-1.500 ± 3.000j' in out
+    assert re.search(r'rate \[rad/s\] +2\.000\n', out)  # the steady gain
+    response = json.loads(ctsid('show', shared / 'truth.json', '--json')[1])['frequency_response']
+    expected = TRUTH.frequency_response(response['omega'])[:, 0, 0]
+    np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
+
+
+def test_info_measures_rates_jitter_and_gaps(ctsid, tmp_path):
+    bag = write_flight(tmp_path / 'bag', spoilt(
+        '/imu', lambda k, s: None if 500 <= k < 550 else s))
+    code, out, _ = ctsid('info', bag, '--json')
+    found = json.loads(out)
+    assert code == 0
+    topics = {t['name']: t for t in found['topics']}
+    imu_topic, cmd = topics['/imu'], topics['/cmd']
+    assert (imu_topic['count'], cmd['count']) == (1950, 400)
+    assert (imu_topic['stamp'], cmd['stamp']) == ('header', 'log')
+    header = imu_topic['stamps'][0]
+    assert header['period'] == pytest.approx(0.01, rel=0.03)
+    # The difference of two uniform displacements of 0 to 3 ms
+    assert header['jitter'] == pytest.approx(0.003 / np.sqrt(6), rel=0.1)
+    assert header['gaps'] == 1
+    assert header['longest'] == pytest.approx(0.51, abs=0.01)
+    assert imu_topic['late'] == pytest.approx(0.002)
+    fields = {f['field']: f for f in imu_topic['fields'] + cmd['fields']}
+    assert fields['angular_velocity.x']['std'] > 0.2
+    assert not fields['angular_velocity.y']['moves']
+    assert fields['data[0]']['low'] == pytest.approx(-1, abs=0.02)
+    assert not fields['data[1]']['moves']
+    assert not any('covariance' in name for name in fields)
+    code, out, _ = ctsid('info', bag)
+    assert code == 0
+    assert re.search(r'/imu\s+header\s+yes\s+10\.\d', out)
+
+
+def test_info_does_not_read_pictures(ctsid, tmp_path):
+    picture = make('sensor_msgs/msg/Image', data=np.zeros(10_000, np.uint8))
+    sent = [*flight(2.0), *(Sent('/camera', 'sensor_msgs/msg/Image', START + k * S // 10, picture)
+                            for k in range(20))]
+    found = json.loads(ctsid('info', write_flight(tmp_path / 'bag', sent), '--json')[1])
+    camera = next(t for t in found['topics'] if t['name'] == '/camera')
+    assert (camera['count'], camera['fields']) == (20, [])
+    assert 'not looked at' in camera['note']
+
+
+def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
+    code, _, err = ctsid('init', shared / 'bag', '-o', 'params.yaml')
+    assert code == 0
+    assert 'looks like a command' in err
+    config = read_config('params.yaml')
+    assert [(c.topic, c.field, c.role) for c in config.channels] == [
+        ('/cmd', 'data[0]', 'input'), ('/imu', 'angular_velocity.x', 'output')]
+    code, _, err = ctsid('identify', shared / 'bag', '--params', 'params.yaml', '--out', 'res')
+    assert code == 0, err
+    assert close(load_model('res/model.json').poles, 0.3)
+    assert 'exists' in ctsid('init', shared / 'bag', '-o', 'params.yaml')[2]
+    code, out, _ = ctsid('init', shared / 'bag')
+    assert (code, out.replace('params.yaml', '')) == (
+        0, Path('params.yaml').read_text().replace('params.yaml', ''))
+
+
+@pytest.mark.parametrize('name', ['quadrotor_roll', 'quadrotor_roll.bag'])
+def test_init_guesses_the_example_bag(ctsid, name):
+    bag = ROOT / 'bags' / name
+    assert ctsid('init', bag, '-o', 'params.yaml')[0] == 0
+    fields = [(c.topic, c.field) for c in read_config('params.yaml').channels]
+    assert fields == [('/command/torque', 'wrench.torque.x'), ('/imu', 'angular_velocity.x')]
+    code, out, _ = ctsid('identify', bag, '--params', 'params.yaml', '--out', 'res', '--truth',
+                         ROOT / 'bags/quadrotor_roll_truth.json')
+    assert code == 0
+    assert '3 true poles' in out
+
+
+def test_identify_guesses_the_channels_without_parameters(ctsid, shared):
+    code, _, err = ctsid('identify', shared / 'bag', '--out', 'res')
+    assert code == 0
+    assert 'the channels are guessed: /cmd data[0] acts' in err
+
+
+def test_params_prints_defaults_and_reference(ctsid):
+    code, out, _ = ctsid('params')
+    assert code == 0
+    Path('params.yaml').write_text(out)
+    assert read_config('params.yaml').settings.window_length == 10.0
+    assert ctsid('params', '--markdown')[1] == parameters_markdown()
+
+
+def test_parts_of_a_split_bag_are_one(ctsid, shared, tmp_path):
+    sent = flight()
+    parts = [write_mcap(tmp_path / f'{i}.mcap', [s for s in sent if (s.log_ns - START > 9 * S) == i
+                                                 ]) for i in (0, 1)]
+    assert ctsid('identify', *parts, '--params', shared / 'params.yaml', '--out', 'split')[0] == 0
+    assert ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml',
+                 '--out', 'whole')[0] == 0
+    assert load_estimate('split/model.json').model == load_estimate('whole/model.json').model
+
+
+def test_report_is_one_file_without_scripts(ctsid, shared):
+    ctsid('replay', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res')
+    page = Path('res/report.html').read_text()
+    assert '<script' not in page
+    assert not re.search(r'(src|href)\s*=', page)
+    assert page.count('<svg') == page.count('</svg>') >= 5
+    report = Path('res/report.md').read_text()
+    assert '## Models along the bag' in report
+    assert '## Frequency response' in report
+
+
+# --- usage
+
+
+@pytest.mark.parametrize('words', [
+    [], ['fly'], ['identify'], ['identify', 'bag', '--start', '-1'],
+    ['identify', 'bag', '--duration', '0'], ['identify', 'bag', '--start', 'noon'],
+    ['simulate', 'm.json', 'bag', '--horizon', '0'],
+    ['simulate', 'm.json', 'bag', '--trim', 'none']])
+def test_wrong_usage_is_2(ctsid, words):
+    code, out, err = ctsid(*words)
+    assert (code, out) == (2, '')
+    assert 'usage: ctsid' in err
+
+
+def test_help_and_version(ctsid):
+    code, out, _ = ctsid('--version')
+    assert code == 0
+    assert out.startswith('ctsid ')
+    code, out, _ = ctsid('replay', '--help')
+    assert code == 0
+    assert '--truth' in out
+
+
+# --- bad input
+
+
+def test_files_that_are_no_bags(refusal, tmp_path, shared):
+    whole = write_mcap(tmp_path / 'whole.mcap', flight(2.0)).read_bytes()
+    for name, content, words in (
+            ('empty.mcap', b'', 'is empty'), ('text.mcap', b'hello\n', 'is not a bag'),
+            ('short.mcap', whole[:40], 'short.mcap')):
+        path = tmp_path / name
+        path.write_bytes(content)
+        for verb in ('info', 'identify'):
+            assert words in refusal(verb, path)
+    assert 'no such file' in refusal('replay', tmp_path / 'none.mcap')
+    assert not Path('results').exists()
+
+
+def test_a_truncated_bag_gives_what_is_left_and_says_so(ctsid, shared, tmp_path):
+    whole = write_mcap(tmp_path / 'bag.mcap', flight()).read_bytes()
+    (tmp_path / 'bag.mcap').write_bytes(whole[:int(0.7 * len(whole))])
+    code, out, _ = ctsid('identify', tmp_path / 'bag.mcap', '--params', shared / 'params.yaml',
+                         '--out', 'res')
+    assert code == 0
+    assert 'Notes on the data' in out
+    estimate = load_estimate('res/model.json')
+    assert 5 < (estimate.end_ns - estimate.start_ns) / S < 19
+
+
+@pytest.mark.parametrize(('old', 'new', 'words'), [
+    ('topic: /imu', 'topic: /imus', "no topic '/imus' in the bag; nearest: /imu"),
+    ('angular_velocity.x', 'angular_velocity.roll', "has no field 'roll'"),
+    ('sensor_msgs/msg/Imu', 'sensor_msgs/msg/Joy',
+     'is of type sensor_msgs/msg/Imu in the bag, but `rate.type` says sensor_msgs/msg/Joy'),
+    ("'data[0]'", "'data[7]'", 'too few usable samples in this interval of `torque`'),
+    ("'data[0]'", "'data'", 'choose elements: data[0]')])
+@pytest.mark.parametrize('verb', ['identify', 'replay'])
+def test_what_the_bag_has_not(refusal, shared, verb, old, new, words):
+    params = write_params(Path('params.yaml'), PARAMS.replace(old, new))
+    assert words in refusal(verb, shared / 'bag', '--params', params, '--out', 'res')
+    assert not Path('res').exists()
+
+
+def test_all_that_the_bag_has_not_is_told_at_once(refusal, shared):
+    text = PARAMS.replace('topic: /imu', 'topic: /imus').replace("'data[0]'", 'dat')
+    err = refusal('identify', shared / 'bag', '--params', write_params(Path('p.yaml'), text))
+    assert "no topic '/imus'" in err
+    assert "no field 'dat'" in err
+
+
+def test_all_faults_of_a_parameter_file_are_told_at_once(refusal, shared):
+    text = PARAMS.replace('order: 2', 'order: many\n    ordr: 3').replace('length: 5.0',
+                                                                        'length: -1.0')
+    err = refusal('replay', shared / 'bag', '--params', write_params(Path('p.yaml'), text))
+    for words in ("`order` is 'many'", '`ordr` is not a parameter', '`window.length` is -1.0'):
+        assert words in err
+    assert 'there is no file' in refusal('replay', shared / 'bag', '--params', 'none.yaml')
+
+
+def test_samples_that_are_not_numbers_are_counted(ctsid, shared, tmp_path):
+    bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda k, s: at(
+        s, stamp_of(s), (np.nan, np.inf)[k % 2]) if k % 50 < 2 else s))
+    code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
+    assert code == 0
+    assert '`rate`: 80 of 2000 samples are not finite' in out
+    assert close(load_model('res/model.json').poles, 0.3)
+
+
+def test_duplicate_and_disordered_stamps(ctsid, shared, tmp_path):
+    sent = flight()
+    rates = [s for s in sent if s.topic == '/imu']
+
+    def spoil(k: int, one: Sent) -> Sent:
+        if k % 10 == 3:  # overtaken by the next one: put in order
+            return at(one, stamp_of(rates[k + 1]), rates[k + 1].message.angular_velocity.x)
+        if k % 10 == 4:
+            return at(one, stamp_of(rates[k - 1]), rates[k - 1].message.angular_velocity.x)
+        return at(one, stamp_of(rates[k - 1])) if k % 100 == 50 else one
+
+    bag = write_flight(tmp_path / 'bag', spoilt('/imu', spoil, sent))
+    code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
+    assert code == 0
+    assert '`rate`: 20 of 2000 samples have the stamp of another' in out
+    assert close(load_model('res/model.json').poles, 0.3)
+
+
+def test_a_clock_that_is_set_back_begins_anew(ctsid, shared, tmp_path):
+    bag = write_flight(tmp_path / 'bag', [
+        replace(s, message=imu(stamp_of(s) - (8 * S if s.log_ns > START + 12 * S else 0),
+                               s.message.angular_velocity.x)) if s.topic == '/imu' else s
+        for s in flight()])
+    params = write_params(tmp_path / 'p.yaml', PARAMS.replace(
+        "'data[0]'", "'data[0]', stamp: log"))
+    code, out, _ = ctsid('replay', bag, '--params', params, '--out', 'res')
+    assert code in (0, 3)
+    assert 'jumped back' in out
+
+
+def test_stamps_that_are_all_zero_are_replaced_by_the_log(ctsid, shared, tmp_path):
+    bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda _, s: at(s, 0)))
+    code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
+    assert code == 0
+    assert 'the stamps in its headers are zero, so the time of recording is used' in out
+    assert close(load_model('res/model.json').poles, 0.5)
+    found = json.loads(ctsid('info', bag, '--json')[1])['topics']
+    assert [s['usable'] for t in found for s in t['stamps'] if t['name'] == '/imu'] == [
+        False, True]
+
+
+def test_a_header_of_another_clock_is_told_with_its_cure(ctsid, refusal, shared, tmp_path):
+    bag = write_flight(tmp_path / 'bag', spoilt(
+        '/imu', lambda _, s: at(s, stamp_of(s) - START + S)))  # as a simulator stamps
+    for verb in ('identify', 'replay'):
+        err = refusal(verb, bag, '--params', shared / 'params.yaml')
+        assert 'if that is a clock that differs, set `stamp` to log' in err
+    params = write_params(tmp_path / 'p.yaml', PARAMS.replace('.x, unit', '.x, stamp: log, unit'))
+    assert ctsid('identify', bag, '--params', params)[0] == 0
+    ctsid('init', bag, '-o', 'guess.yaml')
+    assert {c.stamp for c in read_config('guess.yaml').channels} == {'log'}
+
+
+def test_times_of_another_clock_are_counted_from_the_first_window(ctsid, tmp_path):
+    sent = [at(s, stamp_of(s) - START + S) for s in flight() if s.topic == '/imu']
+    for one in sent:
+        one.message.linear_acceleration.x = one.message.angular_velocity.x
+    text = PARAMS.replace("/cmd, type: std_msgs/msg/Float64MultiArray, field: 'data[0]'",
+                          '/imu, type: sensor_msgs/msg/Imu, field: linear_acceleration.x')
+    code, out, err = ctsid('replay', write_flight(tmp_path / 'bag', sent), '--params',
+                           write_params(tmp_path / 'p.yaml', text), '--json')
+    assert code in (0, 3), err
+    assert json.loads(out)['windows'][0]['from'] == pytest.approx(0.0)
+
+
+def test_a_header_wanted_where_there_is_none(refusal, shared, tmp_path):
+    bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda _, s: at(s, 0)))
+    params = write_params(tmp_path / 'p.yaml', PARAMS.replace(
+        '.x, unit', '.x, stamp: header, unit'))
+    assert 'set `rate.stamp` to auto or log' in refusal('identify', bag, '--params', params)
+
+
+def test_a_channel_without_message(refusal, shared, tmp_path):
+    sent = [s for s in flight(4.0) if s.topic == '/imu']
+    bag = write_flight(tmp_path / 'bag', sent)
+    assert "no topic '/cmd'" in refusal('replay', bag, '--params', shared / 'params.yaml')
+    bag = write_mcap(tmp_path / 'late.mcap', flight(8.0))
+    assert 'too few usable samples in this interval of `torque` (/cmd): none' in refusal(
+        'identify', bag, '--params', write_params(Path('p.yaml'), PARAMS.replace(
+            "'data[0]'", "'data[5]'")))
+
+
+@pytest.mark.parametrize('verb', ['identify', 'replay'])
+@pytest.mark.parametrize(('topic', 'name'), [('/cmd', 'torque'), ('/imu', 'rate')])
+def test_a_channel_with_one_message(refusal, shared, tmp_path, verb, topic, name):
+    bag = write_flight(tmp_path / 'bag', spoilt(topic, lambda k, s: s if k == 20 else None))
+    assert f'too few usable samples in this interval of `{name}` ({topic}): 1' in refusal(
+        verb, bag, '--params', shared / 'params.yaml', '--out', 'res')
+
+
+@pytest.mark.parametrize(('topic', 'words'), [('/cmd', 'No input moves within the window'),
+                                              ('/imu', 'No output moves within the window')])
+def test_a_channel_that_is_constant(ctsid, shared, tmp_path, topic, words):
+    bag = write_flight(tmp_path / 'bag', spoilt(topic, lambda _, s: replace(
+        s, message=array(1.0, 2.0)) if topic == '/cmd' else at(s, stamp_of(s), 1.0)))
+    for verb in ('identify', 'replay'):
+        code, out, _ = ctsid(verb, bag, '--params', shared / 'params.yaml', '--out', verb)
+        assert code == 3
+        assert words in re.sub(r'\s+', ' ', out)
+        assert words in Path(verb, 'report.md').read_text()
+        assert load_estimate(f'{verb}/model.json').model is None
+
+
+def test_data_that_no_model_explains_are_rejected_with_the_reason(ctsid, shared, tmp_path):
+    rng = np.random.default_rng(3)
+    bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda _, s: at(
+        s, stamp_of(s), rng.standard_normal())))
+    code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
+    assert code == 3
+    assert 'NOT ACCEPTED' in out
+    assert load_estimate('res/model.json').model is None
+    code, out, err = ctsid('simulate', 'res/model.json', bag)
+    assert code == 1
+    assert 'no accepted model' in err
+
+
+def test_a_window_longer_than_the_bag(refusal, shared):
+    params = write_params(Path('p.yaml'), PARAMS.replace('length: 5.0', 'length: 50.0'))
+    err = refusal('replay', shared / 'bag', '--params', params, '--out', 'res')
+    assert 'no window of 50 s fits into the data' in err
+    assert 'lower `window.length`' in err
+    assert not Path('res').exists()
+
+
+@pytest.mark.parametrize('verb', ['identify', 'replay'])
+def test_inputs_and_outputs_that_do_not_overlap(refusal, shared, tmp_path, verb):
+    bag = write_flight(tmp_path / 'bag', [
+        s for s in flight() if (s.topic == '/cmd') == (s.log_ns - START < 8 * S)])
+    err = refusal(verb, bag, '--params', shared / 'params.yaml')
+    assert 'do not overlap in time' in err
+    assert '`torque` (/cmd) 0.00 to 7.95 s, `rate` (/imu) 8.00 to 19.99 s' in err
+
+
+def test_an_interval_outside_of_the_bag(refusal, shared):
+    common = (shared / 'bag', '--params', shared / 'params.yaml')
+    assert 'the bag is 20.0 s long' in refusal('identify', *common, '--start', 30)
+    assert 'the bag is 20.0 s long' in refusal('replay', *common, '--start', 30)
+    assert 'choose another time to split at' in refusal('identify', *common, '--test-from', 30)
+
+
+def test_a_folder_that_exists_is_not_touched_without_force(ctsid, refusal, shared):
+    common = ('identify', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res')
+    Path('res').mkdir()
+    Path('res/mine.txt').write_text('mine')
+    Path('res/model.json').write_text('old')
+    assert 'exists already' in refusal(*common)
+    assert Path('res/model.json').read_text() == 'old'
+    assert ctsid(*common, '--force')[0] == 0
+    assert load_model('res/model.json').n == 2
+    assert Path('res/mine.txt').read_text() == 'mine'
+
+
+def test_a_folder_that_cannot_be_written(refusal, shared):
+    Path('file').write_text('')
+    common = ('replay', shared / 'bag', '--params', shared / 'params.yaml', '--out')
+    assert 'choose another' in refusal(*common, 'file')
+    assert 'cannot be written to' in refusal(*common, 'file/res')
+    assert 'cannot be written to' in refusal(*common, '/proc/res')
+
+
+def test_a_failed_run_keeps_earlier_results_and_leaves_no_empty_folder(refusal, shared):
+    Path('res').mkdir()
+    Path('res/model.json').write_text('old')
+    params = write_params(Path('p.yaml'), PARAMS.replace('/imu', '/none'))
+    refusal('replay', shared / 'bag', '--params', params, '--out', 'res', '--force')
+    assert Path('res/model.json').read_text() == 'old'
+
+
+def test_models_that_are_none(refusal, shared):
+    Path('m.json').write_text('{')
+    assert 'm.json' in refusal('show', 'm.json')
+    assert 'cannot be read' in refusal('show', 'none.json')
+    assert 'cannot be read' in refusal('simulate', 'none.json', shared / 'bag')
+    assert 'give them with --params' in refusal('simulate', shared / 'truth.json', shared / 'bag')
+    text = PARAMS.replace('torque', 'moment')
+    assert 'but those of the channels are moment' in refusal(
+        'simulate', shared / 'truth.json', shared / 'bag', '--params',
+        write_params(Path('p.yaml'), text))
+
+
+def test_a_bag_in_which_nothing_moves_cannot_be_guessed(refusal, ctsid, tmp_path):
+    bag = write_flight(tmp_path / 'bag', [replace(s, message=array(1.0)) for s in flight(2.0)
+                                          if s.topic == '/cmd'])
+    assert 'nothing in this bag does' in refusal('init', bag, '-o', 'p.yaml')
+    assert ctsid('info', bag)[0] == 0
+
+
+# --- real processes
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1'}
+
+
+def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
+    params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.01'))
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'ctsid_ros.cli', 'replay', shared / 'bag', '--params', params,
+         '--out', tmp_path / 'res'], env=environment(), cwd=tmp_path, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        for line in process.stderr:
+            if 'window' in line and 'no window' not in line:
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert 'Traceback' not in err
+    assert 'the results are those of the first' in err
+    series = load_series(tmp_path / 'res/estimates.npz')
+    assert 1 <= len(series) < 1400
+    assert sorted(p.name for p in (tmp_path / 'res').iterdir()) == FILES
+    assert 'Models along the bag' in out
+
+
+def test_interrupted_before_anything_was_found(shared, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, '-c', 'import signal, sys; from ctsid_ros import replay; '
+         'replay.play = lambda *_: signal.raise_signal(signal.SIGINT) or iter(()); '
+         'from ctsid_ros.cli import main; sys.exit(main(sys.argv[1:]))', 'replay',
+         shared / 'bag', '--params', shared / 'params.yaml', '--out', tmp_path / 'res'],
+        env=environment(), cwd=tmp_path, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ''
+    assert 'there are no results' in err
+    assert not (tmp_path / 'res').exists()
+
+
+def test_results_on_stdout_messages_on_stderr(shared, tmp_path):
+    done = subprocess.run(
+        [sys.executable, '-m', 'ctsid_ros.cli', 'identify', shared / 'bag', '--json', '--out',
+         tmp_path / 'res'], env=environment(), capture_output=True, text=True, check=False,
+        timeout=60)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)['accepted']
+    assert 'the channels are guessed' in done.stderr
+
+
+def test_a_reader_that_has_enough_is_no_error(shared):
+    started = time.monotonic()
+    done = subprocess.run(
+        f'{sys.executable} -m ctsid_ros.cli params --markdown | head -n 1', shell=True,
+        env=environment(), capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout.count('\n') == 1
+    assert done.stderr == ''
+    assert time.monotonic() - started < 30
+
+
+def test_a_terminal_without_unicode_gets_what_it_can_show(shared):
+    done = subprocess.run(
+        [sys.executable, '-m', 'ctsid_ros.cli', 'show', shared / 'truth.json'],
+        env=environment() | {'PYTHONIOENCODING': 'ascii'}, capture_output=True, check=False,
+        timeout=60)
+    assert (done.returncode, done.stderr) == (0, b'')
+    assert b'-1.500 ? 3.000j' in done.stdout
+
+
+def test_blas_has_one_thread_before_numpy_comes(tmp_path):
+    code = ('import sys; import ctsid_ros.cli; assert "numpy" not in sys.modules; import os; '
+            'print(os.environ["OPENBLAS_NUM_THREADS"], os.environ["OMP_NUM_THREADS"])')
+    clean = {k: v for k, v in environment().items() if not k.endswith('_NUM_THREADS')}
+    for given, expected in (({}, '1 1'), ({'OMP_NUM_THREADS': '4'}, '1 4')):
+        done = subprocess.run([sys.executable, '-c', code], env=clean | given,
+                              capture_output=True, text=True, check=True, timeout=60)
+        assert done.stdout.split() == expected.split()
+
+
+# --- real recordings
+
+
+def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
+    bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'
+    code, out, err = ctsid('identify', bag, '--params', ROOT / 'config/cubs2_roll.yaml',
+                           '--test-from', 118.8, '--out', 'res', '--json')
+    assert code == 0, err
+    assert json.loads(out)['test']['fit'][0] > 74

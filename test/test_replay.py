@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From bags to records and estimates: the same data and numbers as by any other way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from pathlib import Path
+
+from bag_fixtures import IMU, START, Sent, joints, write_mcap, write_rosbag2
+from flights import PARAMS, TRUTH, S, at, flight, spoilt, stamp_of, write_flight
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+import yaml
+
+from ctsid_core.errors import BagError
+from ctsid_core.estimate import Estimate, Status
+from ctsid_core.identify import identify
+from ctsid_core.settings import Settings
+from ctsid_core.validation import simulation
+from ctsid_ros.bag import open_bag
+from ctsid_ros.channels import Channel, Config
+from ctsid_ros.config_file import parse_config
+from ctsid_ros.ingest import Ingest
+from ctsid_ros.playback import Interval, fit_config, read_record
+from ctsid_ros.replay import Replay, Result, best_of
+
+CONFIG = parse_config(yaml.safe_load(PARAMS))
+
+
+@pytest.fixture(scope='module')
+def path(tmp_path_factory) -> str:
+    return write_flight(tmp_path_factory.mktemp('flight') / 'bag')
+
+
+@pytest.fixture
+def bag(path):
+    with open_bag(path) as opened:
+        yield opened
+
+
+def windows_of_rosbags(path: str, config: Config):
+    """The windows, from the messages as another library reads and decodes them."""
+    ingest = Ingest(config)
+    with AnyReader([Path(path)]) as reader:
+        for connection, log_ns, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            if connection.topic == '/imu':
+                stamp = message.header.stamp
+                values, header_ns = (message.angular_velocity.x,), stamp.sec * S + stamp.nanosec
+            else:
+                values, header_ns = (message.data[0],), None
+            ingest.push(connection.topic, log_ns, log_ns, header_ns, values)
+            yield from ingest.due()
+        yield from ingest.flush()
+
+
+def same(a, b) -> bool:
+    return (a.start, a.end, a.epoch_ns) == (b.start, b.end, b.epoch_ns) and all(
+        np.array_equal(s.time, t.time) and np.array_equal(s.values, t.values)
+        for s, t in zip((*a.inputs, *a.outputs), (*b.inputs, *b.outputs), strict=True))
+
+
+@pytest.fixture(scope='module')
+def ran(path):
+    with open_bag(path) as opened:
+        run = Replay(opened, CONFIG)
+        run.run()
+        yield run
+
+
+def test_replay_gives_the_estimates_of_all_windows_to_the_last_bit(ran, path):
+    records = list(windows_of_rosbags(path, CONFIG))
+    assert len(records) == len(ran.results) == 6
+    for number, (record, result) in enumerate(zip(records, ran.results, strict=True)):
+        expected = identify(record, CONFIG.settings)
+        assert result.estimate.model == expected.model
+        assert result.estimate.start_ns == expected.start_ns
+        np.testing.assert_array_equal(result.estimate.pole_std, expected.pole_std)
+        assert same(ran.record(number), record)
+
+
+def test_models_are_tested_on_the_first_window_that_shares_nothing(ran, path):
+    records = list(windows_of_rosbags(path, CONFIG))
+    for number, result in enumerate(ran.results):
+        if number + 2 < len(records):  # 5 s long, one each 2.5 s
+            found = simulation(result.estimate.model, records[number + 2])
+            np.testing.assert_array_equal(result.next_fit, found.fit)
+            assert result.next_fit[0] > 90
+        else:
+            assert not result.tested
+
+
+def test_the_last_window_that_the_data_fill_is_not_forgotten(path):
+    config = replace(CONFIG, settings=CONFIG.settings.replace(window_length=4.9))
+    with open_bag(path) as opened:
+        run = Replay(opened, config)
+        run.run()
+    assert len(run.results) == 7  # to 15 + 4.9 s; the bag ends at 20 s
+    assert [r.estimate.start_ns for r in run.results] == [
+        record.epoch_ns for record in windows_of_rosbags(path, config)]
+
+
+def test_progress_goes_from_nothing_to_all(path):
+    told = []
+    with open_bag(path) as opened:
+        Replay(opened, CONFIG).run(lambda fraction, text: told.append((fraction, text)))
+    fractions = [fraction for fraction, _ in told]
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 0.01
+    assert fractions[-1] == 1.0
+    assert told[0][1] == 'no window yet'
+    assert told[-1][1].startswith('6 windows, fit 9')
+
+
+def test_whole_record_is_all_of_the_bag(bag):
+    data = read_record(bag, CONFIG)
+    sent = flight()
+    u, y = data.record.inputs[0], data.record.outputs[0]
+    assert (len(u.time), len(y.time)) == (400, 2000)
+    rates = [s.message.angular_velocity.x for s in sent if s.topic == '/imu']
+    np.testing.assert_array_equal(y.values[:, 0], rates)
+    np.testing.assert_array_equal(u.values[:, 0],
+                                  [s.message.data[0] for s in sent if s.topic == '/cmd'])
+    epoch = data.record.epoch_ns
+    np.testing.assert_allclose(u.time, [(s.log_ns - epoch) * 1e-9 for s in sent
+                                        if s.topic == '/cmd'], atol=1e-9)
+    np.testing.assert_allclose(y.time, [(stamp_of(s) - epoch) * 1e-9 for s in sent
+                                        if s.topic == '/imu'], atol=1e-9)
+    assert math.isnan(data.split)
+    assert data.complaints == ()
+    assert [data.counts.channels[n].source for n in ('torque', 'rate')] == ['log', 'header']
+    assert data.config.settings == CONFIG.settings  # not the endless window of the reading
+
+
+def test_split_is_counted_from_the_start_of_the_bag_whatever_clock_the_stamps_are_of(tmp_path):
+    late = write_flight(tmp_path / 'late', spoilt(
+        '/imu', lambda _, s: at(s, stamp_of(s) - 10**6 * S)))
+    config = replace(CONFIG, channels=tuple(
+        replace(c, topic='/imu', type=IMU, field=field) for c, field in zip(
+            CONFIG.channels, ('linear_acceleration.x', 'angular_velocity.x'), strict=True)))
+    with open_bag(late) as opened:
+        data = read_record(opened, config, split=8.0)
+    assert data.record.epoch_ns < START - 10**5 * S
+    assert data.split == pytest.approx(8.0, abs=0.02)
+
+
+def test_an_interval_takes_only_what_was_recorded_in_it(bag):
+    record = read_record(bag, CONFIG, Interval(5.0, 4.0)).record
+    for signal in (*record.inputs, *record.outputs):
+        absolute = record.epoch_ns + signal.time * 1e9 - START
+        assert 4.99 * S < absolute.min() < 5.06 * S
+        assert 8.94 * S < absolute.max() < 9.01 * S
+
+
+@pytest.mark.parametrize(('start', 'duration', 'fits'), [
+    (0.0, math.inf, True), (19.9, 1.0, True), (21.0, 1.0, False)])
+def test_interval_has_to_lie_in_the_bag(bag, start, duration, fits):
+    if fits:
+        first, last = Interval(start, duration).span_ns(bag)
+        assert bag.start_ns <= first < last <= bag.end_ns
+    else:
+        with pytest.raises(BagError, match=r'the bag is 20\.0 s long'):
+            Interval(start, duration).span_ns(bag)
+
+
+def test_config_is_completed_from_the_bag(tmp_path):
+    path = write_mcap(tmp_path / 'bag.mcap', [
+        Sent('/joints', 'sensor_msgs/msg/JointState', START + k * S // 50,
+             joints(START + k * S // 50, [k, 2 * k, 3 * k])) for k in range(10)])
+    config = Config((Channel('effort', 'input', '/joints', '', 'effort[:]'),
+                     Channel('angle', 'output', '/joints', 'sensor_msgs/JointState',
+                             'position[1:]')))
+    with open_bag(path) as opened:
+        found = fit_config(opened, config)
+        record = read_record(opened, config).record
+    assert [(c.type, c.field) for c in found.channels] == [
+        ('sensor_msgs/msg/JointState', 'effort[0:3]'),
+        ('sensor_msgs/msg/JointState', 'position[1:3]')]
+    assert (record.nu, record.ny) == (3, 2)
+
+
+def test_delays_of_channels_survive_the_completion(bag):
+    config = replace(CONFIG, channels=(replace(CONFIG.inputs[0], delay=0.25), *CONFIG.outputs),
+                     settings=CONFIG.settings.replace(delay=0.0))
+    data = read_record(bag, config)
+    assert data.config.settings.delay == 0.25
+    # Inputs are known from so much earlier.
+    assert data.record.inputs[0].time[0] == pytest.approx(-0.25, abs=0.06)
+
+
+def test_messages_that_cannot_be_decoded_do_not_settle_the_source_of_stamps(tmp_path):
+    sent = flight(6.0)
+    first = next(i for i, s in enumerate(sent) if s.topic == '/imu')
+    sent[first] = replace(sent[first], message=b'\0\1\0\0\0\0')  # too short for an Imu
+    with open_bag(write_mcap(tmp_path / 'bag.mcap', sent)) as opened:
+        data = read_record(opened, CONFIG)
+    assert data.counts.channels['rate'].source == 'header'
+    assert data.counts.channels['rate'].samples.wrong_width == 1
+    assert 'could not be decoded' in ' '.join(data.complaints)
+
+
+def test_publish_times_are_used_where_wanted(tmp_path):
+    sent = [replace(s, publish_ns=s.log_ns - 50_000_000) for s in flight(4.0)]
+    config = replace(CONFIG, channels=tuple(replace(c, stamp='publish') for c in CONFIG.channels),
+                     settings=CONFIG.settings.replace(delay=0.0))
+    with open_bag(write_mcap(tmp_path / 'bag.mcap', sent)) as opened:
+        record = read_record(opened, config).record
+    first = next(s.log_ns for s in sent if s.topic == '/imu')
+    assert record.epoch_ns + round(record.outputs[0].time[0] * 1e9) == first - 50_000_000
+
+
+def test_gaps_do_not_skip_windows(tmp_path):
+    path = write_rosbag2(tmp_path / 'bag', [
+        s for s in flight() if s.topic == '/cmd' or not 8 * S < s.log_ns - START < 11 * S])
+    with open_bag(path) as opened:
+        run = Replay(opened, CONFIG)
+        run.run()
+    starts = [(r.estimate.start_ns - run.results[0].estimate.start_ns) / S for r in run.results]
+    assert starts == [0.0, 2.5, 5.0, 7.5, 10.0, 12.5]
+    statuses = [r.estimate.status for r in run.results]
+    assert Status.GAPS in statuses
+    assert statuses[0] is Status.OK
+
+
+def result(fit: float, n: int = 2, *, ok: bool = True, tested: bool = True) -> Result:
+    model = TRUTH if n == 2 else replace(TRUTH, A=np.diag(-np.arange(1.0, n + 1)),
+                                         B=np.ones((n, 1)), C=np.ones((1, n)),
+                                         K=np.empty(0), x_trim=np.zeros(n))
+    estimate = Estimate(status=Status.OK if ok else Status.UNEXPLAINED, settings=Settings(),
+                        model=model if ok else None, fit=np.array([99.0]),
+                        held_out_fit=np.array([fit]))
+    return Result(estimate, np.array([fit if tested else math.nan]))
+
+
+@pytest.mark.parametrize(('results', 'number'), [
+    ([], None),
+    ([result(95, ok=False)], None),
+    ([result(80), result(95), result(90)], 1),
+    ([result(95.0, n=6), result(94.5, n=3), result(94.4, n=3), result(90, n=2)], 1),
+    ([result(80), result(99, tested=False)], 0),  # nothing is known of unseen data
+    ([result(80, tested=False), result(85, tested=False)], 1),
+    ([result(-math.inf), result(-50)], 1)])
+def test_best_explains_unseen_data_with_few_states(results, number):
+    assert best_of(results) == number
+
+
+def test_nothing_is_kept_of_windows_but_their_estimates(ran):
+    assert {type(v).__name__ for r in ran.results for v in vars(r).values()} == {
+        'Estimate', 'ndarray'}
