@@ -16,16 +16,17 @@ from ctsid_core.signals import Array, Record, Signal
 
 _REACH = 2.0            # times tau omega / 2
 _NYQUIST = 0.8          # part of the slowest signal's Nyquist frequency that is used
-_LEAST, _MOST = 100, 1000
+_LEAST, _MOST = 100, 1500
+_MOST_PARTS = 10        # of a long record
 _ABOVE_NOISE = 4.0      # power over the noise floor that counts as signal
 _DYNAMIC_RANGE = 1e-8   # power below this part of the peak is not looked for
 _FINENESS = 12.0        # steps per octave of nmax, so that windows alike share a basis
 _SMOOTHING = 31         # periodogram lines averaged, so that noise alone stays below the threshold
 
 
-def choose_nmax(record: Record) -> tuple[int, str]:
+def choose_nmax(record: Record) -> tuple[int, int, str]:
     """
-    Choose the highest order of the Hermite functions.
+    Choose the highest order of the Hermite functions, and the parts of a long record.
 
     Parameters
     ----------
@@ -34,6 +35,8 @@ def choose_nmax(record: Record) -> tuple[int, str]:
     Returns
     -------
     nmax : int
+        Of each part.
+    parts : int
     why : str
         One sentence for the user.
     """
@@ -43,11 +46,17 @@ def choose_nmax(record: Record) -> tuple[int, str]:
                   default=record.duration / 20.0)
     highest = _NYQUIST * np.pi / slowest
     wanted = max(_REACH * 0.5 * tau * band, _LEAST)
-    possible = 0.5 * tau * highest
-    nmax = 2.0 ** (np.floor(_FINENESS * np.log2(min(wanted, possible, _MOST))) / _FINENESS)
+    product = min(wanted, 0.5 * tau * highest)
+    parts = int(min(np.ceil(product / _MOST), _MOST_PARTS))
+    nmax = 2.0 ** (np.floor(_FINENESS * np.log2(min(product / parts, _MOST))) / _FINENESS)
+    reach = 2.0 * nmax * parts / tau
     why = (f'the outputs rise above their noise up to {band / (2 * np.pi):.3g} Hz, the slowest '
-           f'sampling allows {highest / (2 * np.pi):.3g} Hz, the window is {2 * tau:.3g} s long')
-    return max(int(nmax), 8), why
+           f'sampling allows {highest / (2 * np.pi):.3g} Hz, the record is {2 * tau:.3g} s long: '
+           f'what is used reaches {reach / (2 * np.pi):.3g} Hz'
+           + (f' in {parts} parts' if parts > 1 else ''))
+    if product > _MOST * _MOST_PARTS:
+        why += ', for so long a record no more; take a shorter --duration, or replay windows'
+    return max(int(nmax), 8), parts, why
 
 
 def signal_band(signal: Signal, start: float, end: float) -> float:

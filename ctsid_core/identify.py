@@ -100,11 +100,11 @@ class _Found:
 def _estimate(part: Usable, settings: Settings) -> _Found | None:
     """Return the model of a record, or None if it is too short for any."""
     choices: list[Choice] = []
-    nmax = settings.nmax
+    nmax, parts = settings.nmax, settings.parts or 1
     if not nmax:
-        nmax, why = choose_nmax(part.record)
+        nmax, parts, why = choose_nmax(part.record)
         choices.append(Choice('hermite.nmax', nmax, why))
-    own = _own_delays(part, settings)
+    own = _own_delays(part, settings.replace(parts=parts))
     projection = project_record(part.record, own, nmax)
     search = Search(projection, own)
     order = settings.order or _order(search, choices)
@@ -120,7 +120,7 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
         choices.append(Choice(
             'noise', 'process' if process_noise else 'measurement',
             'the likelier of process noise (innovation form) and measurement noise alone'))
-    used = settings.replace(nmax=nmax, order=order, beta=tuning.beta, gamma=tuning.gamma,
+    used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta, gamma=tuning.gamma,
                             past=tuning.past, future=tuning.future)
     return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices))
 
@@ -152,14 +152,20 @@ def _held_out(part: Usable, found: _Found) -> Array:
     own = _own_delays(part, found.settings)
     split = record.end - share * record.duration
     lead = max(own.delays(record.nu), default=0.0)
-    first, last = (
-        project_record(record.between(start, end, lead=lead), own,
-                       max(round(own.nmax * (end - start) / record.duration), 8))
-        for start, end in ((record.start, split), (split, record.end)))
+    first, last = (_share(record.between(start, end, lead=lead), own, share)
+                   for start, end, share in ((record.start, split, 1.0 - share),
+                                             (split, record.end, share)))
     pair = Search(first, own).pair(own.order)
     if pair is None:
         return np.full(record.ny, np.nan)
     return line_fit(last, most_likely(first, pair, own)[0], refit_tail=True)
+
+
+def _share(record: Record, settings: Settings, share: float) -> Projection:
+    """Project a part of a record on a basis that reaches as far as that of the whole."""
+    parts = max(round(settings.parts * share), 1)
+    nmax = max(round(settings.nmax * settings.parts * share / parts), 8)
+    return project_record(record, settings.replace(parts=parts), nmax)
 
 
 def _judge(part: Usable, found: _Found) -> Estimate:

@@ -166,10 +166,16 @@ class Search:
         """Likelihood of simulations of this projection, as a function of the poles."""
         return OutputError(self.projection, self.settings.feedthrough)
 
+    @property
+    def _length(self) -> float:
+        """Length of the record, or of one of its parts [s]."""
+        p = self.projection
+        return (p.end - p.start) / max(len(p.tail), 1)
+
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
         top, settings = float(np.abs(self.projection.s[-1])), self.settings
-        slow = 10.0 / (self.projection.end - self.projection.start)
+        slow = 10.0 / self._length
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
         pasts = [settings.past] if settings.past else \
@@ -179,7 +185,7 @@ class Search:
 
     def _holds(self, p: int, n: int) -> bool:
         ny = len(self.projection.y)
-        rows = (p + 1) * (ny + len(self.projection.u) + 2)
+        rows = (p + 1) * (ny + len(self.projection.u) + len(self.projection.tail) + 1)
         return p * ny > n and 2 * len(self.projection.s) >= 2 * rows
 
     def _regress(self, tuning: Tuning) -> Subspace:
@@ -220,7 +226,7 @@ class Search:
         found = list(self.candidates(n, tunings))
         if not found:
             return None
-        limit = 1.0 / (self.projection.end - self.projection.start)
+        limit = 1.0 / self._length
         if len(found) == 1:
             limit = limit if found[0].growth <= limit else np.inf
             return Pair(found[0], found[0], limit, process_noise=True)

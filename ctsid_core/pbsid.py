@@ -60,8 +60,8 @@ class Matrices:
     C : ndarray, shape (ny, n)
     D : ndarray, shape (ny, nu)
     K : ndarray, shape (n, ny)
-    tail : ndarray, shape (n, 0 or 1)
-        Effect of the virtual input.
+    tail : ndarray, shape (n, 0 or parts)
+        Effect of the virtual inputs.
     x_trim, y_trim : ndarray, shapes (n, 0 or 1), (ny, 0 or 1)
         Effect of the constant.
     """

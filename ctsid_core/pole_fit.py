@@ -23,6 +23,8 @@ from ctsid_core.bases.base import Array, Lines, Projection, as_real
 
 _FLOOR = 1e-20        # residual power below this fraction of the output's counts as rounding
 _HALVINGS = 6
+_SLOW = 0.1           # |pole| times window below which a pole is slow
+_AXIS = 1e-12         # stands for s - p on a line that a pole lies on
 _LEAST_GAIN = 1e-3    # -2 log likelihood
 
 
@@ -62,13 +64,23 @@ class OutputError:
     -----
     Poles are grouped in quadratic factors s^2 + a s + b (and one s + c if n is odd), which take
     real poles and conjugate pairs alike. Frequencies are scaled to the top of the band.
+
+    The derivative of the constant is a multiple of the tail. Through a pole it therefore acts as
+    it does directly, and is a regressor once only, except where a pole is so slow that the window
+    cannot tell its response to a constant from a ramp.
     """
 
     def __init__(self, projection: Projection, feedthrough: bool) -> None:
         self._top = float(np.abs(projection.s[-1]))
         self._driven = len(projection.u) + len(projection.tail)  # ones: the same as y's trim
         self._s = projection.s / self._top
-        self._z = _unit_rows(np.vstack((projection.u, projection.tail, projection.ones)))
+        length = (projection.end - projection.start) / max(len(projection.tail), 1)
+        self._slow = _SLOW / length / self._top
+        self._ones = _unit_rows(projection.ones)
+        self._through_states = len(projection.tail) == 0
+        driving = (projection.u, projection.tail) if len(projection.tail) else \
+            (projection.u, projection.ones)
+        self._z = _unit_rows(np.vstack(driving))
         direct = (projection.u, projection.ones) if feedthrough else (projection.ones,)
         self._direct = as_real(_unit_rows(np.vstack(direct)))
         y = as_real(projection.y)
@@ -119,7 +131,11 @@ class OutputError:
 
     def _solve(self, factors: Array) -> tuple[float, Array, Array, Array]:
         """Return cost, weights theta, an orthonormal basis q of the regressors, residual."""
-        regressors = np.vstack((as_real(self._states(factors)), self._direct))
+        rows = [as_real(self._states(factors)), self._direct]
+        slow = self._slowest(factors)
+        if slow is not None:
+            rows.append(as_real(self._ones * self._filter(factors[slow])))
+        regressors = np.vstack(rows)
         norm = np.linalg.norm(regressors, axis=1)
         norm[norm == 0.0] = 1.0
         q, r = np.linalg.qr((regressors / norm[:, np.newaxis]).T)
@@ -133,31 +149,41 @@ class OutputError:
     def _states(self, factors: Array) -> Lines:
         """Return the rows z q and z s q of each factor, q = 1 / (s^2 + a s + b)."""
         blocks = []
-        for a, b, quadratic in factors:
-            if quadratic:
-                q = 1.0 / (self._s * self._s + a * self._s + b)
-                blocks += [self._z * q, self._z * (q * self._s)]
-            else:
-                blocks.append(self._z / (self._s + b))
+        for factor in factors:
+            q = self._filter(factor)
+            blocks += [self._z * q, self._z * (q * self._s)] if factor[2] else [self._z * q]
         return np.vstack(blocks) if blocks else np.empty((0, len(self._s)), dtype=complex)
+
+    def _filter(self, factor: Array) -> Lines:
+        a, b, quadratic = factor
+        bare = self._s * self._s + a * self._s if quadratic else self._s
+        denominator: Lines = bare + b
+        inverse: Lines = 1.0 / np.where(denominator == 0.0, _AXIS, denominator)
+        return inverse
+
+    def _slowest(self, factors: Array) -> int | None:
+        """Return the factor of a pole too slow for the window, if there is one."""
+        if not len(factors) or not len(self._ones) or self._through_states:
+            return None
+        sizes = [np.abs(_roots(factor[np.newaxis])).min() for factor in factors]
+        return int(np.argmin(sizes)) if min(sizes) < self._slow else None
 
     def _step(self, factors: Array, theta: Array, q: Array, residual: Array) -> Array:
         """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""
         size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
         columns: list[Array] = []
         places: list[tuple[int, int]] = []
-        width, first = len(self._z), 0
-        for i, (a, b, quadratic) in enumerate(factors):
-            if quadratic:
-                q2 = (self._s * self._s + a * self._s + b) ** -2.0
-                part = theta[:, first:first + width] @ self._z \
-                    + theta[:, first + width:first + 2 * width] @ (self._z * self._s)
-                moves = [(0, -part * q2 * self._s), (1, -part * q2)]
-                first += 2 * width
-            else:
-                part = theta[:, first:first + width] @ self._z
-                moves = [(1, -part * (self._s + b) ** -2.0)]
+        width, first, slow = len(self._z), 0, self._slowest(factors)
+        for i, factor in enumerate(factors):
+            square = self._filter(factor) ** 2
+            part = theta[:, first:first + width] @ self._z
+            first += width
+            if factor[2]:
+                part = part + theta[:, first:first + width] @ (self._z * self._s)
                 first += width
+            if i == slow:
+                part = part + theta[:, -1:] @ self._ones
+            moves = [(1, -part * square)] + [(0, -part * square * self._s)] * bool(factor[2])
             for k, change in moves:
                 real = as_real(change)
                 columns.append(((real - (real @ q) @ q.T) / size).ravel())

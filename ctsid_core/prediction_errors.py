@@ -157,9 +157,10 @@ def line_fit(projection: Projection, m: Matrices, *, refit_tail: bool = False) -
     """
     y = as_real(projection.y)
     if refit_tail and projection.tail.size:
-        still = replace(m, tail=np.zeros_like(m.tail))
+        still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
         error = y - as_real(simulate_lines(projection, still))
-        modes = np.concatenate([as_real(_free(projection, m, i)) for i in range(len(m.A))])
+        modes = np.concatenate([as_real(_free(projection, m, i, part))
+                                for i in range(len(m.A)) for part in range(len(projection.tail))])
         weights, _ = solve(modes, error.reshape(1, -1), 1e-10)
         error = error - (weights @ modes).reshape(y.shape)
     else:
@@ -171,10 +172,10 @@ def line_fit(projection: Projection, m: Matrices, *, refit_tail: bool = False) -
     return fit
 
 
-def _free(projection: Projection, m: Matrices, i: int) -> Lines:
-    """Return the outputs' lines if only state i is driven, by the tail: one row."""
-    start = np.zeros_like(m.tail)
-    start[i] = 1.0
+def _free(projection: Projection, m: Matrices, i: int, part: int) -> Lines:
+    """Return the outputs' lines if only state i is driven, by one part's tail: one row."""
+    start = np.zeros((len(m.A), len(projection.tail)))
+    start[i, part] = 1.0
     quiet = replace(m, tail=start, B=np.zeros_like(m.B), D=np.zeros_like(m.D),
                     x_trim=np.zeros_like(m.x_trim), y_trim=np.zeros_like(m.y_trim))
     return simulate_lines(projection, quiet).reshape(1, -1)

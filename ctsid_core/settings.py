@@ -98,15 +98,19 @@ class Settings:
         0, 'Highest order of the Hermite functions: the time-bandwidth product of the window.',
         name='hermite.nmax', low=0, high=5000, auto='from the bandwidth of the data',
         when='Raise it if fast dynamics are missed, lower it if noise dominates.')
+    parts: int = parameter(
+        0, 'Parts of equal length that a long record is divided into, each projected on a basis '
+        'of its own; one model explains them all.', name='hermite.parts', low=0, high=50,
+        auto='one, or as many as a long record needs')
     edge_margin: float = parameter(
         5.0, 'How far the basis stays inside the window, in widths of the Airy tail of its last '
         'function (edges: exact).', name='hermite.edge_margin', low=2.0, high=20.0)
     beta: float = parameter(
         0.0, 'Shift of the modified derivative operator.', name='hermite.beta', unit='rad/s',
-        low=0.0, high=1e6, auto='chosen from the data')
+        low=0.0, high=1e12, auto='chosen from the data')
     gamma: float = parameter(
         0.0, 'Radius of the region that contains the predictor poles.', name='hermite.gamma',
-        unit='rad/s', low=0.0, high=1e6, auto='chosen from the data',
+        unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',
         when='It has to exceed |pole + beta| for every pole of interest.')
     past: int = parameter(
         0, 'Past window p.', name='pbsid.past', low=0, high=50, auto='chosen from the data',

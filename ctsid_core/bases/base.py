@@ -28,8 +28,9 @@ class Projection:
         The derivative, line by line [rad/s]: purely imaginary.
     u : ndarray, shape (nu, L)
     y : ndarray, shape (ny, L)
-    tail : ndarray, shape (0 or 1, L)
-        The virtual input that stands for the truncated part of the state's derivative.
+    tail : ndarray, shape (0 or parts, L)
+        The virtual inputs that stand for the truncated part of the state's derivative, one for
+        each part of a divided record.
     ones : ndarray, shape (0 or 1, L)
         The constant 1: trim of states and outputs.
     unit : float

@@ -15,7 +15,7 @@ pairs; those of w >= 0 are kept. Even orders give their real parts, odd ones the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -63,7 +63,7 @@ def _lines(f: Array, even: Array, odd: Array) -> Lines:
     return out
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=16)
 def hermite_lines(nmax: int) -> HermiteLines:
     """
     Compute the diagonal form of the derivative for orders 0 .. nmax.
@@ -118,17 +118,39 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
     settings : Settings
         Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
     nmax : int
-        Highest order.
+        Highest order, in each of `settings.parts` parts of equal length.
+
+    Notes
+    -----
+    The equations hold line by line, so that lines of several windows stand beside each other as
+    those of one do; only the tail is each window's own.
 
     References
     ----------
     [HD] eq. 27, 33, 34.
     """
+    bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
+    parts = [_project_part(record, settings, nmax, float(start), float(end))
+             for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
+    if len(parts) == 1:
+        return parts[0]
+    lines = len(parts[0].s)
+    tail = np.zeros((sum(len(p.tail) for p in parts), lines * len(parts)), dtype=complex)
+    for i in range(len(tail)):
+        tail[i, i * lines:(i + 1) * lines] = parts[i].tail[0]
+    return replace(
+        parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
+        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]), tail=tail,
+        start=record.start, end=record.end)
+
+
+def _project_part(record: Record, settings: Settings, nmax: int, start: float,
+                  end: float) -> Projection:
     basis = hermite_lines(nmax)
-    alpha = time_scale(nmax, 0.5 * record.duration, settings)
+    alpha = time_scale(nmax, 0.5 * (end - start), settings)
     inputs, delays = _by_delay(record, settings)
     signals = (*inputs, *record.outputs)
-    found = coefficients(signals, record.start, record.end, alpha, nmax,
+    found = coefficients(signals, start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     count = len(inputs)
     nothing = np.empty((0, len(basis.w)), dtype=complex)
@@ -138,15 +160,16 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
         u=basis.lines(np.vstack(found[:count])) if count else nothing,
         y=basis.lines(np.vstack(found[count:])),
         tail=basis.tail if exact else nothing,
-        ones=_ones(basis, record, alpha, nmax, exact) if settings.trim else nothing,
-        unit=alpha, start=record.start, end=record.end)
+        ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
+        unit=alpha, start=start, end=end)
 
 
-def _ones(basis: HermiteLines, record: Record, alpha: float, nmax: int, exact: bool) -> Lines:
+def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int,
+          exact: bool) -> Lines:
     if exact:
         return basis.ones
-    held = Signal(np.array([record.start]), np.ones((1, 1)), 'zoh')
-    return basis.lines(coefficients([held], record.start, record.end, alpha, nmax, [0.0])[0])
+    held = Signal(np.array([start]), np.ones((1, 1)), 'zoh')
+    return basis.lines(coefficients([held], start, end, alpha, nmax, [0.0])[0])
 
 
 def _by_delay(record: Record, settings: Settings) -> tuple[list[Signal], list[float]]:

@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
 _DEGREES = (1, 3, 5)
-_PHASES = (0.4, 1.2)   # top frequency times interval [rad] from which 3, then 4 points are taken
+_PHASE = 0.6            # top frequency times interval [rad] up to which two points are exact enough
+_STEEP = 1e-5           # the same, below which a straight line is a jump: its slope would be rounded
 
 
 @dataclass(frozen=True)
@@ -157,10 +158,14 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
     nodes, inside = _with_ends(t, start, end)
     level = _interpolate(t, values, nodes, inside)
     x = _dimensionless(nodes, start, end, alpha)
-    slope = np.diff(level, axis=1) / np.diff(x)
+    step, rise = np.diff(x), np.diff(level, axis=1)
+    steep = step * top < _STEEP
+    slope = np.where(steep, 0.0, rise) / step
     kinks = np.diff(slope, axis=1, prepend=0.0, append=0.0)
-    jumps = np.zeros_like(level)
-    jumps[:, 0], jumps[:, -1] = level[:, 0], -level[:, -1]
+    half = 0.5 * np.where(steep, rise, 0.0)                # a jump, half of it at either end
+    jumps = np.pad(half, ((0, 0), (0, 1))) + np.pad(half, ((0, 0), (1, 0)))
+    jumps[:, 0] += level[:, 0]
+    jumps[:, -1] -= level[:, -1]
     first = integral_of_first(x)
     twice = x * first + np.pi ** -0.25 * np.exp(-0.5 * x * x)  # integral of I_0
     slope0 = -kinks @ first
@@ -183,14 +188,23 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
     degree = spline_degree(t, values)
     if degree == 1:
         return _lines(t, values, start, end, alpha, top)
-    nodes, _ = _with_ends(t, start, end)
+    nodes = _divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
     middle, half = 0.5 * (nodes[1:] + nodes[:-1]), 0.5 * np.diff(nodes)
-    phase = top * np.median(step) / alpha
-    point, weight = np.polynomial.legendre.leggauss(2 + int(np.searchsorted(_PHASES, phase)))
+    point, weight = np.polynomial.legendre.leggauss(2)
     at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
     weights = (half[:, np.newaxis] * weight / alpha).ravel()
     return Samples(_dimensionless(at, start, end, alpha),
                    smooth_values(t, values, at, degree) * weights, lambda sums: sums)
+
+
+def _divided(nodes: Array, longest: float) -> Array:
+    """Divide intervals into equal parts so that none is longer than a given length."""
+    parts = np.maximum(np.ceil(np.diff(nodes) / longest), 1.0).astype(int)
+    if parts.max() == 1:
+        return nodes
+    place = np.concatenate(([0], np.cumsum(parts)))
+    divided: Array = np.interp(np.arange(place[-1] + 1), place, nodes)
+    return divided
 
 
 def spline_degree(t: Array, values: Array) -> int:
