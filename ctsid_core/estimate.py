@@ -30,8 +30,8 @@ class Status(Enum):
     UNEXPLAINED = ('No linear model explains the outputs by the inputs; check the choice of '
                    'inputs and outputs, the dead time and the order, or the plant is not linear '
                    'over this window.')
-    UNRELIABLE = ('The numbers are too ill-conditioned for a trustworthy model; excite more '
-                  'frequencies, or lower the order.')
+    UNRELIABLE = ('The data do not determine a single pole well enough for a trustworthy model; '
+                  'excite more frequencies, take a longer window, or lower the order.')
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ class Estimate:
     fit : ndarray, shape (ny,)
         Simulation fit (NRMSE) of each output on the window itself [%].
     held_out_fit : ndarray, shape (ny,)
-        The same on a part of the window that the model was not estimated from [%]; NaN if none.
+        How much of each output the inputs explain on a part of the window that was kept from a
+        second model (`unseen_fit`) [%]; NaN if none was kept.
     singular_values : ndarray
         Of the state sequence; their drop shows the order.
     condition : float

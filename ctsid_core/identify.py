@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
@@ -13,14 +14,15 @@ from ctsid_core.bases.hermite import project_record
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import line_fit, prediction_errors
+from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
 from ctsid_core.refine import pole_deviation
-from ctsid_core.selection import choose_order, most_likely
+from ctsid_core.selection import affordable, choose_order, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace
 from ctsid_core.usable import Usable, usable
 
+_VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _EXPLAINED = 30.0       # fit [%] below which an output counts as not explained
 
 
@@ -56,6 +58,7 @@ def identify(record: Record, settings: Settings | None = None) -> Estimate:
     Examples
     --------
     >>> import numpy as np
+    from numpy.typing import NDArray
     >>> from ctsid_core import Record, identify
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> u = np.sign(np.sin(2.0 * t) + np.sin(5.1 * t))
@@ -116,7 +119,10 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
         choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
                               f'the most likely of {tried} subspace models'))
     matrices, process_noise = most_likely(search.projection, pair, own)
-    if settings.refine:
+    if settings.refine and not affordable(projection, order):
+        choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
+                              'the likelihood takes too long; this is the subspace estimate'))
+    elif settings.refine:
         choices.append(Choice(
             'noise', 'process' if process_noise else 'measurement',
             'the likelier of process noise (innovation form) and measurement noise alone'))
@@ -158,7 +164,7 @@ def _held_out(part: Usable, found: _Found) -> Array:
     pair = Search(first, own).pair(own.order)
     if pair is None:
         return np.full(record.ny, np.nan)
-    return line_fit(last, most_likely(first, pair, own)[0], refit_tail=True)
+    return unseen_fit(last, most_likely(first, pair, own)[0])
 
 
 def _share(record: Record, settings: Settings, share: float) -> Projection:
@@ -172,8 +178,10 @@ def _judge(part: Usable, found: _Found) -> Estimate:
     model = _to_statespace(part, found)
     fit, held_out = line_fit(found.projection, found.matrices), _held_out(part, found)
     deviation = pole_deviation(found.projection, found.matrices, found.settings.feedthrough)
-    poles = np.linalg.eigvals(found.matrices.A)
+    poles = np.linalg.eigvals(found.matrices.A).astype(complex)
     status = _status(found, fit, held_out)
+    if status is Status.OK and _vague(part, poles, deviation):
+        status = Status.UNRELIABLE
     ny = part.whole.ny
     worst = np.fmin(fit, held_out)
     notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[i]:.0f} %'
@@ -195,6 +203,12 @@ def _status(found: _Found, fit: Array, held_out: Array) -> Status:
     tested = held_out[np.isfinite(held_out)]
     best = min(np.max(fit), np.max(tested)) if len(tested) else np.max(fit)
     return Status.OK if best >= _EXPLAINED else Status.UNEXPLAINED
+
+
+def _vague(part: Usable, poles: NDArray[np.complex128], deviation: Array) -> bool:
+    """Return whether not a single pole is known to half its size (or the window's resolution)."""
+    size = np.maximum(np.abs(poles), 2.0 * np.pi / part.record.duration)
+    return bool(np.min(deviation / size) > _VAGUE)
 
 
 def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:

@@ -42,7 +42,7 @@ class OutputErrorFit:
     parameters : int
         Number of free parameters.
     residual : float
-        Largest part of an output's power that stays unexplained.
+        Largest part of an output's power, its level apart, that stays unexplained.
     """
 
     cost: float
@@ -86,6 +86,8 @@ class OutputError:
         y = as_real(projection.y)
         self._power = np.maximum(np.sum(y ** 2, axis=1), 1e-300)
         self._y = y / np.sqrt(self._power)[:, np.newaxis]
+        level = self._y @ as_real(self._ones).T @ as_real(self._ones)
+        self._moving = np.maximum(np.sum((self._y - level) ** 2, axis=1), _FLOOR)
 
     def fit(self, poles: NDArray[np.complex128], steps: int = 0,
             limit: float = np.inf) -> OutputErrorFit:
@@ -115,7 +117,7 @@ class OutputError:
         n, (ny, lines) = len(poles), self._y.shape
         count = ny * (n * self._driven + len(self._direct)) + n
         offset = lines * float(np.log(self._power).sum())
-        left = float(np.max(np.sum(residual ** 2, axis=1)))
+        left = float(np.max(np.sum(residual ** 2, axis=1) / self._moving))
         return OutputErrorFit(cost + offset, _roots(factors) * self._top, count, left)
 
     def _search(self, factors: Array, step: Array, cost: float, limit: float,
@@ -156,10 +158,9 @@ class OutputError:
 
     def _filter(self, factor: Array) -> Lines:
         a, b, quadratic = factor
-        bare = self._s * self._s + a * self._s if quadratic else self._s
-        denominator: Lines = bare + b
-        inverse: Lines = 1.0 / np.where(denominator == 0.0, _AXIS, denominator)
-        return inverse
+        s: Lines = self._s
+        denominator = s * (s + float(a)) + float(b) if quadratic else s + float(b)
+        return 1.0 / np.where(denominator == 0.0, complex(_AXIS), denominator)
 
     def _slowest(self, factors: Array) -> int | None:
         """Return the factor of a pole too slow for the window, if there is one."""

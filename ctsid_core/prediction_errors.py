@@ -144,31 +144,58 @@ def jacobian(projection: Projection, m: Matrices, feedthrough: bool, *,
         ny, stacked.shape[1], -1), 1, 2)
 
 
-def line_fit(projection: Projection, m: Matrices, *, refit_tail: bool = False) -> Array:
+def line_fit(projection: Projection, m: Matrices) -> Array:
     """
     Return the simulation fit (NRMSE) of each output, in the band of the projection [%].
 
     Parameters
     ----------
     projection : Projection
+        The data that the model was made from.
     m : Matrices
-    refit_tail : bool
-        Estimate the state at the ends of the window anew (for data the model has not seen).
     """
-    y = as_real(projection.y)
-    if refit_tail and projection.tail.size:
-        still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
-        error = y - as_real(simulate_lines(projection, still))
-        modes = np.concatenate([as_real(_free(projection, m, i, part))
-                                for i in range(len(m.A)) for part in range(len(projection.tail))])
-        weights, _ = solve(modes, error.reshape(1, -1), 1e-10)
-        error = error - (weights @ modes).reshape(y.shape)
-    else:
-        error = y - as_real(simulate_lines(projection, m))
-    ones = as_real(projection.ones)
-    if len(ones):
-        y = y - (y @ ones.T) / np.sum(ones ** 2) * ones
-    fit: Array = 100.0 * (1.0 - np.linalg.norm(error, axis=1) / np.linalg.norm(y, axis=1))
+    error = as_real(projection.y - simulate_lines(projection, m))
+    return _nrmse(error, _without(as_real(projection.y), as_real(projection.ones)))
+
+
+def unseen_fit(projection: Projection, m: Matrices) -> Array:
+    """
+    Return how much of each output the inputs explain in data that the model has not seen [%].
+
+    Parameters
+    ----------
+    projection : Projection
+    m : Matrices
+
+    Notes
+    -----
+    The states at the ends of the data are not known and are estimated from them. Lest that
+    counts as explanation, the error is compared with what a constant and the same free response
+    leave of the outputs with no input at all: 100 (1 - |error| / |left without inputs|).
+    """
+    y, shape = as_real(projection.y), as_real(projection.y).shape
+    still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
+    error = (y - as_real(simulate_lines(projection, still))).reshape(1, -1)
+    moving = _without(y, as_real(projection.ones)).reshape(1, -1)
+    free = [as_real(_free(projection, m, i, part)) for i in range(len(m.A))
+            for part in range(len(projection.tail))]
+    if free:
+        modes = np.concatenate(free)
+        error = error - solve(modes, error, 1e-10)[0] @ modes
+        moving = moving - solve(modes, moving, 1e-10)[0] @ modes
+    return _nrmse(error.reshape(shape), moving.reshape(shape))
+
+
+def _without(y: Array, ones: Array) -> Array:
+    if not len(ones):
+        return y
+    moving: Array = y - (y @ ones.T) / np.sum(ones ** 2) * ones
+    return moving
+
+
+def _nrmse(error: Array, moving: Array) -> Array:
+    size = np.maximum(np.linalg.norm(moving, axis=1), 1e-300)
+    fit: Array = 100.0 * (1.0 - np.linalg.norm(error, axis=1) / size)
     return fit
 
 

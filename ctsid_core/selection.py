@@ -16,6 +16,7 @@ from ctsid_core.refine import growth, realise_poles, refine_innovation, refine_o
 from ctsid_core.settings import Settings
 
 _CONTENDERS = 3       # orders whose innovation forms are refined before they are compared
+_WORK = 1e9           # multiplications of one step beyond which models are not refined
 _STEPS = 6            # of that refinement: enough to compare
 
 
@@ -39,7 +40,7 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
     criterion = {t.order: t.simulation for t in trials}
     for trial in sorted(trials, key=by_innovation)[:_CONTENDERS]:
         pair, feed = trial.pair, search.settings.feedthrough
-        if not search.settings.refine:
+        if not (search.settings.refine and affordable(search.projection, trial.order)):
             value, poles = trial.innovation, pair.predicting.poles
         else:
             model, cost = refine_innovation(search.projection, pair.predicting.matrices, feed,
@@ -54,6 +55,13 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
     return chosen, table
 
 
+def affordable(projection: Projection, n: int) -> bool:
+    """Return whether models of order n, with so many signals, are refined at all."""
+    ny, driven = len(projection.y), len(projection.u) + len(projection.tail) + len(projection.ones)
+    parameters = n * (n + driven + 2 * ny) + ny * driven
+    return bool(2.0 * len(projection.s) * ny * parameters ** 2 < _WORK)
+
+
 def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
     """
     Return the model at the maximum of the likelihood, and whether it has process noise.
@@ -66,7 +74,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
     settings : Settings
         With `refine` false the subspace model itself is returned.
     """
-    if not settings.refine:
+    if not (settings.refine and affordable(projection, len(pair.simulating.poles))):
         return pair.best.matrices, pair.process_noise
     feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
     top = first.refined(limit)
