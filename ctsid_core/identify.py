@@ -126,8 +126,8 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
         choices.append(Choice(
             'noise', 'process' if process_noise else 'measurement',
             'the likelier of process noise (innovation form) and measurement noise alone'))
-    used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta, gamma=tuning.gamma,
-                            past=tuning.past, future=tuning.future)
+    used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
+                            gamma=tuning.gamma, past=tuning.past, future=tuning.future)
     return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices))
 
 

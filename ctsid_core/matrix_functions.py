@@ -161,5 +161,7 @@ def svd(matrix: Array) -> tuple[Array, Array, Array]:
     try:
         left, s, right = np.linalg.svd(matrix, full_matrices=False)
     except np.linalg.LinAlgError:
+        if not np.isfinite(matrix).all():
+            raise
         left, s, right = scipy.linalg.svd(matrix, full_matrices=False, lapack_driver='gesvd')
     return left, s, right

@@ -179,9 +179,13 @@ class Search:
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
         pasts = [settings.past] if settings.past else \
-            [p for p in _PASTS if self._holds(p, n)][:_LENGTHS]
+            [p for p in self._pasts(n) if self._holds(p, n)][:_LENGTHS]
         return [Tuning(b, settings.gamma or _GAMMA * b, p, settings.future or p)
                 for b in shifts for p in pasts]
+
+    def _pasts(self, n: int) -> tuple[int, ...]:
+        needed = n // len(self.projection.y) + 2
+        return _PASTS if needed <= _PASTS[-1] else (needed, needed + 4)
 
     def _holds(self, p: int, n: int) -> bool:
         ny = len(self.projection.y)

@@ -160,7 +160,8 @@ class OutputError:
         a, b, quadratic = factor
         s: Lines = self._s
         denominator = s * (s + float(a)) + float(b) if quadratic else s + float(b)
-        return 1.0 / np.where(denominator == 0.0, complex(_AXIS), denominator)
+        inverse: Lines = 1.0 / np.where(denominator == 0.0, complex(_AXIS), denominator)
+        return inverse
 
     def _slowest(self, factors: Array) -> int | None:
         """Return the factor of a pole too slow for the window, if there is one."""

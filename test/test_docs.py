@@ -4,8 +4,9 @@
 from pathlib import Path
 import re
 
-from ctsid_ros.cli import main
 import pytest
+
+from ctsid_ros.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -3,8 +3,9 @@
 
 from pathlib import Path
 
-from ctsid_core.matrix_functions import svd
 import numpy as np
+
+from ctsid_core.matrix_functions import svd
 
 DATA = Path(__file__).parent / 'data'
 

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
 _DEGREES = (1, 3, 5)
-_PHASE = 0.6            # top frequency times interval [rad] up to which two points are exact enough
-_STEEP = 1e-5           # the same, below which a straight line is a jump: its slope would be rounded
+_PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
+_STEEP = 1e-5         # the same, below which a straight line is a jump: its slope is all rounding
 
 
 @dataclass(frozen=True)
