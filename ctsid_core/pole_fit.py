@@ -160,8 +160,8 @@ class OutputError:
         a, b, quadratic = factor
         s: Lines = self._s
         denominator = s * (s + float(a)) + float(b) if quadratic else s + float(b)
-        inverse: Lines = 1.0 / np.where(denominator == 0.0, complex(_AXIS), denominator)
-        return inverse
+        safe = np.where(denominator == 0.0, complex(_AXIS), denominator)
+        return np.asarray(1.0 / safe, dtype=np.complex128)
 
     def _slowest(self, factors: Array) -> int | None:
         """Return the factor of a pole too slow for the window, if there is one."""
