@@ -110,7 +110,7 @@ class Subspace:
     gamma_k : ndarray, shape (f ny, p nz)
         Gamma^f K^p (eq. 48).
     condition : float
-        Condition number of the scaled regressors of eq. 46.
+        Condition number of the scaled regressors of eq. 46, dependent directions left out.
     """
 
     levels: Levels
@@ -141,13 +141,14 @@ def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, f
     -------
     Theta : ndarray, shape (m, r)
     condition : float
+        Of the directions that were kept.
     """
     norm = np.linalg.norm(regressors, axis=1)
     norm[norm == 0.0] = 1.0
     left, s, right = svd(regressors / norm[:, np.newaxis])
     kept = s > tolerance * s[0] if len(s) else np.zeros(0, dtype=bool)
     theta = ((targets @ right[kept].T) / s[kept]) @ left[:, kept].T / norm
-    return theta, float(s[0] / max(s[-1], 1e-300)) if len(s) else 1.0
+    return theta, float(s[0] / s[kept][-1]) if kept.any() else 1.0
 
 
 def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,

@@ -175,10 +175,12 @@ def unseen_fit(projection: Projection, m: Matrices) -> Array:
     """
     y, shape = as_real(projection.y), as_real(projection.y).shape
     still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
-    error = (y - as_real(simulate_lines(projection, still))).reshape(1, -1)
-    moving = _without(y, as_real(projection.ones)).reshape(1, -1)
-    free = [as_real(_free(projection, m, i, part)) for i in range(len(m.A))
-            for part in range(len(projection.tail))]
+    moving = _without(y, as_real(projection.ones))
+    unit = np.maximum(np.linalg.norm(moving, axis=1, keepdims=True), 1e-300)
+    error = ((y - as_real(simulate_lines(projection, still))) / unit).reshape(1, -1)
+    moving = (moving / unit).reshape(1, -1)
+    free = [(as_real(_free(projection, m, i, part)) / unit).reshape(1, -1)
+            for i in range(len(m.A)) for part in range(len(projection.tail))]
     if free:
         modes = np.concatenate(free)
         error = error - solve(modes, error, 1e-10)[0] @ modes
@@ -200,9 +202,9 @@ def _nrmse(error: Array, moving: Array) -> Array:
 
 
 def _free(projection: Projection, m: Matrices, i: int, part: int) -> Lines:
-    """Return the outputs' lines if only state i is driven, by one part's tail: one row."""
+    """Return the outputs' lines if only state i is driven, by one part's tail."""
     start = np.zeros((len(m.A), len(projection.tail)))
     start[i, part] = 1.0
     quiet = replace(m, tail=start, B=np.zeros_like(m.B), D=np.zeros_like(m.D),
                     x_trim=np.zeros_like(m.x_trim), y_trim=np.zeros_like(m.y_trim))
-    return simulate_lines(projection, quiet).reshape(1, -1)
+    return simulate_lines(projection, quiet)
