@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark scripts run end to end, and their experiment is what they say. No times."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+FOLDER = Path(__file__).resolve().parent.parent / 'benchmarks'
+
+
+@pytest.fixture(scope='module')
+def common():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(FOLDER))
+        import common
+        yield common
+        sys.modules.pop('common')
+
+
+def run(script: str, *options: object) -> str:
+    done = subprocess.run(
+        [sys.executable, FOLDER / script, *map(str, options)], capture_output=True, text=True,
+        timeout=120, check=False, env=os.environ | {'PYTHONPATH': str(FOLDER.parent)})
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_floor_prints_a_row_for_every_size_that_the_sampling_allows():
+    printed = run('floor.py', '--counts', 200, 400, '--orders', 40, 200, '--rounds', 1)
+    rows = [line.split() for line in printed.splitlines() if line[:1].isdigit()]
+    sizes = [(samples, nmax) for samples, nmax, *_ in rows]
+    assert ('200', '40') in sizes
+    assert ('400', '200') in sizes
+    assert ('200', '200') not in sizes       # beyond the Nyquist frequency
+    assert [nmax.endswith('*') for samples, nmax in sizes].count(True) == 2
+    assert 'BLAS threads: 1' in printed
+
+
+def test_floor_judges_the_aim():
+    printed = run('floor.py', '--counts', 2000, '--orders', 250, '--rounds', 1)
+    assert 'at 2000 samples, nmax 250' in printed
+    assert 'at 10000 samples' not in printed
+
+
+def test_peers_ranks_this_project_and_names_what_is_missing():
+    printed = run('peers.py', '--seeds', 1)
+    rows = [re.split(r' {2,}', line) for line in printed.splitlines()
+            if line.startswith('ctsid, ')]
+    assert len(rows) == 4
+    for name, first, second, *_ in rows:
+        assert max(float(first), float(second)) < 0.5, name
+    for module, title in (('ctrlsys', 'SLICOT'), ('nfoursid', 'nfoursid, '),
+                          ('sippy_unipi', 'SIPPY')):
+        skipped = f'Skipped: the module {module} is not installed.' in printed
+        assert skipped != (f'\n{title}' in printed)
+
+
+def test_experiment_solves_its_differential_equation(common):
+    t = np.linspace(0.0, common.DURATION, 20001)   # fine enough for straight lines between
+    _, expected, _ = lsim((common.A, common.B[:, np.newaxis], common.C, np.zeros((2, 1))),
+                          common.sweep(t), t)
+    assert np.abs(common.experiment(t[::100]) - expected[::100]).max() < 1e-5
+
+
+def test_sweep_rises_to_its_top_frequency(common):
+    t = np.linspace(0.0, common.DURATION, 20001)
+    crossings = t[1:][np.diff(np.sign(common.sweep(t))) != 0]
+    assert len(crossings) == pytest.approx(common.TOP * common.DURATION, abs=2)  # mean: half
+    assert 0.5 / (crossings[-1] - crossings[-2]) == pytest.approx(common.TOP, rel=0.02)
+
+
+def test_noise_has_the_level_that_is_asked_for(common):
+    y = common.experiment(np.linspace(0.0, common.DURATION, 4000))
+    noise = common.noisy(y, 20.0, 3) - y
+    np.testing.assert_allclose(y.var(axis=0) / noise.var(axis=0), 100.0, rtol=0.1)
+    assert np.array_equal(common.noisy(y, 20.0, 3), common.noisy(y, 20.0, 3))
+
+
+def test_bound_is_reached_by_least_squares_on_the_sampled_responses(common):
+    # An efficient estimator that uses no formula of the benchmark: the poles are moved one by
+    # one, residues are refitted, and the curvature of the residual gives the information.
+    t = np.linspace(0.0, common.DURATION, 500)
+    y = common.experiment(t)
+    weight = 1.0 / (y.std(axis=0) * 0.1)
+
+    def misfit(poles):
+        states = np.stack([lsim(([[p]], [[1.0]], [[1.0]], [[0.0]]), common.sweep(fine), fine)[1]
+                           for p in poles], axis=1)[::20]
+        return np.sum(((y - states @ np.linalg.lstsq(states, y, rcond=None)[0]) * weight) ** 2)
+
+    fine, step = np.linspace(0.0, common.DURATION, 20 * 499 + 1), 0.02
+    moves = step * np.eye(2)
+    hessian = np.array([[sum(i * j * misfit(common.POLES + i * a + j * b)
+                             for i in (-1, 1) for j in (-1, 1)) / (4 * step ** 2)
+                         for a in moves] for b in moves])
+    expected = np.sqrt(np.diag(np.linalg.inv(hessian / 2.0)))
+    np.testing.assert_allclose(common.least_deviation(t, 20.0), expected, rtol=0.03)
