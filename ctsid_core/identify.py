@@ -15,8 +15,8 @@ from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
-from ctsid_core.refine import pole_deviation
-from ctsid_core.selection import affordable, choose_order, most_likely
+from ctsid_core.refine import affordable, pole_deviation
+from ctsid_core.selection import choose_order, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace

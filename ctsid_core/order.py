@@ -34,7 +34,8 @@ from ctsid_core.pbsid import (
     stack_levels,
 )
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
-from ctsid_core.prediction_errors import innovation_cost
+from ctsid_core.prediction_errors import innovation_cost, output_error_cost
+from ctsid_core.refine import best_simulation
 from ctsid_core.settings import Settings
 
 _PASTS = (2, 3, 4, 6, 8, 12)
@@ -45,7 +46,7 @@ _PATIENCE = 2                 # orders beyond the best one that are tried before
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
 _STEPS = 12                   # Gauss-Newton steps of the poles
 _UNSTABLE = 1.75              # how much better simulations must be to believe an unstable pole
-_NEARLY = 1.1                 # how much worse they may be with a model that has a K
+_NEARLY = 1.75                # how much worse they may be with a model that has a K
 
 
 class Candidate:
@@ -89,6 +90,11 @@ class Candidate:
     def refined(self, limit: float) -> OutputErrorFit:
         """Return the output-error maximum reached from these poles, within a limit [rad/s]."""
         return self._search.output_error.fit(self.poles, _STEPS, limit)
+
+    @cached_property
+    def realised(self) -> float:
+        """-2 log likelihood of its own simulation, up to a constant."""
+        return output_error_cost(self._search.projection, self.matrices)
 
     @property
     def growth(self) -> float:
@@ -235,9 +241,9 @@ class Search:
             limit = limit if found[0].growth <= limit else np.inf
             return Pair(found[0], found[0], limit, process_noise=True)
         stable = [c for c in found if c.growth <= limit]
-        first = min(found, key=_simulation)
+        first = min(found, key=self._simulation)
         if stable and first.growth > limit:
-            calm = min(stable, key=_simulation)
+            calm = min(stable, key=self._simulation)
             if calm.simulated.cost - first.simulated.cost < self.worth(_UNSTABLE):
                 first = calm
         if first.growth > limit:
@@ -247,6 +253,20 @@ class Search:
         second = min(group, key=lambda c: c.innovation)
         noisy = self._believe(first, second, first.simulated.cost, limit)
         return Pair(first, second, limit, noisy)
+
+    def _simulation(self, candidate: Candidate) -> float:
+        """
+        Return what simulations with a candidate cost.
+
+        Its poles tell that alone where residues have rank one anyhow. With several inputs and
+        outputs one pole could do the work of several equal ones (roll and pitch of a symmetric
+        vehicle), which no model of that order can.
+        """
+        return candidate.realised if self._several else candidate.simulated.cost
+
+    @property
+    def _several(self) -> bool:
+        return min(len(self.projection.y), len(self.projection.u)) > 1
 
     def worth(self, ratio: float) -> float:
         """Return the cost of residuals larger by a ratio in all outputs."""
@@ -275,7 +295,14 @@ class Search:
         if pair is None:
             return None
         refined = pair.simulating.refined(pair.limit)
-        return OrderTrial(n, pair, refined, refined.cost + refined.parameters * self.charge,
+        simulation = refined.cost + refined.parameters * self.charge
+        if self._several:
+            p, feed = self.projection, self.settings.feedthrough
+            ny, direct = len(p.y), len(p.ones) + len(p.u) * feed
+            count = n * (len(p.u) + len(p.tail) + ny) + ny * direct
+            simulation = count * self.charge + best_simulation(
+                p, pair.simulating.matrices, refined.poles, feed, pair.limit)[1]
+        return OrderTrial(n, pair, refined, simulation,
                           pair.predicting.innovation + self.price(n))
 
     def orders(self) -> list[OrderTrial]:
@@ -291,10 +318,9 @@ class Search:
             if trial is None:
                 break
             calm = [t.refined.cost for t in trials if t.pair.limit < np.inf]
-            if trial.pair.limit == np.inf and calm \
-                    and min(calm) - trial.refined.cost < self.worth(_UNSTABLE):
-                continue
-            trials.append(trial)
+            if not (trial.pair.limit == np.inf and calm
+                    and min(calm) - trial.refined.cost < self.worth(_UNSTABLE)):
+                trials.append(trial)
             last = max(min(trials, key=by).order for by in (by_simulation, by_innovation))
             if trial.refined.residual <= _EXPLAINED or n - last >= _PATIENCE:
                 break
@@ -309,7 +335,3 @@ def by_simulation(trial: OrderTrial) -> float:
 def by_innovation(trial: OrderTrial) -> float:
     """Return the criterion of a trial with process noise."""
     return trial.innovation
-
-
-def _simulation(candidate: Candidate) -> float:
-    return candidate.simulated.cost

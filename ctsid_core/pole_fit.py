@@ -77,6 +77,8 @@ class OutputError:
         length = (projection.end - projection.start) / max(len(projection.tail), 1)
         self._slow = _SLOW / length / self._top
         self._ones = _unit_rows(projection.ones)
+        # Real numbers that the lines stand for: the one at frequency zero has no imaginary part.
+        self._count = 2 * len(projection.s) - int(np.count_nonzero(projection.s == 0.0))
         self._through_states = len(projection.tail) == 0
         driving = (projection.u, projection.tail) if len(projection.tail) else \
             (projection.u, projection.ones)
@@ -114,7 +116,7 @@ class OutputError:
             factors, (cost, theta, q, residual) = new
             if gain < _LEAST_GAIN:
                 break
-        n, (ny, lines) = len(poles), self._y.shape
+        n, ny, lines = len(poles), len(self._y), self._count
         count = ny * (n * self._driven + len(self._direct)) + n
         offset = lines * float(np.log(self._power).sum())
         left = float(np.max(np.sum(residual ** 2, axis=1) / self._moving))
@@ -143,7 +145,7 @@ class OutputError:
         q, r = np.linalg.qr((regressors / norm[:, np.newaxis]).T)
         weights = self._y @ q
         residual = self._y - weights @ q.T
-        ny, lines = self._y.shape
+        lines = self._count
         variance = np.maximum(np.sum(residual ** 2, axis=1), _FLOOR) / lines
         theta = np.linalg.lstsq(r, weights.T, rcond=1e-12)[0].T / norm
         return lines * float(np.log(variance).sum()), theta, q, residual

@@ -58,8 +58,9 @@ def _resolvent(A: Array, s: Lines, drive: Lines) -> Lines:
 def output_error_cost(projection: Projection, m: Matrices) -> float:
     """Return -2 log likelihood, up to a constant, of a simulation (noise of measurement only)."""
     error = as_real(projection.y - simulate_lines(projection, m))
-    variance = np.maximum(np.mean(error ** 2, axis=1), _floor(projection))
-    return float(error.shape[1] * np.log(variance).sum())
+    count = line_weights(projection).sum()
+    variance = np.maximum(np.sum(error ** 2, axis=1) / count, _floor(projection))
+    return float(count * np.log(variance).sum())
 
 
 def _floor(projection: Projection) -> Array:

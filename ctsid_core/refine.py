@@ -30,6 +30,7 @@ _RANK = 1e-7          # relative singular value of the Jacobian below which a di
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _LEAST_GAIN = 1e-2    # -2 log likelihood: smaller gains are not worth another step
 _HALVINGS = 5
+_WORK = 1e9           # multiplications of one step beyond which models are not refined
 _DAMPINGS = 8         # tries with ten times the damping each
 
 
@@ -147,6 +148,42 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
         if gain < _LEAST_GAIN:
             break
     return model, cost
+
+
+def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.complex128],
+                    feedthrough: bool, limit: float) -> tuple[Matrices, float]:
+    """
+    Return the output-error maximum reached from a model and from given poles, and its cost.
+
+    Parameters
+    ----------
+    projection : Projection
+    start : Matrices
+    poles : ndarray, shape (n,)
+        From which a second start is made if they are distinct [rad/s].
+    feedthrough : bool
+    limit : float
+        Largest real part allowed to a pole [rad/s].
+
+    Notes
+    -----
+    Models too large to be refined (`affordable`) are returned as they are.
+    """
+    if not affordable(projection, len(poles)):
+        still = replace(start, K=np.zeros_like(start.K))
+        return still, output_error_cost(projection, still)
+    starts = [start]
+    if len(set(np.round(poles, 12))) == len(poles):
+        starts.append(realise_poles(projection, poles, feedthrough))
+    return min((refine_output_error(projection, s, feedthrough, limit) for s in starts),
+               key=lambda found: found[1])
+
+
+def affordable(projection: Projection, n: int) -> bool:
+    """Return whether models of order n, with so many signals, are refined at all."""
+    ny, driven = len(projection.y), len(projection.u) + len(projection.tail) + len(projection.ones)
+    parameters = n * (n + driven + 2 * ny) + ny * driven
+    return bool(2.0 * len(projection.s) * ny * parameters ** 2 < _WORK)
 
 
 def _gauss_newton(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
@@ -312,9 +349,8 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool) -> Ar
         this model and its noise level) [rad/s]; a plain subspace estimate scatters more.
     """
     flat, error = _whitened(projection, m, feedthrough, with_noise=bool(np.any(m.K)))
-    lines = len(flat) / len(m.C)
-    spare = max(1.0 - (flat.shape[1] - len(m.A) ** 2) / len(flat), 1.0 / lines)
     _, s, right, norm = _directions(flat, error)
+    spare = max(1.0 - len(s) / len(flat), len(m.C) / len(flat))
     root = right / s[:, np.newaxis] / norm                        # covariance = root^T root
     _, modes = np.linalg.eig(m.A)
     left = np.linalg.inv(modes)

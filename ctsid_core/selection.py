@@ -12,11 +12,10 @@ from ctsid_core.bases.base import Array, Projection, as_real
 from ctsid_core.order import OrderTrial, Pair, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import simulate_lines
-from ctsid_core.refine import growth, realise_poles, refine_innovation, refine_output_error
+from ctsid_core.refine import affordable, best_simulation, growth, refine_innovation
 from ctsid_core.settings import Settings
 
 _CONTENDERS = 3       # orders whose innovation forms are refined before they are compared
-_WORK = 1e9           # multiplications of one step beyond which models are not refined
 _STEPS = 6            # of that refinement: enough to compare
 
 
@@ -55,13 +54,6 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
     return chosen, table
 
 
-def affordable(projection: Projection, n: int) -> bool:
-    """Return whether models of order n, with so many signals, are refined at all."""
-    ny, driven = len(projection.y), len(projection.u) + len(projection.tail) + len(projection.ones)
-    parameters = n * (n + driven + 2 * ny) + ny * driven
-    return bool(2.0 * len(projection.s) * ny * parameters ** 2 < _WORK)
-
-
 def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
     """
     Return the model at the maximum of the likelihood, and whether it has process noise.
@@ -78,11 +70,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
         return pair.best.matrices, pair.process_noise
     feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
     top = first.refined(limit)
-    starts = [first.matrices]
-    if len(set(np.round(top.poles, 12))) == len(top.poles):
-        starts.append(realise_poles(projection, top.poles, feed))
-    model, cost = min((refine_output_error(projection, start, feed, limit) for start in starts),
-                      key=lambda found: found[1])
+    model, cost = best_simulation(projection, first.matrices, top.poles, feed, limit)
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
     if pair.process_noise:
         noisy, noisy_cost = refine_innovation(projection, pair.predicting.matrices, feed,
