@@ -226,12 +226,13 @@ def _to_statespace(part: Usable, found: _Found) -> StateSpace:
     B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
     B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
     level = np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = m.y_trim[:, 0] if m.y_trim.size else 0.0
+    level[y] = (m.y_trim[:, 0] if m.y_trim.size else 0.0) + part.y_level - m.D @ part.u_level
+    drift = (m.x_trim[:, 0] if m.x_trim.size else np.zeros(n)) - m.B @ part.u_level
     error = as_real(prediction_errors(found.projection, m))
     noise = np.zeros((ny, ny))
     noise[np.ix_(y, y)] = found.projection.unit * (error @ error.T) / error.shape[1]
     return StateSpace(
         A=m.A, B=B, C=C, D=D, K=K, delay=found.settings.delays(nu),
-        x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(n), y_trim=level, noise=noise,
+        x_trim=drift, y_trim=level, noise=noise,
         input_names=whole.input_names, output_names=whole.output_names,
         input_units=whole.input_units, output_units=whole.output_units)

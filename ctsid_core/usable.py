@@ -10,7 +10,7 @@ import numpy as np
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.estimate import Status
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record, Signal
+from ctsid_core.signals import Array, Record, Signal
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 _FEWEST = 20            # samples of an output
@@ -30,6 +30,9 @@ class Usable:
         The record as it was given.
     u, y : tuple of int
         Places of the moving inputs and outputs among all.
+    u_level, y_level : ndarray, shapes (number of u,), (number of y,)
+        Taken off the samples so that large offsets do not cost digits; zero without trim. The
+        trim is estimated all the same: these only shift its origin.
     notes : tuple of str
         What the user should know.
     """
@@ -38,6 +41,8 @@ class Usable:
     whole: Record
     u: tuple[int, ...]
     y: tuple[int, ...]
+    u_level: Array
+    y_level: Array
     notes: tuple[str, ...]
 
 
@@ -77,8 +82,19 @@ def usable(record: Record, settings: Settings) -> Usable | Status:
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
+    inputs, u_level = _centred(inputs, settings.trim)
+    outputs, y_level = _centred(outputs, settings.trim)
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
-                  tuple(notes))
+                  u_level, y_level, tuple(notes))
+
+
+def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:
+    """Return the signals less the means of their channels, and these; unchanged without trim."""
+    if not trim:
+        return signals, np.zeros(sum(s.width for s in signals))
+    levels = [s.values.mean(axis=0) for s in signals]
+    return ([replace(s, values=s.values - level)
+             for s, level in zip(signals, levels, strict=True)], np.concatenate(levels))
 
 
 def _known_from(record: Record, settings: Settings) -> float:
