@@ -72,32 +72,39 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
     top = first.refined(limit)
     model, cost = best_simulation(projection, first.matrices, top.poles, feed, limit)
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
-    if pair.process_noise:
-        noisy, noisy_cost = refine_innovation(projection, pair.predicting.matrices, feed,
-                                              limit=limit)
-        poles = np.linalg.eigvals(noisy.A).astype(complex)
-        if noisy_cost + price < cost and (limit == np.inf
-                                          or first.nearly_as_good(poles, top.cost)):
-            return noisy, True
-    start = replace(model, K=_gain(projection, model))
-    noisy, noisy_cost = refine_innovation(projection, start, feed, plant=False, steps=8)
-    return noisy if noisy_cost + price < cost else start, False
+    # The innovation form has two starts: the subspace model's own K, and the best simulation with
+    # a gain that makes its predictor faster than the lines are apart.
+    apart = 1.5 * float(np.abs(projection.s[1] - projection.s[0]))
+    simple = replace(model, K=_gain(projection, model, apart))
+    held, held_cost = refine_innovation(projection, simple, feed, plant=False, steps=8)
+    noisy, noisy_cost = min((refine_innovation(projection, start, feed, limit=limit)
+                             for start in (pair.predicting.matrices, held)),
+                            key=lambda found: found[1])
+    poles = np.linalg.eigvals(noisy.A).astype(complex)
+    if noisy_cost + price < cost and (limit == np.inf
+                                      or first.nearly_as_good(poles, top.cost)):
+        return noisy, True
+    if held_cost + price < cost:
+        return held, False
+    return replace(model, K=_gain(projection, model)), False
 
 
-def _gain(projection: Projection, m: Matrices) -> Array:
+def _gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:
     """
     Return the stationary Kalman gain where there is no process noise.
 
     Zero for a stable plant. An unstable one needs a predictor: the gain that mirrors its
-    unstable poles, the limit of small process noise.
+    unstable poles, the limit of small process noise. With a shift [rad/s], the same of the plant
+    whose poles lie that much further to the right: all poles of the predictor decay faster.
     """
-    if growth(m) < 0.0:
+    if growth(m) < -shift:
         return np.zeros_like(m.K)
+    A = m.A + shift * np.eye(len(m.A))
     error = as_real(projection.y - simulate_lines(projection, m))
     R = np.diag(np.mean(error ** 2, axis=1) + 1e-300)
     state = np.linalg.norm(m.A) * np.eye(len(m.A)) * 1e-9 * np.trace(R) / np.trace(m.C @ m.C.T)
     try:
-        P = solve_continuous_are(m.A.T, m.C.T, state, R)
+        P = solve_continuous_are(A.T, m.C.T, state, R)
     except (np.linalg.LinAlgError, ValueError):
         return np.zeros_like(m.K)
     gain: Array = np.linalg.solve(R, m.C @ P).T
