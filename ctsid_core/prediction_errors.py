@@ -174,19 +174,23 @@ def unseen_fit(projection: Projection, m: Matrices) -> Array:
     counts as explanation, the error is compared with what a constant and the same free response
     leave of the outputs with no input at all: 100 (1 - |error| / |left without inputs|).
     """
-    y, shape = as_real(projection.y), as_real(projection.y).shape
+    y, ones = as_real(projection.y), as_real(projection.ones)
+    unit = np.maximum(np.linalg.norm(_without(y, ones), axis=1, keepdims=True), 1e-300)
     still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
-    moving = _without(y, as_real(projection.ones))
-    unit = np.maximum(np.linalg.norm(moving, axis=1, keepdims=True), 1e-300)
-    error = ((y - as_real(simulate_lines(projection, still))) / unit).reshape(1, -1)
-    moving = (moving / unit).reshape(1, -1)
-    free = [(as_real(_free(projection, m, i, part)) / unit).reshape(1, -1)
-            for i in range(len(m.A)) for part in range(len(projection.tail))]
-    if free:
-        modes = np.concatenate(free)
-        error = error - solve(modes, error, 1e-10)[0] @ modes
-        moving = moving - solve(modes, moving, 1e-10)[0] @ modes
-    return _nrmse(error.reshape(shape), moving.reshape(shape))
+    error = (y - as_real(simulate_lines(projection, still))) / unit
+    modes = [(as_real(_free(projection, m, i, part)) / unit).ravel()
+             for i in range(len(m.A)) for part in range(len(projection.tail))]
+    levels = [np.kron(row, one) for row in np.eye(len(y)) for one in ones]
+    return _nrmse(_beyond(error, modes), _beyond(y / unit, [*modes, *levels]))
+
+
+def _beyond(y: Array, rows: list[Array]) -> Array:
+    """Return what a least-squares fit of rows, each over all outputs, leaves of the outputs."""
+    if not rows:
+        return y
+    regressors, flat = np.stack(rows), y.reshape(1, -1)
+    left: Array = (flat - solve(regressors, flat, 1e-10)[0] @ regressors).reshape(y.shape)
+    return left
 
 
 def _without(y: Array, ones: Array) -> Array:

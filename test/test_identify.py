@@ -240,6 +240,17 @@ def test_dead_time_set_by_hand():
     assert wrong.fit.max() < right.fit.min() - 5.0
 
 
+def test_dead_times_stay_with_their_inputs_where_some_do_not_move():
+    rng = np.random.default_rng(3)
+    p = random_plant(rng, 2, 1, 2)
+    late = held(rng, p, 50.0, 200.0, delay=0.13, band=3.0)
+    idle = replace(late.inputs[0], values=np.ones_like(late.inputs[0].values))
+    three = replace(late, inputs=(idle, late.inputs[0], idle))
+    found = identify(three, Settings(delay=(0.3, 0.13, 0.0), order=2, held_out=0.0))
+    assert found.model.delay == (0.3, 0.13, 0.0)
+    np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=5e-3)
+
+
 def test_a_dead_time_of_each_input():
     rng = np.random.default_rng(4)
     p = random_plant(rng, 2, 2, 2)
@@ -461,7 +472,7 @@ def test_no_data_raise(kind):
             assert len(found.pole_std) == model.n
 
 
-@pytest.mark.parametrize('order', [1, 7, 50])
+@pytest.mark.parametrize('order', [1, 7, 20, pytest.param(50, marks=pytest.mark.slow)])
 def test_any_order_may_be_asked_for(record, order):
     found = identify(record, QUICK.replace(order=order))
     assert either(found) is None or either(found).n == order
@@ -533,6 +544,19 @@ def test_asynchronous_data_need_no_common_stamps():
     found = identify(given)
     assert found.model.n == 2
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=0.2)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_model_whose_poles_are_not_known_is_not_trusted(seed):
+    """A static gain has no pole: that of a first-order model of it is anywhere."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(1001) / 100.0
+    u = random_signal(rng, 1, 1.0).on_grid(1001, 0.01)
+    found = identify(Record.from_arrays(t, u, t, noisy(rng, 2.0 * u, 30), input_hold='smooth'),
+                     Settings(order=1))
+    assert found.status is Status.UNRELIABLE
+    assert found.model is None
+    assert found.pole_std[0] > 0.5 * abs(found.rejected_model.poles[0])
 
 
 def test_bursts_of_noise_do_not_fake_a_fit():

@@ -160,8 +160,9 @@ def test_the_errors_are_filtered_simulation_errors():
 def test_output_error_cost():
     rng = np.random.default_rng(5)
     lines, m = random_lines(rng), random_model(rng)
-    power = np.mean(as_real(lines.y - simulate_lines(lines, m)) ** 2, axis=1)
-    assert output_error_cost(lines, m) == pytest.approx(2 * len(lines.s) * np.log(power).sum())
+    count = line_weights(lines).sum()
+    power = np.sum(as_real(lines.y - simulate_lines(lines, m)) ** 2, axis=1) / count
+    assert output_error_cost(lines, m) == pytest.approx(count * np.log(power).sum())
     perfect = replace(lines, y=simulate_lines(lines, m))
     assert np.isfinite(output_error_cost(perfect, m))
 
@@ -331,3 +332,15 @@ def test_shapes_of_nothing():
     m = random_model(rng, nu=0)
     assert prediction_errors(lines, m).shape == (3, 25)
     assert jacobian(lines, m, True, with_noise=False).shape == (3, 50, 9 + 6 + 9 + 3)
+
+
+@pytest.mark.parametrize('unit', [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize('zero', [True, False])
+def test_without_K_both_noise_models_are_equally_likely(zero, unit):
+    """Whatever the unit of y, and whether or not there is a line at frequency zero."""
+    rng = np.random.default_rng(21)
+    lines, m = random_lines(rng, zero=zero), stable_model(rng)
+    one = replace(lines, y=unit * lines.y[:1])
+    single = replace(m, C=unit * m.C[:1], D=unit * m.D[:1], K=0.0 * m.K[:, :1],
+                     y_trim=unit * m.y_trim[:1])
+    assert innovation_cost(one, single) == pytest.approx(output_error_cost(one, single), rel=1e-9)
