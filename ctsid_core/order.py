@@ -34,7 +34,7 @@ from ctsid_core.pbsid import (
     stack_levels,
 )
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
-from ctsid_core.prediction_errors import innovation_cost, output_error_cost
+from ctsid_core.prediction_errors import innovation_cost, line_fit, output_error_cost
 from ctsid_core.refine import best_simulation
 from ctsid_core.settings import Settings
 
@@ -46,7 +46,7 @@ _PATIENCE = 2                 # orders beyond the best one that are tried before
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
 _STEPS = 12                   # Gauss-Newton steps of the poles
 _UNSTABLE = 1.75              # how much better simulations must be to believe an unstable pole
-_NEARLY = 1.75                # how much worse they may be with a model that has a K
+_NEARLY = 1.12                # how much worse they may be with a model that has a K
 
 
 class Candidate:
@@ -141,6 +141,8 @@ class OrderTrial:
     simulation, innovation : float
         Schwarz's criterion of the two noise models; the smallest wins. The second is that of a
         subspace model, not of a maximum.
+    residual : float
+        Largest part of an output's power, its level apart, that the best simulation leaves.
     """
 
     order: int
@@ -148,6 +150,7 @@ class OrderTrial:
     refined: OutputErrorFit
     simulation: float
     innovation: float
+    residual: float
 
 
 class Search:
@@ -296,14 +299,17 @@ class Search:
             return None
         refined = pair.simulating.refined(pair.limit)
         simulation = refined.cost + refined.parameters * self.charge
+        residual = refined.residual
         if self._several:
             p, feed = self.projection, self.settings.feedthrough
             ny, direct = len(p.y), len(p.ones) + len(p.u) * feed
             count = n * (len(p.u) + len(p.tail) + ny) + ny * direct
-            simulation = count * self.charge + best_simulation(
-                p, pair.simulating.matrices, refined.poles, feed, pair.limit)[1]
+            model, cost = best_simulation(p, pair.simulating.matrices, refined.poles, feed,
+                                          pair.limit)
+            simulation = cost + count * self.charge
+            residual = float(np.max((1.0 - 0.01 * line_fit(p, model)) ** 2))
         return OrderTrial(n, pair, refined, simulation,
-                          pair.predicting.innovation + self.price(n))
+                          pair.predicting.innovation + self.price(n), residual)
 
     def orders(self) -> list[OrderTrial]:
         """
@@ -322,7 +328,7 @@ class Search:
                     and min(calm) - trial.refined.cost < self.worth(_UNSTABLE)):
                 trials.append(trial)
             last = max(min(trials, key=by).order for by in (by_simulation, by_innovation))
-            if trial.refined.residual <= _EXPLAINED or n - last >= _PATIENCE:
+            if trial.residual <= _EXPLAINED or n - last >= _PATIENCE:
                 break
         return trials
 

@@ -100,7 +100,7 @@ def test_the_slowest_sampling_limits_nmax():
 def test_nmax_stays_within_bounds():
     rng = np.random.default_rng(5)
     slow = choose_nmax(record(signal(rng, 0.2, rate=50.0)))[0]
-    assert 80 <= slow <= 130                                  # at least about a hundred
+    assert 80 <= slow <= 220                        # one or two hundred, however slow the plant
     assert choose_nmax(record(signal(rng, 0.2, rate=5.0, duration=1.0)))[0] == 8
 
 

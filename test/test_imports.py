@@ -29,8 +29,8 @@ LEVELS = {
         ['shapes', 'matrix_functions', 'frequency', 'residuals'], ['simulation', 'realisation'],
         ['statespace'], ['estimate', 'samples', 'predictor'], ['windows', 'model_json'],
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
-        ['pbsid', 'bandwidth', 'usable'], ['pole_fit', 'prediction_errors'], ['order'],
-        ['refine'],
+        ['pbsid', 'bandwidth', 'usable'], ['pole_fit', 'prediction_errors'], ['refine'],
+        ['order'], ['selection'],
         ['identify']],
     'ctsid_ros': [
         ['angles', 'svg', 'tables', 'progress'], ['field_grammar', 'document'], ['field_path'],

@@ -99,7 +99,8 @@ def test_what_make_demo_needs_is_in_the_repository():
     assert [f for f in files if not (ROOT / f).exists()] == []
 
 
-@pytest.mark.parametrize('path', sorted((ROOT / 'config').glob('*.yaml')), ids=lambda p: p.name)
+@pytest.mark.parametrize('path', sorted((ROOT / 'config').glob('*_roll.yaml')),
+                         ids=lambda p: p.name)
 def test_shipped_parameter_file_says_what_is_known_of_every_parameter(path):
     written = dump_config(read_config(path))
     text = path.read_text()

@@ -295,6 +295,19 @@ def test_the_unseen_fit_does_not_depend_on_units():
                                unseen_fit(other, model), atol=1e-3)
 
 
+def test_a_long_ring_down_and_an_offset_are_no_merit_of_the_inputs():
+    """Fitted states and levels describe most of these outputs; idle inputs still explain none."""
+    rng = np.random.default_rng(20)
+    lines, model = true_window(rng, PLANTS['flexible'], trim=50.0)
+    idle = replace(model, B=0.0 * model.B, D=0.0 * model.D)
+    ringing = simulate_lines(lines, idle)
+    hiss = noise(rng, *ringing.shape) * 0.05 * np.abs(ringing[:, 1:]).mean(axis=1, keepdims=True)
+    other = replace(lines, y=ringing + hiss)
+    assert line_fit(other, idle).min() > 70.0             # its tail is that of the very window
+    assert unseen_fit(other, idle).max() < 1.0
+    assert unseen_fit(replace(lines, y=lines.y + hiss), model).min() > 70.0
+
+
 def test_the_unseen_fit_of_parts():
     """Each part of a divided record has its own states at its ends."""
     rng = np.random.default_rng(17)
@@ -341,6 +354,7 @@ def test_without_K_both_noise_models_are_equally_likely(zero, unit):
     rng = np.random.default_rng(21)
     lines, m = random_lines(rng, zero=zero), stable_model(rng)
     one = replace(lines, y=unit * lines.y[:1])
-    single = replace(m, C=unit * m.C[:1], D=unit * m.D[:1], K=0.0 * m.K[:, :1],
+    fast = m.A - 50.0 * np.eye(len(m.A))
+    single = replace(m, A=fast, C=unit * m.C[:1], D=unit * m.D[:1], K=0.0 * m.K[:, :1],
                      y_trim=unit * m.y_trim[:1])
     assert innovation_cost(one, single) == pytest.approx(output_error_cost(one, single), rel=1e-9)

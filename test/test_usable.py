@@ -19,12 +19,24 @@ def record(u=MOVING[:, :2], y=MOVING, *, t_u=T, t_y=T, **options) -> Record:
 
 def test_a_good_record_is_left_as_it_is():
     given = record()
-    part = usable(given, Settings())
+    part = usable(given, Settings(trim=False))
     assert isinstance(part, Usable)
     assert part.record.inputs[0] is given.inputs[0]
     assert part.record.outputs[0] is given.outputs[0]
     assert (part.u, part.y, part.notes) == ((0, 1), (0, 1, 2), ())
     assert part.whole is given
+    assert not part.u_level.any()
+    assert not part.y_level.any()
+
+
+def test_levels_are_taken_off_where_the_trim_is_estimated():
+    u, y = MOVING[:, :2] + [1500.0, -3.0], MOVING + [0.0, 101325.0, 1e-3]
+    part = usable(record(u, y), Settings())
+    for signal, level, given in ((part.record.inputs[0], part.u_level, u),
+                                 (part.record.outputs[0], part.y_level, y)):
+        np.testing.assert_allclose(level, given.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(signal.values + level, given, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(signal.values.mean(axis=0), 0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize('level', [0.0, 7.0, -1e9, 1e-30])
@@ -38,7 +50,8 @@ def test_constant_channels_are_left_out_and_named(level):
     assert part.record.input_names == ('b',)
     assert part.record.output_names == ('p', 'r')
     assert part.record.output_units == ('m', 's')
-    np.testing.assert_array_equal(part.record.outputs[0].values, y[:, [0, 2]])
+    np.testing.assert_allclose(part.record.outputs[0].values + part.y_level, y[:, [0, 2]],
+                               atol=1e-12)
     assert any('input a is constant' in note for note in part.notes)
     assert any('output q is constant' in note for note in part.notes)
 
