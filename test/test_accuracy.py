@@ -60,7 +60,7 @@ def test_table_1_of_the_paper(snr, fast, slow, settings, seeds):
 
 
 @pytest.mark.parametrize('seeds', FEW)
-@pytest.mark.parametrize('hold', ['smooth', 'linear'])
+@pytest.mark.parametrize('hold', ['smooth', pytest.param('linear', marks=pytest.mark.slow)])
 @pytest.mark.parametrize(('snr', 'limit'), [(80, 0.0005), (50, 0.002), (20, 0.05)])
 def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
     """Nothing is set by hand: order, basis and tuning are found from the data."""
@@ -75,7 +75,7 @@ def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
                  id='u 500 Hz, y 200 Hz'),
     # Straight lines are not what happened between these samples: of 8 Hz they lose 0.05 %.
     pytest.param(lambda rng: asynchronous(rng, PLANTS['hd52'], 500.0, 200.0, hold='linear'), 2e-3,
-                 id='u 500 Hz linear, y 200 Hz'),
+                 id='u 500 Hz linear, y 200 Hz', marks=pytest.mark.slow),
     pytest.param(lambda rng: asynchronous(rng, PLANTS['hd52'], 100.0, 60.0), 5e-3,
                  id='u 100 Hz, y 60 Hz'),
     pytest.param(lambda rng: held(rng, PLANTS['hd52'], 50.0, 200.0), 5e-3,
