@@ -187,6 +187,19 @@ class SlidingWindow:
             return None
         return _record(signals, start, end) if end > 0 else None
 
+    def latest(self) -> Record | None:
+        """
+        Return the last `length` of samples whose order is final, whatever the stride.
+
+        None if there is less. The windows that are due are not affected.
+        """
+        first = self._first()
+        start = self._low - self._length
+        if first is None or start < first:
+            return None
+        return _record([(track.group.role, track.cut(start, self._lead, self._low, self._grace))
+                        for track in self._tracks.values()], start, self._length / 1e9)
+
     def _examine(self, track: Samples, stamp_ns: int, values: Sequence[float]) -> bool:
         """Take or drop a sample that is not ordinary."""
         stamp_ns = index(stamp_ns)
@@ -242,8 +255,10 @@ class SlidingWindow:
 
     def _start(self) -> int | None:
         """Return the start of the next window [ns]; None while a group has had no sample."""
-        if self._next is not None:
-            return self._next
+        return self._first() if self._next is None else self._next
+
+    def _first(self) -> int | None:
+        """Return from when on all groups are known [ns]; None while one has had no sample."""
         starts = [track.first + (self._lead if track.group.role == 'input' else 0)
                   for track in self._tracks.values() if track.first is not None]
         return max(starts) if len(starts) == len(self._tracks) else None
@@ -286,7 +301,8 @@ class SlidingWindow:
     def _discard(self, passed: int) -> None:
         """Forget what neither a window nor the search for duplicates needs any more."""
         start = self._start()
-        needed = min(passed, self._low, *([] if start is None else [start])) - self._lead
+        needed = min(passed, self._low, *(
+            [] if start is None else [start, self._low - self._length])) - self._lead
         for track in self._tracks.values():
             track.discard(needed)
 

@@ -24,8 +24,8 @@ from ctsid_core.errors import BagError
 from ctsid_ros.bag_files import ZSTD_MAGIC, find_files, scan_file, unpack_message
 from ctsid_ros.bag_recording import Payload, Recording, merge_in_time
 from ctsid_ros.bag_topics import TopicInfo, join_topics
-from ctsid_ros.cdr import Extracted, Extractor
-from ctsid_ros.cdr_layout import DecodeError, Raw
+from ctsid_ros.cdr import Extractor
+from ctsid_ros.cdr_layout import DecodeError
 from ctsid_ros.field_path import FieldError, FieldPath, nearest
 from ctsid_ros.message_fields import bind, scalar_fields
 from ctsid_ros.message_types import MessageType
@@ -122,7 +122,7 @@ class Bag:
             raise BagError(f'topic {topic} cannot be decoded: {problem}')
         return self._types[topic]
 
-    def extractor(self, topic: str, fields: Sequence[FieldPath]) -> Callable[[Raw], Extracted]:
+    def extractor(self, topic: str, fields: Sequence[FieldPath]) -> Extractor:
         """
         Return a function: raw message -> (header stamp [ns] or None, scalars of the fields).
 

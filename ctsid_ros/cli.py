@@ -15,10 +15,9 @@ import io
 import os
 import sys
 
-# Before NumPy is imported. The matrices of an identification are small: several BLAS threads only
-# wait for each other, and on a busy machine make it ten times slower. Who knows better sets them.
-for _name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
-    os.environ.setdefault(_name, '1')
+from ctsid_ros.blas import use_one_thread
+
+use_one_thread()  # before NumPy is imported, hence here and not in main()
 
 _EPILOG = """first steps:
   ctsid info BAG                              what is in it
@@ -55,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from ctsid_ros.results import package_version
+    from ctsid_ros.origin import package_version
     from ctsid_ros.verbs import identify, info, init, params, replay, show, simulate
     parser = argparse.ArgumentParser(
         prog='ctsid', description='Continuous-time models from bags: own stamps per topic, no '

@@ -20,6 +20,8 @@ from ctsid_core.errors import DataError
 from ctsid_core.samples import Group
 from ctsid_core.signals import Record, Signal
 from ctsid_core.windows import SlidingWindow
+from ctsid_ros.cdr import DecodeError, Extracted, Extractor
+from ctsid_ros.cdr_layout import Raw
 from ctsid_ros.channels import Channel, Config
 from ctsid_ros.field_path import FieldPath, nearest
 from ctsid_ros.ingest_counts import ChannelCounts, IngestCounts, complaints
@@ -169,6 +171,15 @@ class Ingest:
         record = self._window.whole()
         return record and self._join_angles(record)
 
+    def latest(self) -> Record | None:
+        """
+        Return the last `window.length` of data, whatever the stride; None if there is less yet.
+
+        The windows that are due are not affected.
+        """
+        record = self._window.latest()
+        return record and self._join_angles(record)
+
     def counts(self) -> IngestCounts:
         """Return what became of messages and windows so far."""
         counts, channels = self._window.counts, {}
@@ -222,6 +233,19 @@ class Ingest:
         """Unwrap the angles, now that the samples are in order."""
         return replace(record, inputs=_unwrapped(record.inputs, self._angles['input']),
                        outputs=_unwrapped(record.outputs, self._angles['output']))
+
+
+def decoded(extract: Extractor, raw: Raw) -> Extracted:
+    """
+    Return header stamp and scalars of a message as `Ingest.push` wants them.
+
+    One that cannot be decoded has no scalars, so that it is counted; its header stamp is zero,
+    not absent, so that it does not settle where the stamps come from.
+    """
+    try:
+        return extract(raw)
+    except DecodeError:
+        return (0 if extract.message_type.has_header else None), ()
 
 
 def _group(name: str, channels: Sequence[Channel]) -> Group:

@@ -9,6 +9,8 @@ import importlib
 import re
 from typing import Any, Literal
 
+from ctsid_ros.field_path import nearest
+
 HEADER = 'std_msgs/msg/Header'
 TIMES = ('builtin_interfaces/msg/Time', 'builtin_interfaces/msg/Duration')
 Encoding = Literal['cdr', 'ros1']
@@ -101,6 +103,18 @@ def reachable(name: str, types: Types) -> tuple[dict[str, Fields], list[str]]:
     return found, missing
 
 
+def definition(message_type: MessageType) -> str:
+    """Return the text of a type's definition as bags hold it (encoding `ros2msg`)."""
+    texts: list[str] = []
+    others = [name for name in message_type.types if name != message_type.name]
+    for name in (message_type.name, *others):
+        lines = [f'{field}'.replace('/msg/', '/') + f' {word}'
+                 for word, field in message_type.types[name].items()]
+        head = [] if not texts else ['=' * 80, 'MSG: ' + name.replace('/msg/', '/')]
+        texts.append('\n'.join([*head, *lines]) + '\n')
+    return ''.join(texts)
+
+
 def of_message_class(message_class: Any) -> MessageType:
     """
     Return the type of a message class that rosidl generated (as rclpy uses them).
@@ -123,10 +137,42 @@ def of_message_class(message_class: Any) -> MessageType:
                 module = importlib.import_module(f'{package}.msg')
                 visit(field.base, getattr(module, nested))
 
-    package = message_class.__module__.partition('.')[0]
-    name = f'{package}/msg/{message_class.__name__}'
+    name = type_name(message_class)
     visit(name, message_class)
     return MessageType(name, types)
+
+
+def type_name(message_class: Any) -> str:
+    """Return the name of a message class of rclpy, such as `sensor_msgs/msg/Imu`."""
+    return f'{message_class.__module__.partition(".")[0]}/msg/{message_class.__name__}'
+
+
+def message_class(name: str) -> Any:
+    """
+    Return the class of a message type for rclpy.
+
+    Parameters
+    ----------
+    name : str
+        `sensor_msgs/msg/Imu` or `sensor_msgs/Imu`.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed, or the package has no such message; the text says what is there.
+    """
+    package, _, kind = name.partition('/')
+    kind = kind.removeprefix('msg/')
+    try:
+        module = importlib.import_module(f'{package}.msg')
+    except ImportError as error:
+        raise ImportError(f'the messages of {package} are not installed here ({error}); install '
+                          'or source the package that defines them') from error
+    found = getattr(module, kind, None)
+    if found is None or not hasattr(found, 'get_fields_and_field_types'):
+        raise ImportError(f'{package} has no message {kind}'
+                          + nearest(kind, [n for n in vars(module) if n[:1].isupper()]))
+    return found
 
 
 def _rosidl_type(text: str) -> FieldType:

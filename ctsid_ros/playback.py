@@ -14,10 +14,10 @@ import math
 
 from ctsid_core.errors import BagError
 from ctsid_core.signals import Record
-from ctsid_ros.bag import Bag, DecodeError
+from ctsid_ros.bag import Bag
 from ctsid_ros.channels import Channel, Config
 from ctsid_ros.field_path import nearest
-from ctsid_ros.ingest import Ingest
+from ctsid_ros.ingest import Ingest, decoded
 from ctsid_ros.ingest_counts import IngestCounts
 
 Advance = Callable[[float, str], None]
@@ -109,7 +109,7 @@ def fit_config(bag: Bag, config: Config) -> Config:
     channels = [_fit_channel(bag, channel, faults) for channel in config.channels]
     if faults:
         raise BagError('\n'.join(dict.fromkeys(faults)))
-    return Config(tuple(channels), config.settings.replace(delay=0.0))
+    return config.with_channels(channels)
 
 
 def _fit_channel(bag: Bag, channel: Channel, faults: list[str]) -> Channel:
@@ -205,9 +205,6 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
     """
     first_ns, last_ns = interval.span_ns(bag)
     extract = {topic: bag.extractor(topic, fields) for topic, fields in ingest.fields.items()}
-    # A message that cannot be decoded is pushed without values: it is counted. Its header is
-    # taken as zero, not as absent, so that it does not settle where the stamps come from.
-    unknown = {topic: 0 if bag.topic(topic).has_header else None for topic in extract}
     step = max((last_ns - first_ns) // _STEPS, 1)
     told = first_ns
     for topic, log_ns, publish_ns, raw in bag.messages(extract):
@@ -215,11 +212,7 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
             continue
         if log_ns > last_ns:
             break
-        try:
-            header_ns, values = extract[topic](raw)
-        except DecodeError:
-            header_ns, values = unknown[topic], ()
-        ingest.push(topic, log_ns, publish_ns, header_ns, values)
+        ingest.push(topic, log_ns, publish_ns, *decoded(extract[topic], raw))
         if spans is not None:
             spans[topic] = (spans[topic][0] if topic in spans else log_ns, log_ns)
         if advance and log_ns >= told:

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thread that works on the newest window while messages come in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Condition, Thread
+from typing import Generic, TypeVar
+
+Job = TypeVar('Job')
+
+
+class Worker(Generic[Job]):
+    """
+    Do jobs one after the other in a thread of its own; at most one waits.
+
+    Parameters
+    ----------
+    work : callable
+        Does one job. What it raises goes to `failed`, and the next job is taken.
+    failed : callable
+        Told of an exception.
+
+    Attributes
+    ----------
+    skipped : int
+        Jobs that gave way to a newer one before they were begun.
+    """
+
+    def __init__(self, work: Callable[[Job], None], failed: Callable[[Exception], None]) -> None:
+        self._work, self._failed = work, failed
+        self._pending: Job | None = None
+        self._condition = Condition()
+        self._stopping = False
+        self.skipped = 0
+        # A daemon: an identification that takes long must not keep the process from ending.
+        self._thread = Thread(target=self._run, name='identification', daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def submit(self, job: Job) -> None:
+        """Let a job be done as soon as the present one is; an older one that waits is skipped."""
+        with self._condition:
+            self.skipped += self._pending is not None
+            self._pending = job
+            self._condition.notify()
+
+    def drop(self) -> None:
+        """Forget the job that waits."""
+        with self._condition:
+            self._pending = None
+
+    def stop(self, timeout: float) -> bool:
+        """Begin no other job, wait for the present one [s]; return whether it has ended."""
+        with self._condition:
+            self._stopping, self._pending = True, None
+            self._condition.notify()
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._stopping or self._pending is not None)
+                job, self._pending = self._pending, None
+            if self._stopping or job is None:
+                return
+            try:
+                self._work(job)
+            except Exception as error:  # of any kind: the node lives on and tells of it
+                self._failed(error)
