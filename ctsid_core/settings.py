@@ -248,8 +248,10 @@ def _scalar_faults(name: str, declared: Field[Any], meta: Mapping[str, Any],
     good = isinstance(value, int | float) and not isinstance(value, bool) \
         if wanted is float else type(value) is wanted
     if not good:
+        quotes = ' (in files, y, n, on, off, yes and no mean true and false: put quotes around ' \
+            'the word)' if wanted is str and isinstance(value, bool) else ''
         return [f'`{name}` is {value!r} ({type(value).__name__}), but a {_kind(declared)} is '
-                'wanted']
+                f'wanted{quotes}']
     if meta['choices'] and value not in meta['choices']:
         return [f'`{name}` is {value!r}; choose one of {", ".join(map(repr, meta["choices"]))}']
     if isinstance(value, int | float) and not isinstance(value, bool):

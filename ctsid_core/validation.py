@@ -186,7 +186,8 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
     y_hat, x0 = _respond(model, record, times, start)
     blocks, states = [], []
     if initial_state == 'estimate':
-        basis, state = free_response(model.A, model.C, times)
+        with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
+            basis, state = free_response(model.A, model.C, times)
         blocks.append(basis)
         states.append(state)
     if trim == 'refit':
@@ -195,15 +196,18 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
     if blocks and len(times):
         columns = np.concatenate(blocks, axis=2)
         found = _least_squares(columns, y - y_hat, spread(y))
-        y_hat, x0 = y_hat + columns @ found, x0 + np.hstack(states) @ found
+        with np.errstate(over='ignore', invalid='ignore'):
+            y_hat, x0 = y_hat + columns @ found, x0 + np.hstack(states) @ found
+        y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
     return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat))
 
 
 def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:
-    # columns (M, ny, k) on wanted (M, ny), where that is known and finite
-    rows = np.isfinite(wanted)
+    # columns (M, ny, k) on wanted (M, ny), where all of that is known and finite
+    rows = np.isfinite(wanted) & np.isfinite(columns).all(axis=2)
     matrix, right = (columns / scale[:, np.newaxis])[rows], (wanted / scale)[rows]
-    size = np.linalg.norm(matrix, axis=0)
+    with np.errstate(over='ignore'):  # beyond 1e154 a column is left out: size inf
+        size = np.linalg.norm(matrix, axis=0)
     size[size == 0] = 1
     solution: Array = np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size
     return solution

@@ -11,11 +11,12 @@ from typing import Literal
 from ctsid_core.errors import SettingsError
 from ctsid_core.settings import HOLDS, Hold, Settings, parameter, ros_name, value_faults
 from ctsid_ros.field_path import FieldPath, ParseError, parse_field
+from ctsid_ros.node_settings import NODE_KEYS, NodeSettings
 
 Role = Literal['input', 'output']
 ROLE_LISTS: Mapping[str, Role] = {'inputs': 'input', 'outputs': 'output'}
 SETTINGS_KEYS = {ros_name(declared): declared for declared in fields(Settings)}
-RESERVED = {key.split('.')[0] for key in SETTINGS_KEYS} | {
+RESERVED = {key.split('.')[0] for key in (*SETTINGS_KEYS, *NODE_KEYS)} | {
     *ROLE_LISTS, 'use_sim_time', 'qos_overrides', 'start_type_description_service'}
 _NAME = re.compile(r'[A-Za-z_]\w*', re.ASCII)
 _TYPE = re.compile(r'[A-Za-z]\w*(/msg)?/[A-Za-z]\w*', re.ASCII)
@@ -117,7 +118,7 @@ CHANNEL_KEYS = {ros_name(declared): declared for declared in fields(Channel)
 @dataclass(frozen=True)
 class Config:
     """
-    What a parameter file says: channels, and settings for the identification.
+    What a parameter file says: channels, settings for the identification, and for the node.
 
     Parameters
     ----------
@@ -125,6 +126,8 @@ class Config:
         At least one input and one output; names differ. Inputs are put first.
     settings : Settings
         Its `delay` is composed from the delays of the input channels; leave it at 0.
+    node : NodeSettings
+        What only the node reads.
 
     Raises
     ------
@@ -134,6 +137,7 @@ class Config:
 
     channels: tuple[Channel, ...]
     settings: Settings = Settings()
+    node: NodeSettings = NodeSettings()
 
     def __post_init__(self) -> None:
         faults = list_faults([(channel.name, channel.role) for channel in self.channels])
@@ -163,9 +167,13 @@ class Config:
         SettingsError
             Like `Config` and `Channel`.
         """
-        channels = tuple(replace(channel, field=texts.get(channel.name, channel.field))
-                         for channel in self.channels)
-        return Config(channels, self.settings.replace(delay=0.0))
+        return self.with_channels([
+            replace(channel, field=texts.get(channel.name, channel.field))
+            for channel in self.channels])
+
+    def with_channels(self, channels: Sequence[Channel]) -> Config:
+        """Return a copy that has these channels; raises like `Config`."""
+        return Config(tuple(channels), self.settings.replace(delay=0.0), self.node)
 
 
 def list_faults(listed: Sequence[tuple[str, Role]]) -> list[str]:

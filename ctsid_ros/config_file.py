@@ -31,11 +31,13 @@ from ctsid_ros.channels import (
 )
 from ctsid_ros.config_text import dump_config, parameters_markdown
 from ctsid_ros.field_path import nearest
+from ctsid_ros.node_settings import NODE_KEYS, NodeSettings
 
 __all__ = ['Channel', 'Config', 'dump_config', 'parameters_markdown', 'parse_config',
            'parse_parameters', 'read_config']
 
-NODE = 'ctsid'
+NODE = 'identifier'
+OWN_KEYS = {**SETTINGS_KEYS, **NODE_KEYS}  # those of no channel
 # Parameters that ROS itself gives every node: not ours, and no fault.
 _OF_ROS = re.compile(r'(use_sim_time|start_type_description_service|qos_overrides\..*)$')
 _T = TypeVar('_T')
@@ -74,7 +76,7 @@ def parse_config(document: object) -> Config:
     ----------
     document : mapping
         `{node: {'ros__parameters': {...}}}`. Of several nodes, those named by a wildcard or
-        `ctsid` count, and later ones override.
+        `identifier` count, and later ones override.
 
     Raises
     ------
@@ -157,7 +159,7 @@ def _flatten(values: object, faults: list[str], prefix: str = '') -> dict[str, o
 
 
 def _build(flat: dict[str, object], faults: list[str]) -> Config:
-    """Sort parameters into channels and settings; raise with all faults."""
+    """Sort parameters into channels, settings and those of the node; raise with all faults."""
     listed = [(name, role) for key, role in ROLE_LISTS.items()
               for name in _names(key, flat.pop(key, []), faults)]
     faults += list_faults(listed)
@@ -171,12 +173,17 @@ def _build(flat: dict[str, object], faults: list[str]) -> Config:
             rest[name] = value
     unlisted = _sort_out(rest, list(own), faults)
     _share_delay(rest, {n: own[n] for n, role in listed if role == 'input' and n in own}, faults)
-    settings = _gather(faults, Settings.from_ros, rest)
+    settings: Settings | None = _gather(faults, build_from_ros, Settings, _of(SETTINGS_KEYS, rest))
+    node: NodeSettings | None = _gather(faults, build_from_ros, NodeSettings, _of(NODE_KEYS, rest))
     channels = [_gather(faults, _channel, name, role, own[name], unlisted)
                 for name, role in dict(listed).items() if name in own]
-    if faults or settings is None:
+    if faults or settings is None or node is None:
         raise SettingsError(faults)
-    return Config(tuple(channel for channel in channels if channel), settings)
+    return Config(tuple(channel for channel in channels if channel), settings, node)
+
+
+def _of(keys: Mapping[str, Field[Any]], values: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in values.items() if name in keys}
 
 
 def _gather(faults: list[str], build: Callable[..., _T], *arguments: Any) -> _T | None:
@@ -196,17 +203,17 @@ def _names(key: str, value: object, faults: list[str]) -> list[str]:
 
 
 def _sort_out(rest: dict[str, object], listed: list[str], faults: list[str]) -> list[str]:
-    """Keep the settings only; report the others and return the channels that are not listed."""
+    """Keep those of no channel; report the others and return the channels that are not listed."""
     unlisted = sorted({head for head, _, tail in (name.partition('.') for name in rest)
                        if tail in CHANNEL_KEYS and head not in RESERVED})
     faults += [f'the channel `{name}` is described but not listed; add it to `inputs` or '
                f'`outputs`, or remove it{nearest(name, listed)}' for name in unlisted]
-    for name in [name for name in rest if name not in SETTINGS_KEYS]:
+    for name in [name for name in rest if name not in OWN_KEYS]:
         del rest[name]
         if name.partition('.')[0] not in unlisted:
             faults.append(f'`{name}` is not a parameter'
-                          f'{nearest(name, [*SETTINGS_KEYS, *ROLE_LISTS])}')
-    rest.update({name: _number(SETTINGS_KEYS[name], value) for name, value in rest.items()})
+                          f'{nearest(name, [*OWN_KEYS, *ROLE_LISTS])}')
+    rest.update({name: as_number(OWN_KEYS[name], value) for name, value in rest.items()})
     return unlisted
 
 
@@ -236,7 +243,7 @@ def _channel(name: str, role: Role, own: Mapping[str, object], unlisted: list[st
                              f'{nearest(name, unlisted)}'])
     faults = [f'`{name}.{key}` is not a parameter{nearest(key, list(CHANNEL_KEYS))}'
               for key in own if key not in CHANNEL_KEYS]
-    values = {key: _number(CHANNEL_KEYS[key], value) for key, value in own.items()
+    values = {key: as_number(CHANNEL_KEYS[key], value) for key, value in own.items()
               if key in CHANNEL_KEYS}
     channel: Channel | None = _gather(
         faults, build_from_ros, Channel,
@@ -246,10 +253,10 @@ def _channel(name: str, role: Role, own: Mapping[str, object], unlisted: list[st
     return channel
 
 
-def _number(declared: Field[Any], value: object) -> object:
+def as_number(declared: Field[Any], value: object) -> object:
     """Return whole numbers as floats where floats are wanted: people write 20 for 20.0."""
     if isinstance(value, list):
-        return [_number(declared, item) for item in value]
+        return [as_number(declared, item) for item in value]
     if isinstance(declared.default, float) and type(value) is int and abs(value) < 2**53:
         return float(value)
     return value

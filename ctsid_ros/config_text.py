@@ -10,13 +10,12 @@ import re
 import textwrap
 from typing import Any
 
-from ctsid_core.settings import Settings
-from ctsid_ros.channels import CHANNEL_KEYS, SETTINGS_KEYS, Channel, Config
+from ctsid_ros.channels import CHANNEL_KEYS, SETTINGS_KEYS, Config
+from ctsid_ros.node_settings import NODE_KEYS
 
 _HEAD = ('One file serves the node (--ros-args --params-file FILE) and the command line '
-         '(--params FILE). Numbers that may have decimals are written with them, 20.0 instead of '
-         '20: the node insists on it.')
-_LISTS = {'inputs': 'Names of the channels that act on the plant, in the order of the model.',
+         '(--params FILE).')
+LISTS = {'inputs': 'Names of the channels that act on the plant, in the order of the model.',
           'outputs': 'Names of the channels that measure it.'}
 _PLAIN = re.compile(r'[A-Za-z_/][\w./-]*', re.ASCII)
 _OTHER_MEANING = {'y', 'n', 'yes', 'no', 'on', 'off', 'true', 'false', 'null'}
@@ -27,32 +26,34 @@ def dump_config(config: Config, comments: bool = True) -> str:
     lines = _comment(_HEAD, 0) + ['/**:', '  ros__parameters:']
     for key, channels in (('inputs', config.inputs), ('outputs', config.outputs)):
         names = ', '.join(_text(channel.name) for channel in channels)
-        lines += ['', *_comment(_LISTS[key], 4), f'    {key}: [{names}]']
+        lines += ['', *_comment(LISTS[key], 4), f'    {key}: [{names}]']
     for number, channel in enumerate((*config.inputs, *config.outputs)):
         lines += ['', *_comment(f'The {channel.role} {channel.name}:', 4),
                   f'    {_text(channel.name)}:']
         for key, declared in CHANNEL_KEYS.items():
             if key != 'delay' or channel.role == 'input':
                 lines += _entry(key, declared, channel, 6, explain=number == 0)
-    lines += _settings_lines(config.settings)
+    lines += _grouped(SETTINGS_KEYS, config.settings)
+    lines += ['', *_comment('The rest is for the node; the command line has no use for it.', 4)]
+    lines += _grouped(NODE_KEYS, config.node)
     if not comments:
         lines = [line for line in lines if line and not line.lstrip().startswith('#')]
     return '\n'.join(lines) + '\n'
 
 
-def _settings_lines(settings: Settings) -> list[str]:
-    """Return the entries of the settings, those of no group first."""
+def _grouped(keys: Mapping[str, Field[Any]], owner: object) -> list[str]:
+    """Return the entries of declared parameters, those of no group first."""
     groups: dict[str, list[str]] = {'': []}
-    for name, declared in SETTINGS_KEYS.items():
+    for name, declared in keys.items():
         group, _, key = name.rpartition('.')
         lines = groups.setdefault(group, ['', f'    {group}:'])
         if name != 'delay':  # it is with the channels
             lines += [] if group else ['']
-            lines += _entry(key, declared, settings, 6 if group else 4)
+            lines += _entry(key, declared, owner, 6 if group else 4)
     return [line for lines in groups.values() for line in lines]
 
 
-def _entry(key: str, declared: Field[Any], owner: Channel | Settings, indent: int,
+def _entry(key: str, declared: Field[Any], owner: object, indent: int,
            explain: bool = True) -> list[str]:
     comment = _comment(describe(declared), indent) if explain else []
     value = value_text(declared, getattr(owner, declared.name))
@@ -85,11 +86,13 @@ def limits(declared: Field[Any]) -> str:
 def parameters_markdown() -> str:
     """Return the reference of all parameters, for `docs/parameters.md`."""
     lines = ['<!-- Written from the declarations in the code; do not edit. -->', '# Parameters',
-             '', _HEAD, 'Those marked * are fixed while the node is active.', '',
-             '## Channels', '', *(f'- `{key}`: {text}' for key, text in _LISTS.items()), '',
+             '', _HEAD, 'Those marked * are fixed while the node is configured.', '',
+             '## Channels', '', *(f'- `{key}`: {text}' for key, text in LISTS.items()), '',
              'Each channel, say `torque`, has:', '',
              *_table({f'torque.{key}': declared for key, declared in CHANNEL_KEYS.items()}),
-             '', '## Identification', '', *_table(SETTINGS_KEYS)]
+             '', '## Identification', '', *_table(SETTINGS_KEYS),
+             '', '## Node', '', 'The command line accepts them and has no use for them.', '',
+             *_table(NODE_KEYS)]
     return '\n'.join(lines) + '\n'
 
 

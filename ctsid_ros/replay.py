@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ctsid_core.errors import BagError
 from ctsid_core.estimate import Estimate
-from ctsid_core.identify import identify
 from ctsid_core.signals import Record
+from ctsid_core.tracking import Tracked, Tracker
 from ctsid_core.validation import simulation
 from ctsid_ros.bag import Bag
 from ctsid_ros.channels import Config
@@ -42,14 +42,21 @@ class Result:
 
     Parameters
     ----------
-    estimate : Estimate
+    tracked : Tracked
+        As the node publishes it: the estimate in states that stay along the bag, the rows of its
+        eigenvalues, and how well the model before foretold what is new in this window.
     next_fit : ndarray, shape (ny,)
         Simulation fit on the first later window that shares no data with it [%], with the trim
         of the model; NaN where there is none.
     """
 
-    estimate: Estimate
+    tracked: Tracked
     next_fit: Array
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the window told."""
+        return self.tracked.estimate
 
     @property
     def tested(self) -> bool:
@@ -82,7 +89,7 @@ class Replay:
     def __init__(self, bag: Bag, config: Config, interval: Interval | None = None) -> None:
         self._bag, self._interval = bag, interval or Interval()
         self.config = fit_config(bag, config)
-        self._ingest = Ingest(self.config)
+        self._ingest, self._tracker = Ingest(self.config), Tracker(self.config.settings)
         self._untested: deque[int] = deque()  # results that wait for data of their own future
         self.results: list[Result] = []
 
@@ -146,9 +153,9 @@ class Replay:
         start_ns = record.epoch_ns + round(record.start * 1e9)
         while self._untested and self.results[self._untested[0]].estimate.end_ns <= start_ns:
             self._test(self._untested.popleft(), record)
-        estimate = identify(record, self.config.settings)
-        self.results.append(Result(estimate, np.full(record.ny, np.nan)))
-        if estimate.ok:
+        tracked = self._tracker.take(record)
+        self.results.append(Result(tracked, np.full(record.ny, np.nan)))
+        if tracked.estimate.ok:
             self._untested.append(len(self.results) - 1)
 
     def _test(self, number: int, record: Record) -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import fields
 from datetime import UTC, datetime
 import hashlib
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import re
 
@@ -16,19 +14,12 @@ from ctsid_core.errors import SettingsError, StorageError
 from ctsid_core.settings import Settings
 from ctsid_core.storage import write_file
 from ctsid_ros.channels import Channel, Config
+from ctsid_ros.origin import described, package_version
 
 MODEL, SERIES, TABLE = 'model.json', 'estimates.npz', 'estimates.csv'
 REPORT, PAGE = 'report.md', 'report.html'
 _HASHED = 2**28  # bytes: larger bags are named, but not hashed
 _SUFFIXES = re.compile(r'(\.(mcap|db3|bag|zstd|active))+$')
-
-
-def package_version() -> str:
-    """Return the version of ctsid."""
-    try:
-        return version('ctsid')
-    except PackageNotFoundError:
-        return 'unknown (not installed)'
 
 
 def make_folder(out: str | None, bags: Sequence[str], method: str, *, force: bool) -> Path:
@@ -114,8 +105,7 @@ def origin(config: Config, bags: Sequence[str], interval: Mapping[str, object]
     """Return what a model file keeps of where the model comes from."""
     return {'ctsid': package_version(), 'bag': [Path(b).name for b in bags],
             'sha256': _hash(bags), 'interval': dict(interval),
-            'channels': [{f.name: getattr(channel, f.name) for f in fields(Channel)}
-                         for channel in config.channels]}
+            'channels': described(config)}
 
 
 def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> Config:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.estimate import Estimate
+from ctsid_core.mode_rows import paired
 from ctsid_core.statespace import StateSpace
 
 Array = NDArray[np.float64]
-_NEAR = 0.5  # poles of neighbouring windows are the same if nearer than this part of their size
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,11 @@ def tracks(estimates: Sequence[Estimate]) -> list[Track]:
     done: list[Track] = []
     for number, estimate in enumerate(estimates):
         found = modes(estimate.model, estimate.pole_std)
-        pairs = match([t.modes[-1].pole for t in open_tracks], [m.pole for m in found])
+        pairs = paired([t.modes[-1].pole for t in open_tracks], [m.pole for m in found])
         following: list[Track] = []
         for i, track in enumerate(open_tracks):
-            new = found[pairs[i]] if i in pairs else None
-            last = track.modes[-1].pole
-            if new and abs(new.pole - last) <= _NEAR * max(abs(last), abs(new.pole)):
-                following.append(Track((*track.windows, number), (*track.modes, new)))
+            if i in pairs:
+                following.append(Track((*track.windows, number), (*track.modes, found[pairs[i]])))
             elif found:  # lost, for this window has a model without it
                 done.append(track)
             else:

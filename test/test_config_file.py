@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, fields, replace
 
 import pytest
 import yaml
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.settings import Settings
+from ctsid_core.settings import Settings, ros_name, value_faults
 from ctsid_ros.channels import CHANNEL_KEYS, SETTINGS_KEYS, Channel, Config
 from ctsid_ros.config_file import (
+    OWN_KEYS,
     dump_config,
     parameters_markdown,
     parse_config,
     parse_parameters,
     read_config,
 )
+from ctsid_ros.node_settings import NODE_KEYS, NodeSettings
 
 FILE = """\
 /**:
@@ -59,7 +61,8 @@ def test_reads_the_file_of_the_readme(tmp_path):
     assert read_config(str(path)) == config
 
 
-@pytest.mark.parametrize('node', ['/**', 'ctsid', '/ctsid', '/robot/ctsid', 'anything', '/*'])
+@pytest.mark.parametrize('node', ['/**', 'identifier', '/identifier', '/robot/identifier',
+                                  'anything', '/*'])
 def test_nested_and_dotted_under_any_node(node):
     dotted = {f'{name}.{key}': value for name in ('torque', 'rate')
               for key, value in plain()[name].items()}
@@ -76,13 +79,13 @@ def test_nodes_in_namespaces_and_overrides():
     base = {'ros__parameters': plain(order=2)}
     own = {'ros__parameters': {'order': 4, 'window': {'length': 5.0}}}
     other = {'ros__parameters': {'port': '/dev/ttyUSB0'}}
-    config = parse_config({'/**': base, 'robot': {'ctsid': own}, 'driver': other})
+    config = parse_config({'/**': base, 'robot': {'identifier': own}, 'driver': other})
     assert (config.settings.order, config.settings.window_length) == (4, 5.0)
 
 
 def test_of_several_other_nodes_none_is_guessed():
     one = {'ros__parameters': plain()}
-    with pytest.raises(SettingsError, match='for /a, /b, but none for ctsid'):
+    with pytest.raises(SettingsError, match='for /a, /b, but none for identifier'):
         parse_config({'a': one, 'b': one})
 
 
@@ -160,6 +163,7 @@ def test_all_faults_of_a_file_are_listed_at_once():
     ({'window': {'length': 10**400}}, '`window.length` is 1'),
     ({'window': {'length': float('nan')}}, '`window.length` is nan'),
     ({'window': {'length': None}}, '`window.length` is None'),
+    ({'torque': {'topic': '/cmd', 'field': True}}, 'put quotes around the word'),
     ({5: 3}, '5 is not text'),
 ])
 def test_each_fault_is_named(changes, fault):
@@ -215,6 +219,42 @@ def test_delays_of_different_inputs_need_known_widths():
     assert 'give the end of the range' in only_fault(two | {'force.delay': 0.3})
 
 
+def test_parameters_of_the_node_stand_in_the_same_file():
+    config = parse_parameters(plain(autostart=False, ingest={'depth': 100, 'rate': 20},
+                                    **{'save.folder': '/tmp'}))
+    assert config.node == NodeSettings(autostart=False, ingest_depth=100, ingest_rate=20.0,
+                                       save_folder='/tmp')
+    assert repr(config.node.ingest_rate) == '20.0'
+    faults = faults_of(plain(autostart=1, ingest={'dept': 5, 'rate': 0.0, 'method': 'push'},
+                             save={'folder': 3}, inputs=['torque', 'save']))
+    for part in ('`autostart` is 1 (int), but a true or false', 'nearest: ingest.depth',
+                 '`ingest.rate` is 0.0, but must lie between 1 and 1000 Hz',
+                 "`ingest.method` is 'push'; choose one of 'drain', 'callbacks'",
+                 '`save.folder` is 3 (int)', "the channel name 'save' is that of a parameter"):
+        assert any(part in fault for fault in faults), part
+    assert len(faults) == 6
+
+
+def test_declarations_of_the_node_are_in_order():
+    assert not NODE_KEYS.keys() & SETTINGS_KEYS.keys()
+    for declared in fields(NodeSettings):
+        assert value_faults(declared, declared.default) == []
+        assert ros_name(declared).replace('.', '_') == declared.name
+        assert declared.metadata['doc'].endswith('.')
+    with pytest.raises(SettingsError) as caught:
+        NodeSettings(ingest_depth=0, ingest_reliability='some')
+    assert len(caught.value.faults) == 2
+
+
+def test_changing_the_channels_keeps_the_rest():
+    config = Config((replace(TORQUE, delay=0.1), RATE), Settings(order=2),
+                    NodeSettings(ingest_depth=9))
+    assert config.with_channels(config.channels) == config
+    changed = config.with_fields({'rate': 'angular_velocity.y'})
+    assert (changed.settings, changed.node) == (config.settings, config.node)
+    assert changed.outputs[0].field == 'angular_velocity.y'
+
+
 def test_a_config_made_by_hand_is_checked_like_a_file():
     with pytest.raises(SettingsError, match='no input'):
         Config((RATE,))
@@ -251,7 +291,9 @@ CONFIGS = [
             replace(RATE, name='y', unit="it's 100 %: #1", field='euler(pose.orientation)'),
             replace(TORQUE, name='N', topic='no', unit='\n°\a', hold='linear')),
            Settings(order=3, trim=False, window_length=1e5, rank_tolerance=1e-10, beta=1 / 3)),
-    Config((TORQUE, RATE), Settings(window_length=20, window_max_delay=0)),
+    Config((TORQUE, RATE), Settings(window_length=20, window_max_delay=0),
+           NodeSettings(autostart=False, ingest_rate=50, ingest_record='a b: #1.mcap',
+                        save_folder='')),
 ]
 
 
@@ -266,7 +308,7 @@ def test_a_written_file_reads_back_equal(config, comments, tmp_path):
     assert ('#' in path.read_text(encoding='utf-8').replace('#1', '')) == comments
 
 
-def test_a_written_file_suits_ros_which_insists_on_types_and_knows_more_booleans():
+def test_a_written_file_suits_ros_which_knows_more_booleans():
     text = dump_config(CONFIGS[1]) + dump_config(CONFIGS[2])
     assert "inputs: [torque, 'N']" in text
     assert "outputs: [rate, 'y']" in text
@@ -279,7 +321,7 @@ def test_a_written_file_suits_ros_which_insists_on_types_and_knows_more_booleans
 
 def test_a_written_file_explains_every_parameter():
     text = ' '.join(dump_config(Config((TORQUE, RATE))).replace('#', ' ').split())
-    for declared in (*CHANNEL_KEYS.values(), *SETTINGS_KEYS.values()):
+    for declared in (*CHANNEL_KEYS.values(), *OWN_KEYS.values()):
         if declared.name == 'delay' and declared is SETTINGS_KEYS['delay']:
             continue  # the channels have it
         assert ' '.join(declared.metadata['doc'].split()) in text
@@ -291,8 +333,8 @@ def test_a_written_file_explains_every_parameter():
 
 def test_the_reference_has_a_row_for_every_parameter():
     rows = [line for line in parameters_markdown().splitlines() if line.startswith('| `')]
-    assert len(rows) == len(CHANNEL_KEYS) + len(SETTINGS_KEYS)
-    for name, declared in SETTINGS_KEYS.items():
+    assert len(rows) == len(CHANNEL_KEYS) + len(OWN_KEYS)
+    for name, declared in OWN_KEYS.items():
         row = next(row for row in rows if row.startswith(f'| `{name}`'))
         assert declared.metadata['doc'] in row
         assert declared.metadata['unit'] in row

@@ -16,8 +16,9 @@ import yaml
 
 from ctsid_core.errors import BagError
 from ctsid_core.estimate import Estimate, Status
-from ctsid_core.identify import identify
 from ctsid_core.settings import Settings
+from ctsid_core.storage import to_json
+from ctsid_core.tracking import Tracked, Tracker
 from ctsid_core.validation import simulation
 from ctsid_ros.bag import open_bag
 from ctsid_ros.channels import Channel, Config
@@ -73,12 +74,24 @@ def ran(path):
 def test_replay_gives_the_estimates_of_all_windows_to_the_last_bit(ran, path):
     records = list(windows_of_rosbags(path, CONFIG))
     assert len(records) == len(ran.results) == 6
+    tracker = Tracker(CONFIG.settings)
     for number, (record, result) in enumerate(zip(records, ran.results, strict=True)):
-        expected = identify(record, CONFIG.settings)
-        assert result.estimate.model == expected.model
-        assert result.estimate.start_ns == expected.start_ns
-        np.testing.assert_array_equal(result.estimate.pole_std, expected.pole_std)
+        expected = tracker.take(record)
+        assert to_json(result.estimate) == to_json(expected.estimate)
+        assert result.estimate.model == expected.estimate.model
+        assert (result.tracked.realisation, result.tracked.modes) == (1, (1, 2))
+        for name in ('eigenvalues', 'eigenvalue_std', 'fresh_fit'):
+            np.testing.assert_array_equal(getattr(result.tracked, name), getattr(expected, name))
         assert same(ran.record(number), record)
+
+
+def test_models_are_tested_on_what_is_new_before_it_is_used(ran):
+    fits = np.array([result.tracked.fresh_fit[0] for result in ran.results])
+    assert np.isnan(fits[0])
+    assert (fits[1:] > 85).all()
+    for before, result in zip(ran.results[:-1], ran.results[1:], strict=True):
+        assert result.tracked.fresh_start_ns == before.estimate.end_ns
+        assert result.tracked.fresh_end_ns == result.estimate.end_ns
 
 
 def test_models_are_tested_on_the_first_window_that_shares_nothing(ran, path):
@@ -231,7 +244,7 @@ def result(fit: float, n: int = 2, *, ok: bool = True, tested: bool = True) -> R
     estimate = Estimate(status=Status.OK if ok else Status.UNEXPLAINED, settings=Settings(),
                         model=model if ok else None, fit=np.array([99.0]),
                         held_out_fit=np.array([fit]))
-    return Result(estimate, np.array([fit if tested else math.nan]))
+    return Result(Tracked(estimate), np.array([fit if tested else math.nan]))
 
 
 @pytest.mark.parametrize(('results', 'number'), [
@@ -248,4 +261,6 @@ def test_best_explains_unseen_data_with_few_states(results, number):
 
 def test_nothing_is_kept_of_windows_but_their_estimates(ran):
     assert {type(v).__name__ for r in ran.results for v in vars(r).values()} == {
-        'Estimate', 'ndarray'}
+        'Tracked', 'ndarray'}
+    assert {type(v).__name__ for r in ran.results for v in vars(r.tracked).values()} == {
+        'Estimate', 'ndarray', 'int', 'tuple'}

@@ -17,6 +17,7 @@ import scipy.signal
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
+from ctsid_core.tracking import Tracked
 from ctsid_core.validation import Validation
 from ctsid_ros.document import Bullets, Figure, Section, to_html, to_markdown, to_text
 from ctsid_ros.figures import (
@@ -300,7 +301,8 @@ def test_truth_section_counts_deviations():
     text = to_text([truth_section(near, [], TRUTH)])
     assert re.search(r'-1\.500 ± 3\.000j\s+-1\.300 ± 3\.000j\s+0\.10\s+0\.20\s+2\.0\n', text)
     assert 'All 1 true poles and pairs are found; the farthest is 2.0' in text
-    results = [Result(estimate(shifted(TRUTH, by)), np.array([90.0])) for by in (0, 0.1, 0.9)]
+    results = [Result(Tracked(estimate(shifted(TRUTH, by))), np.array([90.0]))
+               for by in (0, 0.1, 0.9)]
     text = to_text([truth_section(far, results, TRUTH)])
     assert 'median of 3 windows' in text
     assert '-1.400 ± 3.000j' in text
@@ -312,9 +314,9 @@ def test_truth_section_counts_deviations():
 
 
 def test_windows_are_told_with_what_became_of_them():
-    results = [Result(estimate(start=2.0), np.array([91.0])),
-               Result(estimate(None, status=Status.GAPS, fit=np.empty(0), start=3.0),
-                      np.array([math.nan]))]
+    gaps = estimate(None, status=Status.GAPS, fit=np.empty(0), start=3.0)
+    results = [Result(Tracked(estimate(start=2.0)), np.array([91.0])),
+               Result(Tracked(gaps), np.array([math.nan]))]
     lines = to_text([window_section(results, 0)]).splitlines()
     assert lines[3].split() == ['1', '2.0', '7.0', '2', '95.0', '91.0', '-1.50', '±', '3.00j']
     assert lines[4].split() == ['2', '3.0', '8.0', '-', '-', '-', 'none:', 'GAPS']

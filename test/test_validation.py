@@ -306,6 +306,17 @@ def test_horizons_count_the_samples_of_each_output():
         assert np.isfinite(found.y_hat[:, i]).sum() == predicted.sum()
 
 
+def test_a_model_that_explodes_explains_nothing_and_breaks_nothing():
+    """Poles that coincide, and more than e^700 within the record."""
+    wild = StateSpace([[1e3, 1], [0, 1e3]], [[0], [1]], [[1, 0]])
+    t = np.linspace(0, 5, 200)
+    record = Record.from_arrays(t, np.sin(t), t, np.cos(t))
+    for trim in ('model', 'refit'):
+        found = simulation(wild, record, trim=trim)
+        assert found.fit[0] == -np.inf
+        assert not np.isnan(found.y_hat).any()
+
+
 def test_an_unstable_model_without_noise_model_gets_a_filter_and_says_so():
     rng = np.random.default_rng(1)
     gain = np.array([[14.0, 4.0]])

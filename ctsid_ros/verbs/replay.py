@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ctsid_core.estimate import Estimate
 from ctsid_core.statespace import StateSpace
 from ctsid_core.storage import load_model, save_series, to_json
 from ctsid_core.validation import simulation
@@ -169,13 +168,19 @@ class _Report:
                                                   *sections[2:]])})
         for name in (SERIES, TABLE):
             save_series(out / name, [r.estimate for r in self.results],
-                        columns=self._next_fits(), force=True)
+                        columns=self._columns(), force=True)
 
-    def _next_fits(self) -> dict[str, Sequence[float]]:
+    def _columns(self) -> dict[str, Sequence[float]]:
+        """Return what the series has beside the estimates."""
         names = next((m.output_names for m in (e.model or e.rejected_model for e in
                                                (r.estimate for r in self.results)) if m), ())
-        return {f'next_fit_{name} [%]': [float(r.next_fit[i]) for r in self.results]
-                for i, name in enumerate(names)}
+        columns: dict[str, Sequence[float]] = {
+            'realisation': [r.tracked.realisation for r in self.results]}
+        for i, name in enumerate(names):
+            columns[f'fresh_fit_{name} [%]'] = [float(r.tracked.fresh_fit[i])
+                                                for r in self.results]
+            columns[f'next_fit_{name} [%]'] = [float(r.next_fit[i]) for r in self.results]
+        return columns
 
     def _figures(self) -> list[Section]:
         middles = np.array([(r.estimate.start_ns + r.estimate.end_ns) / 2 - self.zero_ns
@@ -201,7 +206,7 @@ class _Report:
                 'notes': self.notes}
 
     def _window(self, index: int, result: Result) -> dict[str, Any]:
-        estimate: Estimate = result.estimate
+        estimate, tracked = result.estimate, result.tracked
         span = ((t - self.zero_ns) * 1e-9 for t in (estimate.start_ns, estimate.end_ns))
         return {'window': index, **dict(zip(('from', 'to'), span, strict=True)),
                 'start_ns': estimate.start_ns, 'end_ns': estimate.end_ns,
@@ -209,5 +214,7 @@ class _Report:
                 'order': estimate.model.n if estimate.model else None,
                 'poles': estimate.model.poles if estimate.model else [],
                 'pole_std': estimate.pole_std, 'fit': estimate.fit,
-                'held_out_fit': estimate.held_out_fit, 'next_fit': result.next_fit,
-                'condition': estimate.condition}
+                'held_out_fit': estimate.held_out_fit, 'fresh_fit': tracked.fresh_fit,
+                'next_fit': result.next_fit, 'condition': estimate.condition,
+                'realisation': tracked.realisation, 'modes': tracked.modes,
+                'eigenvalues': tracked.eigenvalues, 'eigenvalue_std': tracked.eigenvalue_std}

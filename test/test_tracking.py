@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Windows one after the other: states and rows that stay, tests on data that are new."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+import pickle
+
+import numpy as np
+from plants import PLANTS, Plant, flown, plant, running
+import pytest
+
+from ctsid_core import tracking
+from ctsid_core.alignment import align
+from ctsid_core.errors import DataError
+from ctsid_core.estimate import Estimate, Status
+from ctsid_core.identify import identify
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Record
+from ctsid_core.statespace import StateSpace
+from ctsid_core.tracking import Tracked, Tracker
+from ctsid_core.validation import simulation
+
+S = 10**9
+SETTINGS = Settings(order=2, feedthrough=False)
+
+
+def pair(omega: float = 6.0, damping: float = 0.3) -> Plant:
+    return plant([[0, 1], [-omega ** 2, -2 * damping * omega]], [[0], [omega ** 2]], [[1, 0]])
+
+
+def windows(system: Plant, seed: int = 1, count: int = 5, length: float = 5.0,
+            stride: float = 2.0, start: float = 0.0, snr: float = 25.0) -> list[Record]:
+    """Overlapping windows of one run, which starts at an absolute time [s]."""
+    whole = running(np.random.default_rng(seed), system, snr, rate=100.0,
+                    duration=length + stride * (count - 1), band=4.0)
+    whole = replace(whole, epoch_ns=round(start * S))
+    return [whole.between(k * stride, k * stride + length) for k in range(count)]
+
+
+def silent(record: Record) -> Record:
+    """The same window with an input that does not move."""
+    (u,) = record.inputs
+    return replace(record, inputs=(replace(u, values=np.ones_like(u.values)),))
+
+
+def run(records, settings: Settings = SETTINGS) -> list[Tracked]:
+    tracker = Tracker(settings)
+    return [tracker.take(record) for record in records]
+
+
+def same(a: Tracked, b: Tracked) -> bool:
+    """Whether all of two results agree to the last bit."""
+    return all(same_value(getattr(a, f.name), getattr(b, f.name)) for f in fields(Tracked))
+
+
+def same_value(a, b) -> bool:
+    if isinstance(a, Estimate):
+        return all(same_value(getattr(a, f.name), getattr(b, f.name)) for f in fields(Estimate))
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b, equal_nan=True)
+    return a == b or (a != a and b != b)
+
+
+@pytest.fixture(scope='module')
+def steady() -> list[Record]:
+    return windows(pair())
+
+
+@pytest.fixture(scope='module')
+def tracked(steady) -> list[Tracked]:
+    return run(steady)
+
+
+def test_estimates_are_those_of_identify_in_other_states(steady, tracked):
+    for record, found in zip(steady, tracked, strict=True):
+        plain = identify(record, SETTINGS)
+        for f in fields(Estimate):
+            if f.name not in ('model', 'pole_std'):
+                assert same_value(getattr(found.estimate, f.name), getattr(plain, f.name)), f.name
+        again = align(plain.model, tracked[0].estimate.model)
+        np.testing.assert_allclose(found.estimate.model.A, again.A, atol=1e-9)
+        np.testing.assert_allclose(found.estimate.pole_std, plain.pole_std, rtol=1e-9)
+
+
+def test_matrices_move_no_more_than_their_uncertainty(tracked):
+    A = np.array([t.estimate.model.A for t in tracked])
+    poles = np.array([t.estimate.model.poles for t in tracked])
+    assert {t.realisation for t in tracked} == {1}
+    assert np.ptp(A, axis=0).max() < 3 * np.abs(np.ptp(poles.real, axis=0)
+                                                + 1j * np.ptp(poles.imag, axis=0)).max()
+    spread = np.array([t.estimate.pole_std.max() for t in tracked]).max()
+    assert np.abs(A - A.mean(axis=0)).max() < 5 * spread
+
+
+def test_results_depend_on_the_records_only(steady, tracked):
+    assert all(same(a, b) for a, b in zip(tracked, run(steady), strict=True))
+
+
+def test_eigenvalues_keep_rows_and_deviations(tracked):
+    for found in tracked:
+        model = found.estimate.model
+        assert found.modes == (1, 2)
+        np.testing.assert_array_equal(found.eigenvalues, model.poles)
+        np.testing.assert_array_equal(found.eigenvalue_std, found.estimate.pole_std)
+
+
+def test_deviations_follow_their_poles_when_poles_change_places():
+    """A real pole as large as a pair: rounding decides which of them comes first."""
+    def system(real):
+        return StateSpace([[-1, 2, 0], [-2, -1, 0], [0, 0, -real]], np.ones((3, 2)),
+                          np.ones((2, 3)))
+    model, moved = (system(np.sqrt(5) * (1 + e)) for e in (-1e-15, 1e-15))
+    assert model.poles[0].imag == 0 != moved.poles[0].imag
+    estimate = Estimate(status=Status.OK, settings=Settings(), model=model,
+                        pole_std=np.array([0.1, 0.3, 0.3]))
+    np.testing.assert_array_equal(tracking._carried(estimate, model, moved), [0.3, 0.3, 0.1])
+    unknown = replace(estimate, pole_std=np.empty(0))
+    assert np.isnan(tracking._carried(unknown, model, moved)).all()
+
+
+def test_fresh_fit_is_that_of_the_last_model_on_what_is_new(steady, tracked):
+    assert np.isnan(tracked[0].fresh_fit).all()
+    assert (tracked[0].fresh_start_ns, tracked[0].fresh_end_ns) == (0, 0)
+    for before, record, found in zip(tracked, steady[1:], tracked[1:], strict=False):
+        simulated = simulation(before.estimate.model, record)
+        new = simulated.times > before.estimate.end_ns / S + 1e-9
+        assert 190 < new.sum() < 210  # 2 s of 100 Hz
+        y = simulated.y[:, 0]
+        rms = np.sqrt(np.mean((y - simulated.y_hat[:, 0])[new] ** 2))
+        expected = 100 * (1 - rms / np.sqrt(np.mean((y - y.mean()) ** 2)))
+        np.testing.assert_allclose(found.fresh_fit, [expected], rtol=1e-12)
+        assert found.fresh_fit[0] > 85
+        assert found.fresh_start_ns == before.estimate.end_ns
+        assert found.fresh_end_ns == found.estimate.end_ns
+
+
+def test_fresh_data_of_a_later_window_are_all_of_it(steady):
+    late = replace(steady[1], epoch_ns=60 * S)
+    found = run([steady[0], late])[1]
+    assert found.fresh_start_ns == 60 * S + round(late.start * S)
+    np.testing.assert_allclose(
+        found.fresh_fit, simulation(run(steady[:1])[0].estimate.model, late).fit, rtol=1e-9)
+
+
+@pytest.mark.parametrize(('stride', 'tested'), [(0.08, False), (0.2, True)])
+def test_few_new_samples_are_no_test(stride, tested):
+    found = run(windows(pair(), count=2, stride=stride))[1]
+    assert np.isfinite(found.fresh_fit).all() == tested
+    assert (found.fresh_end_ns > 0) == tested
+
+
+def test_a_changed_plant_shows_before_it_is_learnt():
+    old, new = windows(pair(), count=2), windows(pair(9.0), seed=2, count=4, start=8.0)
+    found = run([*old, *new])
+    fits = [t.fresh_fit[0] for t in found]
+    assert fits[1] > 85
+    assert fits[2] < 50
+    assert min(fits[3:]) > 85
+    # The same mode in the same row and the same states, one step further.
+    assert {t.modes for t in found} == {(1, 2)}
+    assert {t.realisation for t in found} == {1}
+    C = np.array([t.estimate.model.C for t in found])
+    assert np.ptp(C) < np.abs(C).max()
+
+
+def test_a_window_without_a_model_changes_nothing(steady, tracked):
+    tracker = Tracker(SETTINGS)
+    first = tracker.take(steady[0])
+    bad = tracker.take(silent(steady[1]))
+    assert bad.estimate.status is Status.NO_EXCITATION
+    assert (bad.realisation, bad.modes, len(bad.eigenvalues)) == (1, (), 0)
+    assert np.isfinite(bad.fresh_fit).all()  # the earlier model is tested all the same
+    third = tracker.take(steady[1])
+    assert same(third, run(steady[:2])[1])
+    assert same(first, tracked[0])
+
+
+def test_nothing_before_the_first_model(steady):
+    tracker = Tracker(SETTINGS)
+    bad = tracker.take(silent(steady[0]))
+    assert (bad.realisation, bad.modes) == (0, ())
+    assert np.isnan(bad.fresh_fit).all()
+    assert tracker.take(steady[0]).realisation == 1
+
+
+def test_another_order_starts_new_states_but_keeps_known_modes(steady):
+    tracker, found = Tracker(), []
+    for order, record in zip((2, 3, 3, 2, 3), steady, strict=True):
+        tracker.settings = SETTINGS.replace(order=order)
+        found.append(tracker.take(record))
+    assert [t.estimate.model.n for t in found] == [2, 3, 3, 2, 3]
+    assert [t.realisation for t in found] == [1, 2, 2, 3, 4]
+    for t in found:
+        assert t.modes[:2] == (1, 2)  # the pair; the third one is of the noise
+        np.testing.assert_allclose(np.abs(t.eigenvalues[:2]), 6, rtol=0.1)
+        np.testing.assert_allclose(np.sort_complex(t.eigenvalues),
+                                   np.sort_complex(t.estimate.model.poles))
+        for pole, std in zip(t.eigenvalues, t.eigenvalue_std, strict=True):
+            assert std in t.estimate.pole_std[t.estimate.model.poles == pole]
+    assert found[4].modes[2] not in found[1].modes + found[2].modes
+
+
+def test_reset_forgets_models_but_counts_on(steady):
+    tracker = Tracker(SETTINGS)
+    tracker.take(steady[0])
+    tracker.reset()
+    found = tracker.take(steady[1])
+    assert (found.realisation, found.modes) == (2, (3, 4))
+    assert np.isnan(found.fresh_fit).all()
+
+
+def test_a_reset_while_a_window_is_identified_holds(steady, monkeypatch):
+    tracker = Tracker(SETTINGS)
+
+    def interrupted(record, settings):
+        tracker.reset()  # as another thread would
+        return identify(record, settings)
+    monkeypatch.setattr(tracking, 'identify', interrupted)
+    tracker.take(steady[0])
+    monkeypatch.undo()
+    assert np.isnan(tracker.take(steady[1]).fresh_fit).all()
+
+
+def test_other_channels_are_a_mistake_until_reset(steady):
+    tracker = Tracker(SETTINGS)
+    tracker.take(steady[0])
+    other = windows(PLANTS['hd51'])[1]
+    with pytest.raises(DataError, match='output channels'):
+        tracker.take(other)
+    tracker.reset()
+    assert tracker.take(other).estimate.ok
+
+
+def test_nothing_but_the_last_model_is_kept(steady):
+    tracker, sizes = Tracker(SETTINGS.replace(refine=False, held_out=0.0)), []
+    for record in [*steady, *steady]:
+        tracker.take(record)
+        sizes.append(len(pickle.dumps(vars(tracker))))
+    assert max(sizes[5:]) < max(sizes[:5]) + 100  # bytes
+    assert max(sizes) < 10_000
+
+
+def test_a_model_that_explodes_is_told_as_such(steady):
+    """Poles that coincide, and more than e^700 within the window."""
+    wild = StateSpace([[1e3, 1], [0, 1e3]], [[0], [1]], [[1, 0]])
+    tracker = Tracker(SETTINGS)
+    found = tracker.take(steady[0])
+    tracker._past = replace(tracker._past, model=wild)
+    found = tracker.take(steady[1])
+    assert found.estimate.ok
+    assert not found.fresh_fit[0] > 0
+
+
+def test_an_unstable_plant_is_tracked():
+    rng = np.random.default_rng(4)
+    records = [replace(flown(rng, rate=100.0, duration=6.0), epoch_ns=6 * k * S)
+               for k in range(3)]
+    found = run(records)
+    assert {t.realisation for t in found} == {1}
+    assert {t.modes for t in found} == {(1, 2)}
+    for t in found:
+        np.testing.assert_allclose(t.eigenvalues, [2, -3], atol=0.2)
+    A = np.array([t.estimate.model.A for t in found])
+    assert np.ptp(A, axis=0).max() < 0.2
