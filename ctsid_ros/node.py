@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The program of the node: `ros2 run ctsid identifier`, or `python -m ctsid_ros.node`.
+
+SIGINT and SIGTERM end it with exit code 0, in any state, within a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import os
+import signal
+import sys
+from types import FrameType
+
+from ctsid_ros.blas import use_one_thread
+
+_PATIENCE = 0.3  # time for threads to end by themselves [s]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to end; return the exit code."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        return _run(argv)
+    except KeyboardInterrupt:  # while it was starting
+        return 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    use_one_thread()  # before NumPy is imported, hence the imports here
+    import rclpy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from ctsid_ros.identifier import Identifier
+
+    try:
+        rclpy.init(args=None if argv is None else list(argv))
+    except Exception as error:
+        if 'param' not in str(error):
+            raise
+        print(f'identifier: ROS cannot read the parameters: {error}\n(Each list is of one kind, '
+              "no value is left out, and words that mean something to YAML - y, n, on, off - "
+              'stand in quotes.)', file=sys.stderr)
+        return 1
+    node, ended = None, True
+    try:
+        node = Identifier()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.start()
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception:
+        # A signal may have taken the context away under a call of the middleware.
+        if rclpy.ok():
+            raise
+    finally:
+        if node is not None:
+            ended = node.close(_PATIENCE)
+            node.destroy_node()
+        rclpy.try_shutdown()
+    if not ended:  # a long identification is under way: nothing is lost with it
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
