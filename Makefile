@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-# make demo | test | test-all | lint | bench | bags | clean
-# Everything happens in .venv; PYTHON= chooses the interpreter that makes it (3.11 or later).
+# make demo | demo-live | test | test-all | lint | bench | bags | clean
+# Everything happens in $(VENV); PYTHON= chooses the interpreter that makes it (3.11 or later).
 
-VENV := .venv
+# On a sourced ROS 2 the environment is another one, which sees ROS and the NumPy it was built for.
+VENV := .venv$(addprefix -,$(ROS_DISTRO))
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check --prefer-binary
 # Two processes with one BLAS thread each are faster on two cores than the reverse.
@@ -10,13 +11,16 @@ PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
 PYTHON ?=
 PACKAGING := setup.py setup.cfg pyproject.toml
 
-.PHONY: demo test test-all lint bench bags clean
+.PHONY: demo demo-live test test-all lint bench bags clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.installed
 	@echo 'Identifying models along the example bag and comparing them with the truth ...'
 	$(VENV)/bin/ctsid replay bags/quadrotor_roll --params config/quadrotor_roll.yaml \
 	  --truth bags/quadrotor_roll_truth.json --out results/demo --force
+
+demo-live: $(VENV)/.installed$(if $(ROS_DISTRO),,-ros)
+	$(PY) -m ctsid_ros.examples.live_demo --params config/live_demo.yaml
 
 test: $(VENV)/.installed-test
 	$(PYTEST) -m 'not slow'
@@ -36,11 +40,12 @@ bags: $(VENV)/.installed
 	$(PY) bags/make_quadrotor_roll.py
 
 clean:
-	rm -rf $(VENV) .venv-ci-* results build install log *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv $(VENV) .venv-ci-* results build install log *.egg-info .mypy_cache .ruff_cache .pytest_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):
-	python=$${PYTHON:-$$(.ci/find-python 3.12 3.11 3.13 3.14)} && "$$python" -m venv $(VENV)
+	python=$${PYTHON:-$$(.ci/find-python 3.12 3.11 3.13 3.14)} && \
+	  "$$python" -m venv $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
 
 $(VENV)/.installed: $(PACKAGING) | $(PY)
 	@echo 'Installing ctsid and what it needs into $(VENV) ...'

@@ -36,6 +36,11 @@ setup(
         'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
         'dev': [*TEST, 'ruff', 'mypy'],
     },
-    entry_points={'console_scripts': ['ctsid = ctsid_ros.cli:main']},
+    entry_points={'console_scripts': [
+        'ctsid = ctsid_ros.cli:main',
+        'identifier = ctsid_ros.node:main',
+        'gain_tuner = ctsid_ros.examples.gain_tuner:main',
+        'simulated_robot = ctsid_ros.examples.simulated_robot:main',
+    ]},
     zip_safe=False,
 )

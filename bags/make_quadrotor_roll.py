@@ -4,11 +4,9 @@ Make the example bags: the roll loop of a simulated quadrotor, and its true mode
 
 Usage: python bags/make_quadrotor_roll.py [FOLDER]
 
-An attitude controller commands a roll torque at 50 Hz, held until the next command. The torque
-passes the motors' lag and turns a body that carries a camera boom on a slightly flexible joint,
-in gusty air. An inertial sensor at nominally 200 Hz measures roll rate and attitude. Commands and
-measurements have their own jittered stamps, are logged later than they are stamped, and some
-measurements are lost. Between any two stamps the motion is integrated exactly.
+What flies is `ctsid_ros.examples.quadrotor_roll`: torque commands at 50 Hz, an inertial sensor at
+nominally 200 Hz. Commands and measurements have their own jittered stamps, are logged later than
+they are stamped, and some measurements are lost.
 
 The same messages are written as rosbag2 MCAP (quadrotor_roll/), rosbag2 sqlite3
 (quadrotor_roll_sqlite3/) and ROS 1 (quadrotor_roll.bag), and the model from torque to roll rate
@@ -30,10 +28,18 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
-from scipy.linalg import expm, solve_continuous_are
 
 from ctsid_core import storage
-from ctsid_core.statespace import StateSpace
+from ctsid_ros.examples.quadrotor_roll import (
+    ANGLE_NOISE,
+    COMMAND_RATE,
+    GYRO_NOISE,
+    GYRO_STEP,
+    IMU_RATE,
+    Motion,
+    Plant,
+    quantised,
+)
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -41,22 +47,6 @@ Stamps = NDArray[np.int64]
 SEED = 20250614
 EPOCH_NS = 1_749_888_000_000_000_000  # 2025-06-14 08:00 UTC
 DURATION = 40.0  # s
-
-# The plant. States: motor torque [N m], body roll rate [rad/s], joint angle [rad], boom rate.
-MOTOR_POLE = -20.0  # rad/s
-AIR_POLE = -2.0  # rad/s: aerodynamic damping of the rigid vehicle
-BODY, BOOM = 0.016, 0.004  # kg m^2: roll inertia of body and boom
-MODE, DAMPING = 2 * np.pi * 5.0, 0.05  # rad/s, -: the boom's mode on the free vehicle
-TORQUE_OFFSET = 0.008  # N m: centre of gravity beside the centre of thrust
-GUST = 6e-7  # N^2 m^2 s: spectral density of the gusts' torque
-
-# The sensor and the controller.
-GYRO_NOISE, GYRO_BIAS = 0.02, 0.015  # rad/s
-GYRO_STEP = np.deg2rad(2000.0) / 2**15  # rad/s: a 16-bit gyro of +- 2000 deg/s
-ANGLE_NOISE = 0.003  # rad
-ANGLE_GAIN, RATE_GAIN = 36.0, 9.0  # 1/s^2, 1/s
-TORQUE_LIMIT, TORQUE_STEP = 0.4, 1e-4  # N m
-
 IMU_TOPIC, IMU_TYPE = '/imu', 'sensor_msgs/msg/Imu'
 TORQUE_TOPIC, TORQUE_TYPE = '/command/torque', 'geometry_msgs/msg/WrenchStamped'
 
@@ -73,34 +63,6 @@ class Flight:
     rate: Array  # (N, 3), body axes [rad/s]
     roll: Array  # (N,) [rad]
     acceleration: Array  # (N, 3) [m/s^2]
-
-
-def plant() -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C and the column by which a roll torque acts on the body."""
-    stiffness = MODE**2 / (1 / BODY + 1 / BOOM)
-    joint = 2 * DAMPING * stiffness / MODE
-    air = -AIR_POLE * (BODY + BOOM)
-    A = np.array([
-        [MOTOR_POLE, 0.0, 0.0, 0.0],
-        [1 / BODY, -(air + joint) / BODY, -stiffness / BODY, joint / BODY],
-        [0.0, 1.0, 0.0, -1.0],
-        [0.0, joint / BOOM, stiffness / BOOM, -joint / BOOM]])
-    B = np.array([[-MOTOR_POLE], [0.0], [0.0], [0.0]])
-    C = np.array([[0.0, 1.0, 0.0, 0.0]])
-    return A, B, C, np.array([[0.0], [1 / BODY], [0.0], [0.0]])
-
-
-def true_model() -> StateSpace:
-    """Return the true model in innovation form; K is the stationary Kalman gain."""
-    A, B, C, torque_on_body = plant()
-    noise = np.array([[GYRO_NOISE**2 / 200.0]])
-    gusts = GUST * torque_on_body @ torque_on_body.T
-    covariance = solve_continuous_are(A.T, C.T, gusts, noise)
-    return StateSpace(
-        A=A, B=B, C=C, D=np.zeros((1, 1)), K=covariance @ C.T / noise, delay=(0.0,),
-        x_trim=TORQUE_OFFSET * torque_on_body[:, 0], y_trim=np.array([GYRO_BIAS]),
-        input_names=('torque',), output_names=('rate',), input_units=('N m',),
-        output_units=('rad/s',), noise=noise)
 
 
 def jittered(rng: np.random.Generator, rate: float, jitter: float) -> Array:
@@ -125,7 +87,7 @@ def reference(rng: np.random.Generator, times: Array) -> Array:
 def fly(seed: int = SEED) -> Flight:
     """Simulate the flight and what is recorded of it."""
     rng = np.random.default_rng(seed)
-    command_times, imu_times = jittered(rng, 50.0, 0.1), jittered(rng, 200.0, 0.25)
+    command_times, imu_times = jittered(rng, COMMAND_RATE, 0.1), jittered(rng, IMU_RATE, 0.25)
     # Stamps have a microsecond's resolution; the plant lives by the stamps as written.
     command_ns, imu_ns = (np.round(t * 1e6).astype(np.int64) * 1000
                           for t in (command_times, imu_times))
@@ -143,55 +105,22 @@ def fly(seed: int = SEED) -> Flight:
         quantised(0.15 * single[kept, 4:7] + [0.0, 0.0, 9.81], 9.81 * 16 / 2**15))
 
 
-def quantised(values: Array, step: float) -> Array:
-    """Round to multiples of `step`, as a converter does."""
-    return np.round(values / step) * step
-
-
 def simulate(rng: np.random.Generator, command_ns: Stamps, imu_ns: Stamps, wanted: Array,
              noise: Array) -> tuple[Array, Array, Array]:
     """Return held torques at the commands, measured rates and roll angles at the sensor."""
-    stamps = np.concatenate([[0], np.union1d(command_ns, imu_ns)])
-    commands, samples = np.isin(stamps, command_ns), np.isin(stamps, imu_ns)
-    steps = transitions(np.diff(stamps) * 1e-9)
-    gusts = rng.standard_normal(len(steps)) * np.sqrt(GUST / (np.diff(stamps) * 1e-9))
+    motion, events = Motion(rng), np.union1d(command_ns, imu_ns)
     torque, rate, roll = np.zeros(len(wanted)), np.zeros(len(noise)), np.zeros(len(noise))
-    state, held, k, j = np.zeros(5), 0.0, 0, 0
-    for step, gust, is_command, is_sample in zip(
-            steps, gusts, commands[1:], samples[1:], strict=True):
-        state = step @ np.concatenate([state, [held, gust + TORQUE_OFFSET]])
+    j = k = 0
+    for time_ns, is_sample, is_command in zip(
+            events, np.isin(events, imu_ns), np.isin(events, command_ns), strict=True):
+        motion.move(int(time_ns))
         if is_sample:
-            rate[j] = state[1] + GYRO_BIAS + GYRO_NOISE * noise[j, 0]
-            roll[j] = state[4] + ANGLE_NOISE * noise[j, 1]
+            rate[j], roll[j] = motion.measure(GYRO_NOISE * noise[j, 0], ANGLE_NOISE * noise[j, 1])
             j += 1
         if is_command:
-            last = max(j - 1, 0)
-            turn = ANGLE_GAIN * (wanted[k] - roll[last]) - RATE_GAIN * rate[last]
-            held = float(quantised(np.clip((BODY + BOOM) * turn, -TORQUE_LIMIT, TORQUE_LIMIT),
-                                   TORQUE_STEP))
-            torque[k] = held
+            torque[k] = motion.command(wanted[k])
             k += 1
     return torque, rate, roll
-
-
-def transitions(durations: Array) -> Array:
-    """
-    Return how states, roll angle and held torques change over each duration.
-
-    Parameters
-    ----------
-    durations : ndarray, shape (N,)
-        Intervals [s].
-
-    Returns
-    -------
-    ndarray, shape (N, 5, 7)
-        From the 4 states, the angle, the commanded and the disturbing torque to the 5 first.
-    """
-    A, B, C, torque_on_body = plant()
-    motion = np.zeros((7, 7))
-    motion[:4, :4], motion[:4, 5:6], motion[:4, 6:7], motion[4, :4] = A, B, torque_on_body, C[0]
-    return np.asarray(expm(motion * durations[:, np.newaxis, np.newaxis])[:, :5])
 
 
 def messages(flight: Flight, store: Typestore) -> Iterator[tuple[int, str, object]]:
@@ -274,7 +203,7 @@ def main(folder: Path) -> None:
     write_ros2(folder / 'quadrotor_roll_sqlite3', flight, StoragePlugin.SQLITE3,
                CompressionMode.FILE)
     write_ros1(folder / 'quadrotor_roll.bag', flight)
-    storage.save_model(folder / 'quadrotor_roll_truth.json', true_model(), force=True)
+    storage.save_model(folder / 'quadrotor_roll_truth.json', Plant().true_model(), force=True)
 
 
 if __name__ == '__main__':

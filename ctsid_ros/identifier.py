@@ -149,7 +149,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         return self.on_cleanup(state)
 
     def _survive_transitions(self) -> None:
-        """Refuse transitions that are impossible now: rclpy raises, which would end the program."""
+        """Refuse transitions that are impossible now: rclpy raises, which would end it all."""
         service = self._service_change_state
         change = service.callback
 

@@ -20,11 +20,22 @@ _PATIENCE = 0.3  # time for threads to end by themselves [s]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is told to end; return the exit code."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave)
     try:
         return _run(argv)
     except KeyboardInterrupt:  # while it was starting
         return 0
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """
+    End the program at once: nothing is lost with it yet.
+
+    An interrupt while modules are imported would not do: Python notes those that pass through
+    code that is made from text, as that of dataclasses, and dies of SIGINT in the end.
+    """
+    os._exit(0)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -38,13 +49,15 @@ def _run(argv: Sequence[str] | None) -> int:
 
     from ctsid_ros.identifier import Identifier
 
+    for number in (signal.SIGINT, signal.SIGTERM):  # before those of rclpy, which call them
+        signal.signal(number, _interrupt)
     try:
         rclpy.init(args=None if argv is None else list(argv))
     except Exception as error:
         if 'param' not in str(error):
             raise
         print(f'identifier: ROS cannot read the parameters: {error}\n(Each list is of one kind, '
-              "no value is left out, and words that mean something to YAML - y, n, on, off - "
+              'no value is left out, and words that mean something to YAML - y, n, on, off - '
               'stand in quotes.)', file=sys.stderr)
         return 1
     node, ended = None, True

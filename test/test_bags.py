@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from ctsid_core.signals import Signal
 from ctsid_core.storage import load_model
+from ctsid_ros.examples import quadrotor_roll
 
 BAGS = Path(__file__).resolve().parent.parent / 'bags'
 NAMES = ('quadrotor_roll', 'quadrotor_roll_sqlite3', 'quadrotor_roll.bag')
@@ -109,7 +110,8 @@ def test_truth_explains_the_recorded_rate(maker, flight):
 def test_truth_has_the_poles_that_the_plant_was_given(maker):
     poles = load_model(BAGS / 'quadrotor_roll_truth.json').poles
     real = np.sort(poles[abs(poles.imag) < 1e-9].real)
-    np.testing.assert_allclose(real, [maker.MOTOR_POLE, maker.AIR_POLE], rtol=2e-3)
+    wanted = [quadrotor_roll.MOTOR_POLE, quadrotor_roll.AIR_POLE]
+    np.testing.assert_allclose(real, wanted, rtol=2e-3)
     pair = poles[poles.imag > 0]
-    np.testing.assert_allclose(abs(pair), maker.MODE, rtol=2e-3)
+    np.testing.assert_allclose(abs(pair), quadrotor_roll.MODE, rtol=2e-3)
     assert -pair.real / abs(pair) == pytest.approx(0.058, abs=0.003)

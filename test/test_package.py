@@ -112,7 +112,8 @@ def test_shipped_parameter_file_says_what_is_known_of_every_parameter(path):
 def test_pip_puts_the_command_into_bin(copied, tmp_path):
     pytest.importorskip('setuptools', reason='an offline build needs setuptools here')
     run(sys.executable, '-m', 'pip', 'install', '--no-deps', '--no-build-isolation',
-        '--disable-pip-version-check', '--no-index', '--prefix', tmp_path, copied)
+        '--disable-pip-version-check', '--no-index', '--prefix', tmp_path, copied,
+        '--ignore-installed')  # else pip would remove the one of this environment
     assert (tmp_path / 'bin/ctsid').exists()
     assert not (tmp_path / 'lib/ctsid').exists()
     (installed,) = tmp_path.glob('lib/python*/site-packages')

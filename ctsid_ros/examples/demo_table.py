@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identified beside true poles, window by window, and what all of them amount to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import textwrap
+
+from ctsid_core.estimate import Estimate
+from ctsid_core.statespace import StateSpace
+from ctsid_ros.tracks import Mode, match, modes, modes_of
+
+DEVIATIONS = 3.0  # a pole is right if nearer to the true one than so many standard deviations
+_FEWEST = 3  # models before and after the change without which nothing is shown
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The plant from `since_ns` on [ns]."""
+
+    since_ns: int
+    model: StateSpace
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """
+    The modes of one model beside those of a true one.
+
+    Parameters
+    ----------
+    pairs : tuple of (Mode, Mode)
+        True and identified.
+    missing, extra : tuple of Mode
+        Only true; only identified.
+    """
+
+    pairs: tuple[tuple[Mode, Mode], ...]
+    missing: tuple[Mode, ...] = ()
+    extra: tuple[Mode, ...] = ()
+
+    @property
+    def distance(self) -> float:
+        """Largest distance of a pole from its true one, in reported standard deviations."""
+        if self.missing or self.extra:
+            return float('inf')
+        return max(distance(*pair) for pair in self.pairs)
+
+
+def distance(true: Mode, found: Mode) -> float:
+    """Return the distance of two poles in standard deviations; infinite if that is unknown."""
+    gap = abs(found.pole - true.pole)
+    return gap / found.std if found.std > 0 else float('inf')
+
+
+@dataclass(frozen=True)
+class Window:
+    """
+    A window, and its model beside the truth.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    phase : str
+        before, straddling or after the change of the plant.
+    comparison : Comparison or None
+        With the truth, if there is a model; of a straddling window with the nearer one.
+    verdict : str
+        Of the tuner.
+    """
+
+    estimate: Estimate
+    phase: str
+    comparison: Comparison | None
+    verdict: str = ''
+
+    @property
+    def right(self) -> bool:
+        """Whether there is a model, and all its poles are those of the plant."""
+        return self.comparison is not None and self.comparison.distance <= DEVIATIONS
+
+
+def compare(model: StateSpace, estimate: Estimate) -> Comparison:
+    """Return the modes of an estimate beside those of the true model."""
+    true, found = modes(model), modes_of(estimate)
+    pairs = match([mode.pole for mode in true], [mode.pole for mode in found])
+    return Comparison(
+        tuple((true[i], found[j]) for i, j in pairs.items()),
+        tuple(mode for i, mode in enumerate(true) if i not in pairs),
+        tuple(mode for j, mode in enumerate(found) if j not in pairs.values()))
+
+
+def judge(estimate: Estimate, truths: Sequence[Truth], verdict: str = '') -> Window:
+    """
+    Compare a window with the truth of its time.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    truths : sequence of Truth
+        At least one, in order of time; the first counts for earlier times too.
+    verdict : str
+    """
+    first, last = (max((i for i, truth in enumerate(truths) if truth.since_ns <= time_ns),
+                       default=0) for time_ns in (estimate.start_ns, estimate.end_ns))
+    phase = 'straddling' if first != last else 'after' if first else 'before'
+    comparison = None
+    if estimate.ok:
+        comparison = min((compare(truth.model, estimate) for truth in truths[first:last + 1]),
+                         key=lambda c: c.distance)
+    return Window(estimate, phase, comparison, verdict)
+
+
+def line(window: Window, start_ns: int) -> str:
+    """Return a line about a window; times count from `start_ns`."""
+    end = (window.estimate.end_ns - start_ns) * 1e-9
+    parts = [f'{end:5.1f} s  {window.phase:10}  {window.estimate.status.name:13}']
+    if window.comparison is not None:
+        parts += [f'{_pole(true)}: {_pole(found)} ± {found.std:.2g} ({distance(true, found):.1f})'
+                  for true, found in window.comparison.pairs]
+        parts += [f'{_pole(mode)}: not found' for mode in window.comparison.missing]
+        parts += [f'not there: {_pole(mode)} ± {mode.std:.2g}'
+                  for mode in window.comparison.extra]
+    verdict = textwrap.shorten(window.verdict or 'nothing', 100, placeholder=' ...')
+    return '  '.join(parts) + f'\n         tuner: {verdict}'
+
+
+def summary(windows: Sequence[Window]) -> tuple[list[str], bool]:
+    """Return what the windows amount to, as lines, and whether it is as promised."""
+    lines, good = [], True
+    for phase in ('before', 'after'):
+        ours = [window for window in windows if window.phase == phase]
+        found = [window for window in ours if window.estimate.ok]
+        right = [window for window in found if window.right]
+        far = max((w.comparison.distance for w in found if w.comparison), default=float('nan'))
+        lines.append(f'{phase} the change: {len(ours)} windows, {len(found)} models, {len(right)} '
+                     f'of them within {DEVIATIONS:g} reported standard deviations of the truth '
+                     f'(the worst pole at {far:.1f})')
+        good = good and len(right) == len(found) >= _FEWEST
+    straddling = [window for window in windows if window.phase == 'straddling']
+    wrong = [window for window in straddling if window.estimate.ok and not window.right]
+    said = [_said(window) for window in straddling]
+    counts = ', '.join(f'{said.count(words)} {words}' for words in dict.fromkeys(said))
+    lines.append(f'straddling it: {len(straddling)} windows{": " if counts else ""}{counts}')
+    used = sum(window.verdict.startswith('Accepted') and not window.right for window in windows)
+    lines.append(f'wrong models that the tuner used: {used}')
+    good = good and not wrong and not used
+    lines.append('as promised: poles within three reported standard deviations of the truth '
+                 'before and after the change, and no wrong model in between' if good else
+                 'NOT as promised, see above')
+    return lines, good
+
+
+def _said(window: Window) -> str:
+    if not window.estimate.ok:
+        return window.estimate.status.name
+    return 'OK and right' if window.right else 'OK but WRONG'
+
+
+def _pole(mode: Mode) -> str:
+    pole = mode.pole
+    return f'{pole.real:#.3g}{pole.imag:+#.3g}j' if pole.imag else f'{pole.real:#.3g}'

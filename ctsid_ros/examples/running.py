@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run an example node until it is told to end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import signal
+from types import FrameType
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+
+def run(make: Callable[[], Node], argv: Sequence[str] | None = None) -> int:
+    """
+    Spin a node until SIGINT or SIGTERM; return the exit code, 0.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the node. If that has a method `close`, it is called before the end.
+    argv : sequence of str, optional
+        Command line; that of the process if not given.
+    """
+    signal.signal(signal.SIGTERM, _interrupt)
+    node = None
+    try:
+        rclpy.init(args=None if argv is None else list(argv))
+        node = make()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception:
+        # A signal may have taken the context away under a call of the middleware.
+        if rclpy.ok():
+            raise
+    finally:
+        if node is not None:
+            getattr(node, 'close', lambda: None)()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

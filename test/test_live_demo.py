@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demonstration judges rightly, and ends what it has started."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from ctsid_core.estimate import Estimate, Status
+from ctsid_core.settings import Settings
+from ctsid_core.statespace import StateSpace
+from ctsid_ros.examples.demo_table import Truth, judge, line, summary
+from ctsid_ros.examples.quadrotor_roll import Plant
+
+ROOT = Path(__file__).resolve().parent.parent
+S = 10**9
+BEFORE, AFTER = Plant().true_model(), Plant(0.5).true_model()
+TRUTHS = [Truth(100 * S, BEFORE), Truth(115 * S, AFTER)]
+
+
+def estimate(start: float, model: StateSpace | None, std: float = 0.01) -> Estimate:
+    """A window of 8 s."""
+    return Estimate(
+        status=Status.OK if model else Status.UNEXPLAINED, settings=Settings(), model=model,
+        pole_std=std * abs(model.poles) if model else np.empty(0), fit=np.array([97.0]),
+        start_ns=round(start * S), end_ns=round((start + 8) * S))
+
+
+def moved(model: StateSpace, by: float) -> StateSpace:
+    return replace(model, A=(1 + by) * model.A)
+
+
+def test_distances_are_in_reported_deviations():
+    window = judge(estimate(100, moved(BEFORE, 0.02)), TRUTHS)
+    assert (window.phase, window.right) == ('before', True)
+    assert window.comparison.distance == pytest.approx(2.0 / 1.02)
+    assert not judge(estimate(100, moved(BEFORE, 0.04)), TRUTHS).right
+    assert not judge(estimate(100, BEFORE, std=np.nan), TRUTHS).right
+
+
+def test_missing_and_additional_modes_are_wrong():
+    slow = StateSpace([[-2.0]], [[1.0]], [[1.0]])
+    window = judge(estimate(100, slow), TRUTHS)
+    assert not window.right
+    assert '-20.0: not found' in line(window, 100 * S)
+    more = StateSpace(np.block([[BEFORE.A, np.zeros((4, 1))], [np.zeros((1, 4)), -7.0]]),
+                      np.ones((5, 1)), np.ones((1, 5)))
+    window = judge(estimate(100, more), TRUTHS)
+    assert not window.right
+    assert 'not there: -7.00' in line(window, 100 * S)
+
+
+def test_straddling_windows_may_be_right_of_either_plant():
+    for model, right in ((BEFORE, True), (AFTER, True), (moved(AFTER, 0.3), False)):
+        window = judge(estimate(110, model), TRUTHS)
+        assert (window.phase, window.right) == ('straddling', right)
+    assert judge(estimate(116, AFTER), TRUTHS).phase == 'after'
+    assert not judge(estimate(116, BEFORE), TRUTHS).right
+
+
+def windows(*more) -> list:
+    good = [judge(estimate(start, BEFORE if start < 110 else AFTER), TRUTHS, 'Accepted: x')
+            for start in (100, 101, 102, 116, 117, 118)]
+    return good + [judge(e, TRUTHS, v) for e, v in more]
+
+
+def test_promise_is_kept_if_nothing_wrong_was_published():
+    lines, good = summary(windows((estimate(110, None), 'Refused: x')))
+    assert good
+    assert '3 models, 3 of them within 3 reported' in lines[0]
+    assert 'straddling it: 1 windows: 1 UNEXPLAINED' in lines[2]
+    assert lines[-1].startswith('as promised')
+
+
+@pytest.mark.parametrize('wrong', [
+    (estimate(110, moved(BEFORE, 0.5)), 'Refused: x'), (estimate(103, AFTER), 'Refused: x')])
+def test_promise_is_broken_by_a_wrong_model(wrong):
+    lines, good = summary(windows(wrong))
+    assert not good
+    assert lines[-1].startswith('NOT as promised')
+
+
+def test_promise_is_broken_if_there_is_nothing_to_see():
+    assert not summary([])[1]
+    assert not summary(windows()[:5])[1]
+
+
+def demo(*arguments: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, '-m', 'ctsid_ros.examples.live_demo', '--params',
+         str(ROOT / 'config/live_demo.yaml'), *arguments], stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True, env=os.environ | {'PYTHONUNBUFFERED': '1'})
+
+
+def children(pid: int) -> list[int]:
+    found = Path(f'/proc/{pid}/task/{pid}/children').read_text(encoding='ascii')
+    return [int(child) for child in found.split()]
+
+
+def test_interrupted_demo_leaves_nothing_behind():
+    pytest.importorskip('rclpy')
+    process = demo('--duration', '20')
+    end = time.monotonic() + 20
+    while len(started := children(process.pid)) < 3 and time.monotonic() < end:
+        time.sleep(0.1)
+    assert len(started) == 3
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=15)
+    assert process.returncode == 130, out
+    assert [pid for pid in started if Path(f'/proc/{pid}').exists()] == []
+
+
+def test_demo_says_what_is_wrong_with_its_parameters(tmp_path):
+    pytest.importorskip('rclpy')
+    process = demo('--params', str(tmp_path / 'none.yaml'))
+    out, _ = process.communicate(timeout=40)
+    assert process.returncode == 1
+    assert 'none.yaml' in out
+
+
+@pytest.mark.slow
+def test_demo_shows_what_it_promises():
+    pytest.importorskip('rclpy')
+    process = demo()
+    out, _ = process.communicate(timeout=90)
+    assert process.returncode == 0, out
+    assert 'as promised' in out
