@@ -22,19 +22,20 @@ demo: $(VENV)/.installed
 demo-live: $(VENV)/.installed$(if $(ROS_DISTRO),,-ros)
 	$(PY) -m ctsid_ros.examples.live_demo --params config/live_demo.yaml
 
-test: $(VENV)/.installed-test
+test: $(VENV)/.installed-test $(VENV)/.tried-ros
 	$(PYTEST) -m 'not slow'
 
-test-all: $(VENV)/.installed-test
+test-all: $(VENV)/.installed-test $(VENV)/.tried-ros
 	$(PYTEST)
 
 lint: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 
-bench: $(VENV)/.installed-bench
+bench: $(VENV)/.installed-bench $(VENV)/.tried-ros
 	$(PY) benchmarks/floor.py
 	$(PY) benchmarks/peers.py
+	$(PY) benchmarks/node.py
 
 bags: $(VENV)/.installed
 	$(PY) bags/make_quadrotor_roll.py
@@ -50,6 +51,13 @@ $(PY):
 $(VENV)/.installed: $(PACKAGING) | $(PY)
 	@echo 'Installing ctsid and what it needs into $(VENV) ...'
 	$(PIP) --editable .
+	@touch $@
+
+# A sourced ROS 2 brings rclpy; else it comes from PyPI, which has it for Python 3.11 and 3.12 on
+# Linux. Where there is none, the tests of the node are skipped and say so.
+$(VENV)/.tried-ros: | $(VENV)/.installed
+	@$(if $(ROS_DISTRO),true,$(MAKE) --no-print-directory $(VENV)/.installed-ros) || \
+	  echo 'rclpy cannot be installed here: the tests of the node will be skipped.'
 	@touch $@
 
 # One rule for every set of extras of setup.py: .installed-test installs ctsid[test].
