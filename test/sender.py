@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A process that publishes /imu and /command in real time as fast as is asked for.
+
+Usage: python sender.py IMU_RATE COMMAND_RATE SECONDS
+
+It begins once both topics are heard, and prints how many messages it has sent. Messages are
+serialised once; each publication writes stamp and values into the bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from robot import SOFT, motion
+from sensor_msgs.msg import Imu, JointState
+
+STAMP, RATES = 4, 4 + 16 + 104  # where the values stand, with an empty frame_id
+EFFORT = serialize_message(JointState(effort=[1.5])).index(struct.pack('<d', 1.5))
+
+
+def main(imu_rate: float, command_rate: float, seconds: float) -> None:
+    made = motion(min(seconds, 20.0), phases=((0.0, SOFT),), rates=(command_rate, imu_rate))
+    rclpy.init()
+    node = Node('sender', start_parameter_services=False)
+    qos = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publishers = [node.create_publisher(kind, topic, qos) for kind, topic in (
+        (Imu, '/imu'), (JointState, '/command'))]
+    raw = [bytearray(serialize_message(Imu())),
+           bytearray(serialize_message(JointState(effort=[0.0])))]
+    while not all(publisher.get_subscription_count() for publisher in publishers):
+        time.sleep(0.01)
+    time.sleep(1.0)  # the other side may need a moment longer
+    kinds = [(imu_rate, made.y, RATES, '<dd'), (command_rate, made.u, EFFORT, '<d')]
+    sent, start = [0, 0], time.time_ns()
+    while (passed := (time.time_ns() - start) * 1e-9) < seconds and rclpy.ok():
+        for k, (rate, values, place, form) in enumerate(kinds):
+            while sent[k] < passed * rate:
+                stamp = start + int(sent[k] / rate * 1e9)
+                struct.pack_into('<iI', raw[k], STAMP, *divmod(stamp, 10**9))
+                struct.pack_into(form, raw[k], place, *values[sent[k] % len(values)])
+                publishers[k].publish(bytes(raw[k]))
+                sent[k] += 1
+        time.sleep(0.001)
+    print('sent', *sent, flush=True)
+    time.sleep(0.5)  # for what is under way
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    main(*map(float, sys.argv[1:4]))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the running node says of topics that do not come, and of messages that are no good."""
+
+import math
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+from live import DEEP, Live  # noqa: E402
+from robot import EPOCH, Robot, S, motion, params  # noqa: E402
+from sensor_msgs.msg import Imu  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+
+from ctsid_ros.messages import Level  # noqa: E402
+
+MS = 10**6
+
+
+@pytest.fixture
+def live(tmp_path):
+    with Live(tmp_path) as made:
+        yield made
+
+
+def test_publishers_that_cannot_be_heard_are_told_with_the_cure(live):
+    node = live.identifier(params('ingest.reliability: reliable\ningest.timeout: 0.5',
+                                  imu='sensors/imu'), '-r', 'sensors/imu:=/other/imu')
+    imu = live.publisher(Imu, '/other/imu', DEEP, readers=0)
+    command = live.publisher(Float64MultiArray, '/command', DEEP, readers=0)
+    end = time.monotonic() + 10.0
+    message = ''
+    while time.monotonic() < end and not ('best effort' in message and 'sends' in message):
+        imu.publish(Imu())
+        command.publish(Float64MultiArray(data=[1.0]))
+        time.sleep(0.1)
+        message = (node.health('ingest') or [type('None', (), {'message': ''})])[-1].message
+    assert ('the publisher `/test` of /other/imu is best effort, but `ingest.reliability` asks '
+            'for reliable, so its messages do not come; set it to best_effort') in message
+    assert ('the publisher `/test` of /command sends std_msgs/msg/Float64MultiArray, but `type` '
+            'says sensor_msgs/msg/JointState; correct it') in message
+    assert 'no message has come on sensors/imu' in message
+    assert 'no message has come on /command' in message
+    assert node.health('ingest')[-1].level == Level.STALE
+    assert all(node.log.count(sentence) == 1 for sentence in (
+        'so its messages do not come', 'correct it', 'no message has come on /command'))
+
+
+def test_a_topic_that_never_appears_is_named(live):
+    node = live.identifier(params('ingest.timeout: 0.5', imu='/never'))
+    robot = Robot(live, motion(1.0), imu='/other', readers=0)
+    live.wait(lambda: robot.publishers['command'].get_subscription_count(), 'the node')
+    time.sleep(0.3)
+    for k in range(15):
+        robot.send(0.1 * k, speed=1.0)
+        time.sleep(0.1)
+    said = node.wait_health('ingest', lambda h: 'no message has come on /never' in h.message,
+                            'the silent topic')
+    assert said.level in (Level.WARN, Level.STALE)
+    assert said.values['/never messages'] == '0'
+    assert int(said.values['/command messages']) > 0
+
+
+def test_junk_is_counted_and_told_and_never_fatal(live):
+    node = live.identifier(params('ingest.timeout: 60.0'))
+    robot = Robot(live, motion(9.5))
+    robot.send(2.0)
+    at = EPOCH + 1960 * MS  # still in the last `window.max_delay`
+    for k in range(3):  # whole numbers of milliseconds that no sample has
+        robot.publish('imu', at + k * MS + 1, [math.nan, 0.0])
+    robot.publish('imu', at + 7 * MS, [0.0, math.inf])
+    for k in range(5):
+        robot.publish('command', at + k * MS + 3, [])
+    for _ in range(2):
+        robot.publish('imu', 0, [1.0, 1.0])
+    robot.publish('imu', at + 1_500_000, [9.0, 9.0])  # that of a sample
+    for k in range(4):
+        robot.publish('imu', EPOCH + 1500 * MS + k, [5.0, 5.0])
+    robot.publish('command', EPOCH + 900 * S, [7.0])
+    robot.feed(node)
+    assert all(estimate.ok for estimate in node.wait_models(5))
+    said = node.next_health('ingest')
+    found = {key: int(value) for key, value in said.values.items() if key.split()[-1] in (
+        'non_finite', 'wrong_width', 'bad_stamp', 'duplicate', 'late', 'astray')}
+    shared = {'non_finite': None, 'bad_stamp': 2, 'duplicate': 1, 'late': 4}
+    assert found == {'p non_finite': 3, 'q non_finite': 1, 'torque wrong_width': 5,
+                     'torque astray': 1,
+                     **{f'{name} {key}': count for name in 'pq' for key, count in shared.items()
+                        if count}}
+    assert said.level == Level.WARN
+    for sentence in ('`p`: 3 of', '`q`: 1 of', 'are not finite', 'arrays are too short',
+                     'have a stamp of zero', 'have the stamp of another', 'came too late',
+                     'stamps far from all others'):
+        assert sentence in said.message
+    assert said.values['resets'] == '0'
+    assert node.program.alive
+
+
+def test_a_missing_package_and_wrong_fields_are_named_at_configure(live):
+    text = params().replace('sensor_msgs/msg/JointState', 'px4_msgs/msg/Motors')
+    node = live.identifier(text)
+    live.wait(lambda: 'not configured' in node.log, 'the refusal')
+    assert '`torque.type`' in node.log
+    assert 'the messages of px4_msgs are not installed here' in node.log
+    assert node.state() == 'unconfigured'
+    assert node.set(torque__type='sensor_msgs/msg/Imu') == ''
+    assert not node.change_state('configure')
+    assert '`torque.field`: topic /command (sensor_msgs/msg/Imu)' in node.log
+    assert node.set(torque__field='angular_velocity.w', p__field='angular_velocity') == ''
+    assert not node.change_state('configure')
+    live.wait(lambda: '`p.field`: topic /imu' in node.log, 'both faults')
+    assert 'angular_velocity.x' in node.log.split('angular_velocity.w')[1]
+    said = node.wait_health('ingest', lambda h: h.level == Level.ERROR, 'an error')
+    assert 'not configured' in said.message
+    assert node.program.alive

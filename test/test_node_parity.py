@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same messages live, replayed, drained and by callbacks: the same models to the last bit."""
+
+import importlib
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+from live import Live  # noqa: E402
+from robot import EPOCH, Robot, S, motion, params  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+
+from ctsid_core.model_json import to_json  # noqa: E402
+from ctsid_ros.bag import open_bag  # noqa: E402
+from ctsid_ros.config_file import read_config  # noqa: E402
+from ctsid_ros.message_types import definition, of_message_class  # noqa: E402
+from ctsid_ros.messages import decode_metadata, encode_model  # noqa: E402
+from ctsid_ros.replay import Replay  # noqa: E402
+
+
+@pytest.fixture
+def live(tmp_path):
+    with Live(tmp_path) as made:
+        yield made
+
+
+def texts(estimates) -> dict[int, str]:
+    """JSON by the end of the window: all bits of an estimate."""
+    return {estimate.end_ns: to_json(estimate) for estimate in estimates}
+
+
+@pytest.mark.parametrize(('order', 'header'), [
+    ('', False), ('order: 0\nmax_order: 4\nwindow.stride: 0.5', True)])
+def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, order):
+    path = tmp_path / 'flight.mcap'
+    node = live.identifier(params(f"{order}\ningest.record: '{path}'".strip(), header=header,
+                                  length=3.0))
+    robot = Robot(live, motion(5.6), header=header, start_ns=EPOCH if header else None)
+    if header:
+        robot.feed(node, length=3.0, stride=0.5 if order else 1.0)
+    else:
+        robot.send(speed=1.0)  # the times of arrival are the stamps
+    node.wait_models(5 if order else 2)
+    assert node.next_health('identification').values['skipped windows'] == '0'
+    assert node.program.end()[0] == 0
+    published = texts(node.estimates())
+    with open_bag(path) as bag:
+        assert not bag.notes
+        replay = Replay(bag, read_config(tmp_path / 'params0.yaml'))
+        replay.run()
+    again = texts(result.estimate for result in replay.results)
+    assert len(published) >= 2
+    assert any(estimate.ok for estimate in node.estimates())
+    assert {end: again.get(end) for end in published} == published
+    tracked = {result.estimate.end_ns: result.tracked for result in replay.results}
+    for estimate, data in zip(node.estimates(), node.metadata(), strict=True):
+        expected = decode_metadata(encode_model(tracked[estimate.end_ns]))
+        for key, value in expected.items():
+            np.testing.assert_array_equal(data[key], value, err_msg=key)
+    assert 0 <= min(published) - 3 * S - robot.start_ns < S // 5
+
+
+def test_callbacks_give_the_same_models(live):
+    # An executor under load hands out messages long after they arrived.
+    drained, called = (
+        live.identifier(params(f'ingest.method: {method}', max_delay=2.0), '-r',
+                        f'__ns:=/{method}', name=f'/{method}/identifier')
+        for method in ('drain', 'callbacks'))
+    robot = Robot(live, motion(11.0), readers=2)
+    for k in range(6):
+        robot.send(6.2 + k, speed=2.5)
+        drained.wait_models(k)
+        called.wait_models(k)
+    assert len(drained.models) >= 4
+    assert any(estimate.ok for estimate in drained.estimates())
+    assert called.wait_health('ingest', lambda h: int(h.values['windows']) >= 4, 'windows')
+    live.wait(lambda: len(called.models) == len(drained.models), 'as many models')
+    found, wanted = texts(called.estimates()), texts(drained.estimates())
+    assert found == wanted
+    for name, messages in drained.matrices.items():
+        assert called.matrices[name] == messages
+    assert [d['realisation'] for d in called.metadata()] == [
+        d['realisation'] for d in drained.metadata()]
+
+
+@pytest.mark.parametrize('name', [
+    'sensor_msgs/Imu', 'sensor_msgs/JointState', 'nav_msgs/Odometry',
+    'std_msgs/Float64MultiArray', 'geometry_msgs/WrenchStamped'])
+def test_recorded_definitions_are_those_of_ros(name):
+    package, kind = name.split('/')
+    cls = getattr(importlib.import_module(f'{package}.msg'), kind)
+    full = f'{package}/msg/{kind}'
+    recorded = get_types_from_msg(definition(of_message_class(cls)), full)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert full in recorded
+    for part, (_, fields) in recorded.items():
+        assert fields == store.fielddefs[part][1], part
+    mine = get_typestore(Stores.EMPTY)
+    mine.register(recorded)
+    assert mine.hash_rihs01(full) == store.hash_rihs01(full)
