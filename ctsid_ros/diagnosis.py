@@ -119,7 +119,9 @@ def diagnose_identification(progress: Progress) -> Health:
     last = progress.last
     if last is None:
         return Health(IDENTIFICATION, Level.ERROR if progress.failures else Level.STALE,
-                      progress.failure or 'no window is full yet', values)
+                      progress.failure or (
+                          'the first window is being identified' if progress.windows
+                          else 'no window is full yet'), values)
     estimate = last.tracked.estimate
     values |= {'window': last.window.number, 'computing time [s]': last.computing,
                'latency [s]': last.latency, **_estimate_values(estimate),

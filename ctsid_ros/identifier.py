@@ -9,12 +9,11 @@ the parameters and makes publishers and services, activate subscribes, and back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 import re
-import time
+import traceback
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,23 +24,13 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from ctsid_core.errors import SettingsError, StorageError
-from ctsid_core.signals import Record
-from ctsid_core.storage import save_model
 from ctsid_ros import messages, parameters
-from ctsid_ros.bag_writer import BagWriter
 from ctsid_ros.channels import Config
-from ctsid_ros.diagnosis import (
-    IDENTIFICATION,
-    INGEST,
-    IngestDiagnosis,
-    diagnose_identification,
-)
-from ctsid_ros.feed import Feed
+from ctsid_ros.diagnosis import IDENTIFICATION, INGEST
 from ctsid_ros.health import Health, Level
-from ctsid_ros.intake import Intake
-from ctsid_ros.message_types import MessageType, message_class, of_message_class
-from ctsid_ros.session import Identified, Session, Window
-from ctsid_ros.sim_clock import SimClock
+from ctsid_ros.plan import Plan, read_plan
+from ctsid_ros.run import Answer, Run, begin
+from ctsid_ros.session import Identified
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -51,26 +40,6 @@ _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.
 _STOP = 0.3  # time for the thread of the intake to end [s]
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """What was configured."""
-
-    config: Config
-    classes: Mapping[str, Any]
-    types: Mapping[str, MessageType]
-
-
-@dataclass(frozen=True)
-class _Run:
-    """What runs between activation and deactivation."""
-
-    feed: Feed
-    intake: Intake
-    session: Session
-    diagnosis: IngestDiagnosis
-    recorder: BagWriter | None
-
-
 class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
     """The node; `start` brings it to the state in which it identifies."""
 
@@ -78,8 +47,8 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         super().__init__('identifier', **options)
         parameters.declare(self)
         parameters.watch(self, lambda: self._plan is not None, self._change)
-        self._plan: _Plan | None = None
-        self._now: _Run | None = None
+        self._plan: Plan | None = None
+        self._now: Run | None = None
         self._outputs: dict[str, Any] = {}
         self._offered: list[Any] = []
         self._told: set[str] = set()  # what is wrong now, and has been logged
@@ -90,7 +59,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
 
     def start(self) -> None:
         """Configure and activate, if `autostart` says so."""
-        if (self.get_parameter('autostart').value
+        if (self.get_parameter('autostart').value is not False
                 and self.trigger_configure() == _SUCCESS):
             self.trigger_activate()
 
@@ -101,26 +70,33 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read and check the parameters; make publishers and services."""
         try:
-            self._plan = self._read()
+            self._plan = read_plan(self)
         except SettingsError as error:
             for fault in error.faults:
                 self.get_logger().error(fault)
             self.get_logger().error(
                 'not configured; correct the parameters, then configure again')
             return _FAILURE
+        except Exception as error:  # rclpy would go to the error state without a word
+            self.get_logger().error(f'not configured, by a fault of ctsid: {_trace(error)}')
+            return _FAILURE
         self._outputs = {name: self.create_lifecycle_publisher(kind, f'~/{name}', LATCHED)
                          for name, kind in TOPICS.items()}
-        self._offered = [self.create_service(Trigger, f'~/{name}', answer) for name, answer in (
-            ('identify', self._on_identify), ('reset', self._on_reset), ('save', self._on_save))]
+        self._offered = [self._offer(name, act) for name, act in (
+            ('identify', Run.identify), ('reset', Run.reset),
+            ('save', lambda run: run.save(self._folder())))]
         return _SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe and begin."""
         assert self._plan is not None
         try:
-            self._now = self._begin(self._plan)
+            self._now = begin(self, self._plan, self._publish)
         except StorageError as error:
             self.get_logger().error(f'not activated: {error}')
+            return _FAILURE
+        except Exception as error:
+            self.get_logger().error(f'not activated, by a fault of ctsid: {_trace(error)}')
             return _FAILURE
         return super().on_activate(state)
 
@@ -164,55 +140,14 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
 
         service.callback = answer
 
-    def _read(self) -> _Plan:
-        config, faults = parameters.read(self), []
-        classes: dict[str, Any] = {}
-        for channel in config.channels:
-            try:
-                classes[channel.topic] = message_class(channel.type)
-            except ImportError as error:
-                faults.append(f'`{channel.name}.type` is {channel.type!r}: {error}')
-        if faults:
-            raise SettingsError(faults)
-        types = {topic: of_message_class(cls) for topic, cls in classes.items()}
-        Feed(config, types, lambda _: 1)  # for its check of the fields
-        return _Plan(config, classes, types)
-
-    def _begin(self, plan: _Plan) -> _Run:
-        node, settings = plan.config.node, plan.config.settings
-        recorder = BagWriter(node.ingest_record, plan.types) if node.ingest_record else None
-        if recorder is not None:
-            self.get_logger().info(f'recording the messages to {recorder.path}')
-        simulated = self.get_parameter('use_sim_time').value
-        clock = SimClock() if simulated else None
-        feed = Feed(plan.config, plan.types, self._count_publishers, recorder, clock)
-        session = Session(settings, self._publish, self.get_logger().error)
-
-        def deliver(record: Record) -> None:
-            end_ns = record.epoch_ns + round(record.end * 1e9)
-            number = session.progress.windows + 1
-            session.submit(Window(record, number, feed.arrival_ns(end_ns)))
-
-        intake = Intake(self, feed, plan.classes, node, deliver, clock)
-        return _Run(feed, intake, session, IngestDiagnosis(plan.config, time.time_ns()),
-                    recorder)
-
     def _halt(self, patience: float) -> bool:
         """End what runs; return whether the thread of identification has ended in time [s]."""
         run, self._now = self._now, None
-        if run is None:
-            return True
-        run.intake.stop(_STOP)
-        ended = run.session.stop(patience)
-        if run.recorder is not None:
-            try:
-                run.recorder.close()
-            except StorageError as error:
-                self.get_logger().error(str(error))
-        return ended
-
-    def _count_publishers(self, topic: str) -> int:
-        return int(self.count_publishers(self.resolve_topic_name(topic)))
+        try:
+            return run is None or run.stop(patience)
+        except StorageError as error:
+            self.get_logger().error(str(error))
+            return False
 
     def _change(self, config: Config) -> None:
         if self._plan is not None:
@@ -226,7 +161,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         if run is None:
             return
         model, status = tracked.estimate.model, tracked.estimate.status
-        found = {'model': messages.encode_model(tracked, self._metadata(run, result))}
+        found = {'model': messages.encode_model(tracked, run.metadata(result))}
         if model is not None:
             found |= {'system_matrix': messages.encode_system_matrix(model),
                       **messages.encode_matrices(model),
@@ -240,55 +175,33 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
             else:
                 self.get_logger().warning(status.value)
 
-    def _on_identify(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Identify the last window of data now, out of turn."""
-        run = self._now
-        if run is None:
-            return _say(answer, False, 'the node is not active; activate it first')
-        with run.intake.lock:
-            record = run.feed.latest()
-            arrival_ns = None if record is None else run.feed.arrival_ns(
-                record.epoch_ns + round(record.end * 1e9))
-        if record is None:
-            length = run.feed.config.settings.window_length
-            return _say(answer, False, f'there are no {length:g} s of data of all channels yet; '
-                        'see /diagnostics')
-        run.session.submit(Window(record, run.session.progress.windows + 1, arrival_ns, True))
-        return _say(answer, True, 'the model of the last window is on its way to ~/model')
+    def _offer(self, name: str, act: Callable[[Run], Answer]) -> Any:
+        """Make a service that does something with what runs."""
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.success, response.message = (
+                    (False, 'the node is not active; activate it first') if self._now is None
+                    else act(self._now))
+            except Exception as error:  # a service must not end the node
+                self.get_logger().error(f'a fault of ctsid in ~/{name}: {_trace(error)}')
+                response.success, response.message = False, f'a fault of ctsid: {error}'
+            return response
 
-    def _on_reset(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Forget all data and models."""
-        run = self._now
-        if run is None:
-            return _say(answer, False, 'the node is not active, so there is nothing to forget')
-        with run.intake.lock:
-            run.feed.reset()
-        run.session.reset()
-        return _say(answer, True, 'data and models are forgotten')
+        return self.create_service(Trigger, f'~/{name}', answer)
 
-    def _on_save(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Write the last accepted model to a file."""
-        run = self._now
-        accepted = None if run is None else run.session.progress.accepted
-        if run is None or accepted is None:
-            return _say(answer, False, 'there is no accepted model yet; see /diagnostics')
-        estimate = accepted.tracked.estimate
-        moment = datetime.fromtimestamp(estimate.end_ns // 10**9, UTC).strftime('%Y%m%dT%H%M%SZ')
-        folder = Path(self.get_parameter('save.folder').value).expanduser()
-        path = folder / f'{self.get_name()}-{moment}-{accepted.window.number}.json'
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            save_model(path, estimate, self._metadata(run, accepted), force=True)
-        except (StorageError, OSError) as error:
-            return _say(answer, False, f'not written: {error}')
-        return _say(answer, True, f'written to {path.absolute()}')
-
-    def _metadata(self, run: _Run, result: Identified) -> dict[str, object]:
-        return messages.provenance(
-            run.feed.config, self.get_fully_qualified_name(), result.window.number,
-            requested=result.window.requested, computing_seconds=result.computing)
+    def _folder(self) -> Path:
+        return Path(self.get_parameter('save.folder').value).expanduser()
 
     def _diagnose(self) -> None:
+        try:
+            self._tell()
+        except Exception as error:  # what tells of faults must not end the node by its own
+            if self.context.ok():
+                self.get_logger().error(f'no diagnostics, by a fault of ctsid: {_trace(error)}',
+                                        throttle_duration_sec=60.0)
+
+    def _tell(self) -> None:
+        """Publish the diagnostics, log what is new in them."""
         run, name = self._now, self.get_fully_qualified_name()
         if run is None:
             words = ('configured, but not active' if self._plan else 'not configured; correct the '
@@ -296,12 +209,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
             level = Level.STALE if self._plan else Level.ERROR
             found = [Health(part, level, words) for part in (INGEST, IDENTIFICATION)]
         else:
-            faults = list(run.intake.faults())
-            timeout = self.get_parameter('ingest.timeout').value
-            with run.intake.lock:
-                ingest = run.diagnosis.look(run.feed, time.time_ns(), timeout, faults,
-                                            run.intake.failure)
-            found = [ingest, diagnose_identification(run.session.progress)]
+            found = run.health(self.get_parameter('ingest.timeout').value)
             self._log_news(run.diagnosis.troubles)
         self._diagnostics.publish(messages.encode_diagnostics(
             self.get_clock().now().nanoseconds,
@@ -315,6 +223,5 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self._told = set(sentences)
 
 
-def _say(answer: Trigger.Response, success: bool, message: str) -> Trigger.Response:
-    answer.success, answer.message = success, message
-    return answer
+def _trace(error: Exception) -> str:
+    return ''.join(traceback.format_exception(error))

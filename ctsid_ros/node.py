@@ -15,6 +15,7 @@ from types import FrameType
 
 from ctsid_ros.blas import use_one_thread
 
+_TURN = 0.2  # within this time a signal is noticed [s]
 _PATIENCE = 0.3  # time for threads to end by themselves [s]
 
 
@@ -66,7 +67,8 @@ def _run(argv: Sequence[str] | None) -> int:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         node.start()
-        executor.spin()
+        while rclpy.ok():  # spin() may sleep through a signal until something else wakes it
+            executor.spin_once(timeout_sec=_TURN)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:

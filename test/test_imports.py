@@ -48,7 +48,7 @@ LEVELS = {
          'examples.demo_processes'], ['examples.robot_node', 'examples.demo_node'],
         ['examples.simulated_robot', 'examples.gain_tuner', 'examples.live_demo'],
         ['guess', 'figures', 'results'], ['report'], ['parameters', 'intake', 'worker'],
-        ['session'], ['diagnosis'], ['identifier'], ['node'],
+        ['session', 'plan'], ['diagnosis'], ['run'], ['identifier'], ['node'],
         ['verbs.arguments'], VERBS, ['cli']],
 }
 ROS = ('rclpy', 'rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
@@ -56,7 +56,8 @@ ROS = ('rclpy', 'rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geome
 # Which modules may know a library. Those of the core may import it inside a function only.
 USERS = {
     **dict.fromkeys(ROS, ['ctsid_ros.examples.*', 'ctsid_ros.parameters', 'ctsid_ros.descriptors',
-                          'ctsid_ros.intake', 'ctsid_ros.identifier', 'ctsid_ros.node',
+                          'ctsid_ros.intake', 'ctsid_ros.plan', 'ctsid_ros.run',
+                          'ctsid_ros.identifier', 'ctsid_ros.node',
                           # inside functions, where a message is made:
                           'ctsid_ros.messages', 'ctsid_ros.matrix_messages', 'ctsid_ros.health']),
     'control': ['ctsid_core.statespace'],
