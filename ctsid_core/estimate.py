@@ -32,6 +32,9 @@ class Status(Enum):
                    'over this window.')
     UNRELIABLE = ('The data do not determine a single pole well enough for a trustworthy model; '
                   'excite more frequencies, take a longer window, or lower the order.')
+    CHANGED = ('The plant, or the offset of a signal, changed within the window, and one model of '
+               'both would be wrong; take a window before or after the change, or wait until the '
+               'change has left the window.')
 
 
 @dataclass(frozen=True)

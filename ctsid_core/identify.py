@@ -16,10 +16,11 @@ from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
 from ctsid_core.refine import affordable, pole_deviation
-from ctsid_core.selection import choose_order, most_likely
+from ctsid_core.selection import choose_order, likeliest_simulation, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace
+from ctsid_core.steadiness import Change, likeliest_change
 from ctsid_core.usable import Usable, usable
 
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
@@ -58,7 +59,6 @@ def identify(record: Record, settings: Settings | None = None) -> Estimate:
     Examples
     --------
     >>> import numpy as np
-    from numpy.typing import NDArray
     >>> from ctsid_core import Record, identify
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> u = np.sign(np.sin(2.0 * t) + np.sin(5.1 * t))
@@ -164,7 +164,10 @@ def _held_out(part: Usable, found: _Found) -> Array:
     pair = Search(first, own).pair(own.order)
     if pair is None:
         return np.full(record.ny, np.nan)
-    return unseen_fit(last, most_likely(first, pair, own)[0])
+    # Simulation judges: without process noise the gain of the first part's model is of no use.
+    model = most_likely(first, pair, own)[0] if found.process_noise else \
+        likeliest_simulation(first, pair, own)[0]
+    return unseen_fit(last, model)
 
 
 def _share(record: Record, settings: Settings, share: float) -> Projection:
@@ -182,10 +185,18 @@ def _judge(part: Usable, found: _Found) -> Estimate:
     status = _status(found, fit, held_out)
     if status is Status.OK and _vague(part, poles, deviation):
         status = Status.UNRELIABLE
+    # The test is for a model at the maximum of the likelihood.
+    change = likeliest_change(found.projection, found.matrices, found.settings) \
+        if status is Status.OK and found.settings.refine else Change()
+    if change.matters:
+        status = Status.CHANGED
     ny = part.whole.ny
     worst = np.fmin(fit, held_out)
     notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[i]:.0f} %'
              for i, j in enumerate(part.y) if worst[i] < _EXPLAINED]
+    if status is Status.CHANGED:
+        notes.append(f'the likeliest time of the change is {change.share * 100:.0f} % of the '
+                     f'window, {change.share * part.record.duration:.2g} s after its start')
     return Estimate(
         status=status, settings=found.settings, model=model if status is Status.OK else None,
         rejected_model=None if status is Status.OK else model,
@@ -194,7 +205,9 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
         notes=(*part.notes, *notes),
-        statistics={'process_noise': float(found.process_noise)})
+        statistics={'process_noise': float(found.process_noise),
+                    'change_p_value': change.p_value, 'change_size': change.size,
+                    'change_gain': change.gain})
 
 
 def _status(found: _Found, fit: Array, held_out: Array) -> Status:
@@ -225,7 +238,8 @@ def _to_statespace(part: Usable, found: _Found) -> StateSpace:
     u, y = list(part.u), list(part.y)
     B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
     B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
-    level = np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
+    level = np.zeros(ny) if len(y) == ny else \
+        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
     level[y] = (m.y_trim[:, 0] if m.y_trim.size else 0.0) + part.y_level - m.D @ part.u_level
     drift = (m.x_trim[:, 0] if m.x_trim.size else np.zeros(n)) - m.B @ part.u_level
     error = as_real(prediction_errors(found.projection, m))

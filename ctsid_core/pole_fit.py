@@ -14,6 +14,7 @@ Golub and Pereyra 1973, SIAM J. Numer. Anal. 10; Kaufman 1975, BIT 15, for the J
 
 from __future__ import annotations
 
+from cmath import sqrt as csqrt
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,10 +85,11 @@ class OutputError:
             (projection.u, projection.ones)
         self._z = _unit_rows(np.vstack(driving))
         direct = (projection.u, projection.ones) if feedthrough else (projection.ones,)
-        self._direct = as_real(_unit_rows(np.vstack(direct)))
+        self._direct = _unit_rows(np.vstack(direct))
         y = as_real(projection.y)
         self._power = np.maximum(np.sum(y ** 2, axis=1), 1e-300)
         self._y = y / np.sqrt(self._power)[:, np.newaxis]
+        self._outputs = self._y.view(np.complex128)
         level = self._y @ as_real(self._ones).T @ as_real(self._ones)
         self._moving = np.maximum(np.sum((self._y - level) ** 2, axis=1), _FLOOR)
 
@@ -106,57 +108,77 @@ class OutputError:
             Steps may not take the real part of a pole beyond this [rad/s].
         """
         factors = _factors(poles / self._top)
-        cost, theta, q, residual = self._solve(factors)
-        for _ in range(steps):
-            step = self._step(factors, theta, q, residual)
-            new = self._search(factors, step, cost, limit)
-            if new is None:
-                break
-            gain = cost - new[1][0]
-            factors, (cost, theta, q, residual) = new
-            if gain < _LEAST_GAIN:
-                break
+        if steps:
+            factors = self._climb(factors, steps, limit)
+        cost, squares = self._cost(self._regressors(factors))
         n, ny, lines = len(poles), len(self._y), self._count
         count = ny * (n * self._driven + len(self._direct)) + n
         offset = lines * float(np.log(self._power).sum())
-        left = float(np.max(np.sum(residual ** 2, axis=1) / self._moving))
-        return OutputErrorFit(cost + offset, _roots(factors) * self._top, count, left)
+        return OutputErrorFit(cost + offset, _roots(factors) * self._top, count,
+                              float(np.max(squares / self._moving)))
+
+    def _climb(self, factors: Array, steps: int, limit: float) -> Array:
+        regressors = self._regressors(factors)
+        cost = self._cost(regressors)[0]
+        for _ in range(steps):
+            step = self._step(factors, *self._weights(regressors))
+            new = self._search(factors, step, cost, limit)
+            if new is None:
+                break
+            factors, regressors, gain = new[0], new[1], cost - new[2]
+            cost = new[2]
+            if gain < _LEAST_GAIN:
+                break
+        return factors
 
     def _search(self, factors: Array, step: Array, cost: float, limit: float,
-                ) -> tuple[Array, tuple[float, Array, Array, Array]] | None:
+                ) -> tuple[Array, Array, float] | None:
+        """Return the first better factors on the way back from a step, regressors and cost."""
         for halving in range(_HALVINGS):
             trial = factors + step * 0.5 ** halving
             if np.isfinite(limit) and np.max(_roots(trial).real) * self._top > limit:
                 continue
-            found = self._solve(trial)
-            if found[0] < cost:
-                return trial, found
+            regressors = self._regressors(trial)
+            new = self._cost(regressors)[0]
+            if new < cost:
+                return trial, regressors, new
         return None
 
-    def _solve(self, factors: Array) -> tuple[float, Array, Array, Array]:
-        """Return cost, weights theta, an orthonormal basis q of the regressors, residual."""
-        rows = [as_real(self._states(factors)), self._direct]
+    def _regressors(self, factors: Array) -> Array:
+        """Return the rows that explain the outputs, of unit norm or zero, the outputs below."""
+        rows = [*self._states(factors), self._direct]
         slow = self._slowest(factors)
         if slow is not None:
-            rows.append(as_real(self._ones * self._filter(factors[slow])))
-        regressors = np.vstack(rows)
-        norm = np.linalg.norm(regressors, axis=1)
+            rows.append(self._ones * self._filter(factors[slow]))
+        found = as_real(np.concatenate((*rows, self._outputs)))
+        norm = np.sqrt(np.einsum('ij,ij->i', found, found))
+        norm[-len(self._y):] = 1.0
         norm[norm == 0.0] = 1.0
-        q, r = np.linalg.qr((regressors / norm[:, np.newaxis]).T)
-        weights = self._y @ q
-        residual = self._y - weights @ q.T
-        lines = self._count
-        variance = np.maximum(np.sum(residual ** 2, axis=1), _FLOOR) / lines
-        theta = np.linalg.lstsq(r, weights.T, rcond=1e-12)[0].T / norm
-        return lines * float(np.log(variance).sum()), theta, q, residual
+        found /= norm[:, np.newaxis]
+        return found
 
-    def _states(self, factors: Array) -> Lines:
+    def _cost(self, regressors: Array) -> tuple[float, Array]:
+        """Return the cost, and the sum of squares that each output keeps."""
+        ny, lines = len(self._y), self._count
+        left = np.linalg.qr(regressors.T, mode='r')[-ny:, -ny:]
+        squares = np.einsum('ij,ij->j', left, left)
+        return lines * float(np.log(np.maximum(squares, _FLOOR) / lines).sum()), squares
+
+    def _weights(self, regressors: Array) -> tuple[Array, Array, Array, Array]:
+        """Return regressors, weights theta, an orthonormal basis q of them, and the residual."""
+        rows = regressors[:-len(self._y)]
+        q, r = np.linalg.qr(rows.T)
+        weights = self._y @ q
+        theta = np.linalg.lstsq(r, weights.T, rcond=1e-12)[0].T
+        return rows, theta, q, self._y - weights @ q.T
+
+    def _states(self, factors: Array) -> list[Lines]:
         """Return the rows z q and z s q of each factor, q = 1 / (s^2 + a s + b)."""
         blocks = []
         for factor in factors:
-            q = self._filter(factor)
-            blocks += [self._z * q, self._z * (q * self._s)] if factor[2] else [self._z * q]
-        return np.vstack(blocks) if blocks else np.empty((0, len(self._s)), dtype=complex)
+            rows = self._z * self._filter(factor)
+            blocks += [rows, rows * self._s] if factor[2] else [rows]
+        return blocks
 
     def _filter(self, factor: Array) -> Lines:
         a, b, quadratic = factor
@@ -172,22 +194,22 @@ class OutputError:
         sizes = [np.abs(_roots(factor[np.newaxis])).min() for factor in factors]
         return int(np.argmin(sizes)) if min(sizes) < self._slow else None
 
-    def _step(self, factors: Array, theta: Array, q: Array, residual: Array) -> Array:
+    def _step(self, factors: Array, rows: Array, theta: Array, q: Array,
+              residual: Array) -> Array:
         """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""
         size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
         columns: list[Array] = []
         places: list[tuple[int, int]] = []
         width, first, slow = len(self._z), 0, self._slowest(factors)
         for i, factor in enumerate(factors):
-            square = self._filter(factor) ** 2
-            part = theta[:, first:first + width] @ self._z
-            first += width
-            if factor[2]:
-                part = part + theta[:, first:first + width] @ (self._z * self._s)
-                first += width
+            count = 2 * width if factor[2] else width
+            part = theta[:, first:first + count] @ rows[first:first + count]
+            first += count
             if i == slow:
-                part = part + theta[:, -1:] @ self._ones
-            moves = [(1, -part * square)] + [(0, -part * square * self._s)] * bool(factor[2])
+                part = part + theta[:, -1:] @ rows[-1:]
+            # What a factor explains, filtered once more, is its derivative.
+            once = -part.view(np.complex128) * self._filter(factor)
+            moves = [(1, once)] + [(0, once * self._s)] * bool(factor[2])
             for k, change in moves:
                 real = as_real(change)
                 columns.append(((real - (real @ q) @ q.T) / size).ravel())
@@ -219,10 +241,10 @@ def _factors(poles: NDArray[np.complex128]) -> Array:
 
 def _roots(factors: Array) -> NDArray[np.complex128]:
     roots: list[complex] = []
-    for a, b, quadratic in factors:
+    for a, b, quadratic in factors.tolist():
         if not quadratic:
             roots.append(complex(-b))
             continue
-        root = np.sqrt(complex(a * a - 4.0 * b))
+        root = csqrt(a * a - 4.0 * b)
         roots += [(-a + root) / 2.0, (-a - root) / 2.0]
     return np.array(roots, dtype=complex)

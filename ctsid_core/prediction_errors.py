@@ -14,57 +14,110 @@ diverges to ever faster predictors.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ctsid_core.bases.base import Array, Lines, Projection, as_real
+from ctsid_core.bases.base import Array, Lines, Projection, as_real, real_times
 from ctsid_core.pbsid import Matrices, solve
+from ctsid_core.resolvent import Resolvent, resolvent
 
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
 
 
+@dataclass(frozen=True)
+class Prediction:
+    """
+    What a model foresees of the lines, and what the derivatives of that need.
+
+    Parameters
+    ----------
+    resolvent : Resolvent
+        Of A - K C.
+    x : ndarray, shape (n, L)
+        The states' lines.
+    error : ndarray, shape (ny, L)
+        E.
+    """
+
+    resolvent: Resolvent
+    x: Lines
+    error: Lines
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """
+    What a model is worth, and what the derivatives of that need.
+
+    Parameters
+    ----------
+    cost : float
+        -2 log likelihood, up to a constant; infinite if the model is not admissible.
+    prediction : Prediction or None
+        None if the model is not admissible.
+    poles : ndarray, shape (n,)
+        Of A [rad/s].
+    """
+
+    cost: float
+    prediction: Prediction | None
+    poles: NDArray[np.complex128]
+
+
 def simulate_lines(projection: Projection, m: Matrices) -> Lines:
     """Return the outputs of a model without noise, lines of shape (ny, L)."""
-    drive = m.B @ projection.u + m.tail @ projection.tail + m.x_trim @ projection.ones
-    x = _resolvent(m.A, projection.s, drive)
-    y: Lines = m.C @ x + m.D @ projection.u + m.y_trim @ projection.ones
-    return y
+    simulated: Lines = projection.y - simulation(projection, m).error
+    return simulated
+
+
+def simulation(projection: Projection, m: Matrices) -> Prediction:
+    """Return what a model foresees if its K counts as zero."""
+    drive = real_times(np.hstack((m.B, m.tail, m.x_trim)),
+                       projection.signals[:len(projection.signals) - len(m.C)])
+    return _prediction(projection, m, resolvent(m.A, projection.s), drive)
 
 
 def prediction_errors(projection: Projection, m: Matrices) -> Lines:
     """Return E, lines of shape (ny, L); for K = 0 the simulation's."""
-    x = _resolvent(m.A - m.K @ m.C, projection.s, _drive(projection, m))
-    e: Lines = projection.y - m.C @ x - m.D @ projection.u - m.y_trim @ projection.ones
-    return e
+    return predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s)).error
 
 
-def _drive(projection: Projection, m: Matrices) -> Lines:
-    drive: Lines = (m.B - m.K @ m.D) @ projection.u + m.tail @ projection.tail \
-        + (m.x_trim - m.K @ m.y_trim) @ projection.ones + m.K @ projection.y
-    return drive
+def predict(projection: Projection, m: Matrices, closed: Resolvent) -> Prediction:
+    """Return what a model foresees with its K; `closed` is the resolvent of A - K C."""
+    drive = real_times(np.hstack((m.B - m.K @ m.D, m.tail, m.x_trim - m.K @ m.y_trim, m.K)),
+                       projection.signals)
+    return _prediction(projection, m, closed, drive)
 
 
-def _resolvent(A: Array, s: Lines, drive: Lines) -> Lines:
-    """Return (s I - A)^-1 drive per line, in modal coordinates where those are sound."""
-    poles, modes = np.linalg.eig(A)
-    if np.linalg.cond(modes) < 1e10:
-        found: Lines = modes @ (np.linalg.solve(modes, drive) / (s - poles[:, np.newaxis]))
-        return found
-    systems = s[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A
-    return np.asarray(np.linalg.solve(systems, drive.T[:, :, np.newaxis])[:, :, 0].T)
+def _prediction(projection: Projection, m: Matrices, closed: Resolvent,
+                drive: Lines) -> Prediction:
+    x = closed.states(drive)
+    nu, y = len(projection.u), len(projection.signals) - len(m.C)
+    e = projection.y - real_times(m.C, x) - real_times(m.D, projection.signals[:nu])
+    if len(projection.ones):
+        e -= m.y_trim @ projection.signals[y - len(projection.ones):y]
+    return Prediction(closed, x, e)
 
 
 def output_error_cost(projection: Projection, m: Matrices) -> float:
     """Return -2 log likelihood, up to a constant, of a simulation (noise of measurement only)."""
-    error = as_real(projection.y - simulate_lines(projection, m))
-    count = line_weights(projection).sum()
-    variance = np.maximum(np.sum(error ** 2, axis=1) / count, _floor(projection))
-    return float(count * np.log(variance).sum())
+    return output_error(projection, m).cost
+
+
+def output_error(projection: Projection, m: Matrices) -> Likelihood:
+    """Return the likelihood of a simulation, with what its derivatives need."""
+    prediction, count = simulation(projection, m), projection.count
+    error = as_real(prediction.error)
+    variance = np.maximum(np.einsum('ij,ij->i', error, error) / count, _floor(projection))
+    return Likelihood(float(count * np.log(variance).sum()), prediction,
+                      prediction.resolvent.poles)
 
 
 def _floor(projection: Projection) -> Array:
-    floor: Array = _FLOOR * np.mean(as_real(projection.y) ** 2, axis=1) + 1e-300
+    y = as_real(projection.y)
+    floor: Array = _FLOOR * np.einsum('ij,ij->i', y, y) / y.shape[1] + 1e-300
     return floor
 
 
@@ -75,42 +128,63 @@ def innovation_cost(projection: Projection, m: Matrices) -> float:
     Infinite where a pole of the predictor is closer to the imaginary axis than the lines are to
     each other, or unstable: there the likelihood is that of a single line, and without bound.
     """
-    closed = m.A - m.K @ m.C
-    poles = np.linalg.eigvals(closed)
-    if np.max(poles.real) > -float(np.abs(projection.s[1] - projection.s[0])):
-        return np.inf
-    count = line_weights(projection).sum()
-    error = as_real(prediction_errors(projection, m))
-    covariance = error @ error.T / count + np.diag(_floor(projection))
+    return innovation(projection, m).cost
+
+
+def innovation(projection: Projection, m: Matrices) -> Likelihood:
+    """Return the likelihood with the model's K, with what its derivatives need."""
+    closed = resolvent(m.A - m.K @ m.C, projection.s)
+    poles = np.linalg.eigvals(m.A).astype(complex)
+    if np.max(closed.poles.real) > -float(np.abs(projection.s[1] - projection.s[0])):
+        return Likelihood(np.inf, None, poles)
+    prediction = predict(projection, m, closed)
+    error = as_real(prediction.error)
+    covariance = error @ error.T / projection.count + np.diag(_floor(projection))
+    cost = projection.count * float(np.linalg.slogdet(covariance)[1])
+    return Likelihood(cost + _spread(projection, poles, closed.poles), prediction, poles)
+
+
+def _spread(projection: Projection, poles: NDArray[np.complex128],
+            closed: NDArray[np.complex128]) -> float:
+    """Return -2 sum log|det H|."""
     # det H = det(s I - A) / det(s I - A bar), because A bar + K C = A
-    spread = np.sum(np.log(np.abs(projection.s - np.linalg.eigvals(m.A)[:, np.newaxis]) + 1e-300)
-                    - np.log(np.abs(projection.s - poles[:, np.newaxis])), axis=0)
-    return float(count * np.linalg.slogdet(covariance)[1]
-                 - 2.0 * line_weights(projection) @ spread)
+    spread = np.sum(np.log(np.abs(projection.s - poles[:, np.newaxis]) + 1e-300)
+                    - np.log(np.abs(projection.s - closed[:, np.newaxis])), axis=0)
+    return float(-2.0 * line_weights(projection) @ spread)
 
 
 def line_weights(projection: Projection) -> Array:
     """Return how many real numbers each line stands for: 2, but 1 at frequency zero."""
-    return np.where(projection.s == 0.0, 1.0, 2.0)
+    return projection.weights
 
 
-def spread_gradient(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    """Return the gradient of -2 sum log|det H| by the entries that `jacobian` lists."""
-    eye, weight = np.eye(len(m.A)), line_weights(projection)
-    systems = projection.s[:, np.newaxis, np.newaxis] * eye
-    open_loop = np.tensordot(weight, np.linalg.inv(systems - m.A), axes=1).real
-    closed = np.tensordot(weight, np.linalg.inv(systems - (m.A - m.K @ m.C)), axes=1).real
+def spread_gradient(projection: Projection, m: Matrices, feedthrough: bool,
+                    closed: Resolvent | None = None) -> Array:
+    """
+    Return the gradient of -2 sum log|det H| by the entries that `jacobian` lists.
+
+    Parameters
+    ----------
+    projection : Projection
+    m : Matrices
+    feedthrough : bool
+    closed : Resolvent, optional
+        Of A - K C, if it is at hand.
+    """
+    s = projection.s
+    open_sum = resolvent(m.A, s).sum(line_weights(projection))
+    closed_sum = (closed or resolvent(m.A - m.K @ m.C, s)).sum(line_weights(projection))
     nu, ones = len(projection.u), len(projection.ones)
     B_size = len(m.A) * (nu + len(projection.tail) + ones)
     D_size = len(m.C) * (nu * feedthrough + ones)
     gradient: Array = -2.0 * np.concatenate((
-        (closed - open_loop).T.ravel(), np.zeros(B_size), -(closed @ m.K).T.ravel(),
-        np.zeros(D_size), -(m.C @ closed).T.ravel()))
+        (closed_sum - open_sum).T.ravel(), np.zeros(B_size), -(closed_sum @ m.K).T.ravel(),
+        np.zeros(D_size), -(m.C @ closed_sum).T.ravel()))
     return gradient
 
 
-def jacobian(projection: Projection, m: Matrices, feedthrough: bool, *,
-             with_noise: bool) -> Array:
+def jacobian(projection: Projection, m: Matrices, feedthrough: bool, *, with_noise: bool,
+             whiten: Array | None = None, prediction: Prediction | None = None) -> Array:
     """
     Return the derivatives of -E by the entries of A, [B tail x_trim], C, [D y_trim] (and K).
 
@@ -122,27 +196,41 @@ def jacobian(projection: Projection, m: Matrices, feedthrough: bool, *,
         Whether the entries of D are free.
     with_noise : bool
         Whether those of K are.
+    whiten : ndarray, shape (ny, ny), optional
+        Multiplies E.
+    prediction : Prediction, optional
+        Of the model, if it is at hand.
 
     Returns
     -------
     ndarray, shape (ny, 2 L, parameters)
+        A view of an array whose first axis is that of the parameters.
     """
-    z = np.vstack((projection.u, projection.tail, projection.ones))
+    if prediction is None:
+        prediction = predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s))
+    z = projection.signals[:len(projection.signals) - len(m.C)]
     direct = np.vstack((projection.u, projection.ones)) if feedthrough else projection.ones
-    n, ny = len(m.A), len(m.C)
-    systems = projection.s[:, np.newaxis, np.newaxis] * np.eye(n) - (m.A - m.K @ m.C)
-    resolvent = np.linalg.inv(systems)
-    x = (resolvent @ _drive(projection, m).T[:, :, np.newaxis])[:, :, 0].T
-    gain = np.moveaxis(m.C @ resolvent, 0, 2)                     # (ny, n, L): C (s I - A bar)^-1
-    through = np.eye(ny)[:, :, np.newaxis] - np.einsum('jil,ik->jkl', gain, m.K)
-    blocks = [gain[:, :, np.newaxis] * x, gain[:, :, np.newaxis] * z,
-              through[:, :, np.newaxis] * x, through[:, :, np.newaxis] * direct]
+    outer = np.eye(len(m.C)) if whiten is None else whiten
+    # By entry (i, j): i first, then the outputs, then the lines; j are the rows they multiply.
+    gain = prediction.resolvent.outputs(outer @ m.C)              # C (s I - A bar)^-1
+    through = outer.T[:, :, np.newaxis] - real_times(
+        m.K.T, gain.reshape(len(m.A), -1)).reshape(len(m.C), len(m.C), -1)
+    blocks = [(gain, prediction.x), (gain, z), (through, prediction.x), (through, direct)]
     if with_noise:
-        e = projection.y - m.C @ x - m.D @ projection.u - m.y_trim @ projection.ones
-        blocks.append(gain[:, :, np.newaxis] * e)
-    stacked = np.concatenate([b.reshape(ny, -1, len(projection.s)) for b in blocks], axis=1)
-    return np.swapaxes(as_real(stacked.reshape(-1, len(projection.s))).reshape(
-        ny, stacked.shape[1], -1), 1, 2)
+        blocks.append((gain, prediction.error))
+    return np.moveaxis(as_real(_products(blocks)), 0, -1)
+
+
+def _products(blocks: list[tuple[Lines, Lines]]) -> Lines:
+    """Return left[i] right[j] for all i and j of all blocks, (sum of i j, ny, L)."""
+    sizes = [len(left) * len(right) for left, right in blocks]
+    out = np.empty((sum(sizes), *blocks[0][0].shape[1:]), dtype=complex)
+    first = 0
+    for (left, right), size in zip(blocks, sizes, strict=True):
+        np.multiply(left[:, np.newaxis], right[:, np.newaxis],
+                    out=out[first:first + size].reshape(len(left), len(right), *out.shape[1:]))
+        first += size
+    return out
 
 
 def line_fit(projection: Projection, m: Matrices) -> Array:

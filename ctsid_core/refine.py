@@ -9,29 +9,37 @@ local coordinates: McKelvey, Helmersson and Ribarits 2004, Automatica 40).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
+from ctsid_core.levenberg_marquardt import (
+    LEAST_DAMPING,
+    NormalEquations,
+    climb,
+    normal_equations,
+)
 from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.prediction_errors import (
-    innovation_cost,
+    Prediction,
+    innovation,
     jacobian,
-    line_weights,
+    output_error,
     output_error_cost,
+    predict,
     prediction_errors,
     spread_gradient,
 )
+from ctsid_core.resolvent import resolvent
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
-_LEAST_GAIN = 1e-2    # -2 log likelihood: smaller gains are not worth another step
-_HALVINGS = 5
+_DAMPING = 1e-5       # of an innovation form's first step, relative
 _WORK = 1e9           # multiplications of one step beyond which models are not refined
-_DAMPINGS = 8         # tries with ten times the damping each
 
 
 def realise_poles(projection: Projection, poles: NDArray[np.complex128],
@@ -112,7 +120,8 @@ def _modal(rows: list[tuple[complex, NDArray[np.complex128], NDArray[np.complex1
 
 
 def refine_output_error(projection: Projection, start: Matrices, feedthrough: bool,
-                        limit: float = np.inf, steps: int = 10) -> tuple[Matrices, float]:
+                        limit: float = np.inf, steps: int = 10,
+                        rival: float = np.inf) -> tuple[Matrices, float]:
     """
     Take a model to the maximum of the output-error likelihood.
 
@@ -124,7 +133,9 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
     limit : float
         Steps may not take the real part of a pole beyond this [rad/s].
     steps : int
-        Gauss-Newton steps at most.
+        At most.
+    rival : float
+        Cost of another model: given up as soon as it is clear that it will not be beaten.
 
     Returns
     -------
@@ -133,21 +144,16 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
     cost : float
         -2 log likelihood.
     """
-    model = replace(start, K=np.zeros_like(start.K))
-    cost = output_error_cost(projection, model)
-    for _ in range(steps):
-        step = _gauss_newton(projection, model, feedthrough)
-        for halving in range(_HALVINGS):
-            trial = _moved(model, step * 0.5 ** halving, feedthrough)
-            new = output_error_cost(projection, trial)
-            if new < cost and growth(trial) <= limit:
-                break
-        else:
-            return model, cost
-        model, gain, cost = trial, cost - new, new
-        if gain < _LEAST_GAIN:
-            break
-    return model, cost
+    def curvature(m: Matrices, prediction: Prediction) -> NormalEquations:
+        error = as_real(prediction.error)
+        size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150
+        columns = jacobian(projection, m, feedthrough, with_noise=False,
+                           whiten=np.diag(1.0 / size), prediction=prediction)
+        return normal_equations(_rows(columns), (error / size[:, np.newaxis]).ravel())
+
+    still = replace(start, K=np.zeros_like(start.K))
+    return climb(still, lambda m: output_error(projection, m), curvature, _mover(feedthrough),
+                 limit=limit, steps=steps, damping=LEAST_DAMPING, rival=rival)
 
 
 def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.complex128],
@@ -175,8 +181,11 @@ def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.c
     starts = [start]
     if len(set(np.round(poles, 12))) == len(poles):
         starts.append(realise_poles(projection, poles, feedthrough))
-    return min((refine_output_error(projection, s, feedthrough, limit) for s in starts),
-               key=lambda found: found[1])
+    model, cost = refine_output_error(projection, starts[-1], feedthrough, limit)
+    for other in starts[:-1]:
+        found = refine_output_error(projection, other, feedthrough, limit, rival=cost)
+        model, cost = min((model, cost), found, key=lambda pair: pair[1])
+    return model, cost
 
 
 def affordable(projection: Projection, n: int) -> bool:
@@ -186,46 +195,40 @@ def affordable(projection: Projection, n: int) -> bool:
     return bool(2.0 * len(projection.s) * ny * parameters ** 2 < _WORK)
 
 
-def _gauss_newton(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    error = as_real(prediction_errors(projection, m))
-    size = np.sqrt(np.mean(error ** 2, axis=1, keepdims=True)) + 1e-150
-    columns = jacobian(projection, m, feedthrough, with_noise=False) / size[:, np.newaxis]
-    left, s, right, norm = _directions(columns.reshape(-1, columns.shape[2]),
-                                       (error / size).ravel())
-    found: Array = right.T @ (left / s) / norm
-    return found
+def _rows(columns: Array) -> Array:
+    """Return a Jacobian (ny, 2 L, parameters) with a row for each parameter: a view."""
+    return np.moveaxis(columns, -1, 0).reshape(columns.shape[2], -1)
 
 
-def _directions(flat: Array, error: Array) -> tuple[Array, Array, Array, Array]:
+def _directions(rows: Array) -> tuple[Array, Array, Array]:
     """
-    Return what of the errors lies along each direction that the data determine.
+    Return the directions in which the data determine the parameters.
 
     Parameters
     ----------
-    flat : ndarray, shape (N, parameters)
-        Jacobian; columns of zeros belong to entries that do not move.
-    error : ndarray, shape (N,)
+    rows : ndarray, shape (parameters, N)
+        Jacobian; overwritten. Rows of zeros belong to entries that do not move.
 
     Returns
     -------
-    along, s : ndarray, shape (r,)
-        Left singular vectors times the errors, and singular values.
+    s : ndarray, shape (r,)
+        Singular values.
     right : ndarray, shape (r, parameters)
+        Directions.
     norm : ndarray, shape (parameters,)
-        What the columns were divided by.
+        What the rows were divided by.
     """
-    norm = np.linalg.norm(flat, axis=0)
+    norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
     norm[norm == 0.0] = np.inf
-    size = np.linalg.norm(error) + 1e-300
-    triangle = np.linalg.qr(np.column_stack((flat / norm, error / size)), mode='r')
-    left, s, right = svd(triangle[:, :-1])
+    rows /= norm[:, np.newaxis]
+    _, s, right = svd(np.linalg.qr(rows.T, mode='r'))
     kept = s > _RANK * s[0]
-    return size * (triangle[:, -1] @ left[:, kept]), s[kept], right[kept], norm
+    return s[kept], right[kept], norm
 
 
 def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool, *,
-                      limit: float = np.inf, plant: bool = True,
-                      steps: int = 20) -> tuple[Matrices, float]:
+                      limit: float = np.inf, plant: bool = True, steps: int = 20,
+                      rival: float = np.inf) -> tuple[Matrices, float]:
     """
     Take a model with its K to the maximum of the innovation-form likelihood.
 
@@ -239,7 +242,9 @@ def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool
     plant : bool
         Whether A, B, C and D move, or K and the states at the ends of the window only.
     steps : int
-        Levenberg-Marquardt steps at most.
+        At most.
+    rival : float
+        Cost of another model: given up as soon as it is clear that it will not be beaten.
 
     Returns
     -------
@@ -247,27 +252,11 @@ def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool
     cost : float
         -2 log likelihood; infinite if the start is not admissible (see `innovation_cost`).
     """
-    model, cost, damping = start, innovation_cost(projection, start), 1e-5
-    if not np.isfinite(cost):
-        return model, cost
-    for _ in range(steps):
-        found = _curvature(projection, model, feedthrough, plant)
-        if found is None:
-            return model, cost
-        right, s, pull, norm = found
-        for _try in range(_DAMPINGS):
-            step = right.T @ (pull / (s ** 2 + damping * s[0] ** 2)) / norm
-            trial = _moved(model, step, feedthrough)
-            new = innovation_cost(projection, trial)
-            if new < cost and growth(trial) <= limit:
-                break
-            damping = 10.0 * max(damping, 1e-8)
-        else:
-            return model, cost
-        model, gain, cost, damping = trial, cost - new, new, 0.1 * damping
-        if gain < _LEAST_GAIN:
-            break
-    return model, cost
+    def curvature(m: Matrices, prediction: Prediction) -> NormalEquations | None:
+        return _curvature(projection, m, prediction, feedthrough, plant)
+
+    return climb(start, lambda m: innovation(projection, m), curvature, _mover(feedthrough),
+                 limit=limit, steps=steps, damping=_DAMPING, rival=rival)
 
 
 def growth(m: Matrices) -> float:
@@ -275,21 +264,17 @@ def growth(m: Matrices) -> float:
     return float(np.max(np.linalg.eigvals(m.A).real))
 
 
-def _curvature(projection: Projection, m: Matrices, feedthrough: bool, plant: bool,
-               ) -> tuple[Array, Array, Array, Array] | None:
-    """
-    Return the scaled Jacobian's right singular vectors and values, the pull, the scaling.
-
-    None if the model is at the border of what can be computed.
-    """
-    flat, error = _whitened(projection, m, feedthrough, with_noise=True)
+def _curvature(projection: Projection, m: Matrices, prediction: Prediction, feedthrough: bool,
+               plant: bool) -> NormalEquations | None:
+    """Return the equations of an innovation form's step; None at the border of the computable."""
+    rows, error = _whitened(projection, m, prediction, feedthrough, with_noise=True)
     if not plant:
-        flat = flat * _noise_entries(m, flat.shape[1])
-    if not (np.isfinite(flat).all() and np.isfinite(error).all()):
+        rows *= _noise_entries(m, len(rows))[:, np.newaxis]
+    if not (np.isfinite(rows).all() and np.isfinite(error).all()):
         return None
-    along, s, right, norm = _directions(flat, error)
-    gradient = spread_gradient(projection, m, feedthrough) / norm
-    return right, s, s * along - 0.5 * right @ gradient, norm
+    found = normal_equations(rows, error)
+    gradient = spread_gradient(projection, m, feedthrough, prediction.resolvent)
+    return replace(found, pull=found.pull - 0.5 * gradient / found.norm)
 
 
 def _noise_entries(m: Matrices, parameters: int) -> Array:
@@ -304,17 +289,41 @@ def _noise_entries(m: Matrices, parameters: int) -> Array:
     return mask
 
 
-def _whitened(projection: Projection, m: Matrices, feedthrough: bool, *,
-              with_noise: bool) -> tuple[Array, Array]:
+def whitened(projection: Projection, m: Matrices, feedthrough: bool, *,
+             with_noise: bool) -> tuple[Array, Array]:
     """Return Jacobian (ny N, parameters) and errors (ny N,), of unit covariance over outputs."""
+    closed = resolvent(m.A - m.K @ m.C, projection.s)
+    rows, error = _whitened(projection, m, predict(projection, m, closed), feedthrough,
+                            with_noise=with_noise)
+    return rows.T, error
+
+
+def _whitened(projection: Projection, m: Matrices, prediction: Prediction, feedthrough: bool, *,
+              with_noise: bool) -> tuple[Array, Array]:
+    """Return the same, but the Jacobian with a row for each parameter."""
+    error = as_real(prediction.error)
+    whiten = _whitener(projection, error)
+    columns = jacobian(projection, m, feedthrough, with_noise=with_noise, whiten=whiten,
+                       prediction=prediction)
+    return _rows(columns), (whiten @ error).ravel()
+
+
+def whitener(projection: Projection, m: Matrices) -> tuple[Array, Array]:
+    """Return what makes the errors' covariance over outputs one (ny, ny), and the errors."""
     error = as_real(prediction_errors(projection, m))
-    covariance = error @ error.T / line_weights(projection).sum()
+    return _whitener(projection, error), error
+
+
+def _whitener(projection: Projection, error: Array) -> Array:
+    covariance = error @ error.T / projection.count
     scale = np.sqrt(np.diag(covariance)) + 1e-150
     root = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
-    whiten = np.linalg.inv(root) / scale
-    columns = jacobian(projection, m, feedthrough, with_noise=with_noise)
-    flat = np.tensordot(whiten, columns, axes=1).reshape(-1, columns.shape[2])
-    return flat, (whiten @ error).ravel()
+    whiten: Array = np.linalg.inv(root) / scale
+    return whiten
+
+
+def _mover(feedthrough: bool) -> Callable[[Matrices, Array], Matrices]:
+    return lambda m, step: _moved(m, step, feedthrough)
 
 
 def _moved(m: Matrices, step: Array, feedthrough: bool) -> Matrices:
@@ -348,9 +357,9 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool) -> Ar
         Square root of the expected |error|^2 of an efficient estimator (the Cramer-Rao bound at
         this model and its noise level) [rad/s]; a plain subspace estimate scatters more.
     """
-    flat, error = _whitened(projection, m, feedthrough, with_noise=bool(np.any(m.K)))
-    _, s, right, norm = _directions(flat, error)
-    spare = max(1.0 - len(s) / len(flat), len(m.C) / len(flat))
+    flat, error = whitened(projection, m, feedthrough, with_noise=bool(np.any(m.K)))
+    s, right, norm = _directions(flat.T)
+    spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
     root = right / s[:, np.newaxis] / norm                        # covariance = root^T root
     _, modes = np.linalg.eig(m.A)
     left = np.linalg.inv(modes)

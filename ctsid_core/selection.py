@@ -42,9 +42,10 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
         if not (search.settings.refine and affordable(search.projection, trial.order)):
             value, poles = trial.innovation, pair.predicting.poles
         else:
+            price = search.price(trial.order)
             model, cost = refine_innovation(search.projection, pair.predicting.matrices, feed,
-                                            limit=pair.limit, steps=_STEPS)
-            value = cost + search.price(trial.order)
+                                            limit=pair.limit, steps=_STEPS, rival=least - price)
+            value = cost + price
             poles = np.linalg.eigvals(model.A).astype(complex)
         if value < least and (pair.limit == np.inf or pair.simulating.nearly_as_good(
                 poles, trial.refined.cost)):
@@ -69,24 +70,55 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
     if not (settings.refine and affordable(projection, len(pair.simulating.poles))):
         return pair.best.matrices, pair.process_noise
     feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
-    top = first.refined(limit)
-    model, cost = best_simulation(projection, first.matrices, top.poles, feed, limit)
+    model, cost, top = likeliest_simulation(projection, pair, settings)
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
     # The innovation form has two starts: the subspace model's own K, and the best simulation with
     # a gain that makes its predictor faster than the lines are apart.
     apart = 1.5 * float(np.abs(projection.s[1] - projection.s[0]))
     simple = replace(model, K=_gain(projection, model, apart))
     held, held_cost = refine_innovation(projection, simple, feed, plant=False, steps=8)
-    noisy, noisy_cost = min((refine_innovation(projection, start, feed, limit=limit)
-                             for start in (pair.predicting.matrices, held)),
-                            key=lambda found: found[1])
+    noisy, noisy_cost = refine_innovation(projection, held, feed, limit=limit,
+                                          rival=cost - price)
+    other = refine_innovation(projection, pair.predicting.matrices, feed, limit=limit,
+                              rival=min(noisy_cost, cost - price))
+    if other[1] < noisy_cost:
+        noisy, noisy_cost = other
     poles = np.linalg.eigvals(noisy.A).astype(complex)
     if noisy_cost + price < cost and (limit == np.inf
-                                      or first.nearly_as_good(poles, top.cost)):
+                                      or first.nearly_as_good(poles, top)):
         return noisy, True
     if held_cost + price < cost:
         return held, False
     return replace(model, K=_gain(projection, model)), False
+
+
+def likeliest_simulation(projection: Projection, pair: Pair,
+                         settings: Settings) -> tuple[Matrices, float, float]:
+    """
+    Return the model at the maximum of the output-error likelihood, and what it costs.
+
+    Parameters
+    ----------
+    projection : Projection
+    pair : Pair
+        The subspace models to start from.
+    settings : Settings
+        With `refine` false the subspace model itself is returned, with infinite costs.
+
+    Returns
+    -------
+    model : Matrices
+    cost : float
+        -2 log likelihood.
+    free : float
+        The same of a simulation with free residues at these poles.
+    """
+    first = pair.simulating
+    if not (settings.refine and affordable(projection, len(first.poles))):
+        return pair.best.matrices, np.inf, np.inf
+    top = first.refined(pair.limit)
+    return (*best_simulation(projection, first.matrices, top.poles, settings.feedthrough,
+                             pair.limit), top.cost)
 
 
 def _gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:

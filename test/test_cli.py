@@ -143,6 +143,11 @@ def test_replay_identifies_every_window_and_tests_it_on_unseen_data(ctsid, share
     # with; the last two have none.
     assert (next_fit[:4] > 90).all()
     assert np.isnan(next_fit[4:]).all()
+    assert np.isnan(table['fresh_fit_rate_'][0])  # of the model before: there is none
+    assert (table['fresh_fit_rate_'][1:] > 80).all()
+    assert (table['realisation'] == 1).all()
+    with np.load('res/estimates.npz') as arrays:
+        np.testing.assert_array_equal(arrays['fresh_fit_rate [%]'], table['fresh_fit_rate_'])
     assert 'All 1 true poles and pairs are found' in out
     assert '-1.500 ± 3.000j' in out
     assert sorted(p.name for p in Path('res').iterdir()) == FILES
@@ -158,6 +163,10 @@ def test_replay_as_json(ctsid, shared):
     assert first['from'] == pytest.approx(2.0, abs=0.1)
     assert first['to'] == pytest.approx(7.0, abs=0.1)
     assert close([complex(*p) for p in first['poles']], 0.5)
+    for before, window in zip([None, *found['windows']], found['windows'], strict=False):
+        assert (window['realisation'], window['modes']) == (1, [1, 2])
+        assert window['eigenvalues'] == window['poles']
+        assert window['fresh_fit'][0] is None if before is None else window['fresh_fit'][0] > 80
     assert load_estimate('res/model.json').start_ns == \
         found['windows'][found['best_window'] - 1]['start_ns']
 

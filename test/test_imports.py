@@ -30,6 +30,7 @@ LEVELS = {
         ['simulation', 'realisation'],
         ['statespace'], ['estimate', 'samples', 'predictor', 'alignment'],
         ['windows', 'model_json'],
+        ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],

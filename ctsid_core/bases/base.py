@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +50,29 @@ class Projection:
     start: float
     end: float
 
+    @cached_property
+    def signals(self) -> Lines:
+        """Rows of u, tail, ones and y, one below the other."""
+        return np.vstack((self.u, self.tail, self.ones, self.y))
+
+    @cached_property
+    def weights(self) -> Array:
+        """How many real numbers each line stands for, (L,): 2, but 1 at frequency zero."""
+        return np.where(self.s == 0.0, 1.0, 2.0)
+
+    @cached_property
+    def count(self) -> float:
+        """How many real numbers the lines stand for in all."""
+        return float(self.weights.sum())
+
 
 def as_real(lines: Lines) -> Array:
     """Return real and imaginary parts as columns: (m, L) complex to (m, 2 L) real."""
     real: Array = np.ascontiguousarray(lines).view(np.float64)
     return real
+
+
+def real_times(matrix: Array, lines: Lines) -> Lines:
+    """Return the product of a real matrix (k, m) and lines (m, L), without complex arithmetic."""
+    product: Lines = (matrix @ as_real(lines)).view(np.complex128)
+    return product

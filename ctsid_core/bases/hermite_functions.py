@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 
 _PLAIN_LIMIT = 37.0     # exp(-37^2/2) = 1e-297 is still a normal number
 _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 2^512
-_BLOCK = 4096           # samples evaluated at a time, to stay in the cache
+_BLOCK = 8192           # samples and
+_ORDERS = 32            # orders evaluated at a time, to stay in the cache
 _CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
 _LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
 _LN2_LOW = 1.42860682030941723212e-6
@@ -89,7 +90,7 @@ def _recursion(nmax: int, x: Array, out: Array) -> Array:
     return out
 
 
-def project(nmax: int, x: Array, weights: Array) -> Array:
+def project_directly(nmax: int, x: Array, weights: Array) -> Array:
     """
     Return the sums over the samples of h_n(x_k) weights_k, without keeping the h_n.
 
@@ -106,12 +107,29 @@ def project(nmax: int, x: Array, weights: Array) -> Array:
     if x.size == 0 or np.abs(x).max() >= _PLAIN_LIMIT:
         return _project_by_parts(nmax, x, weights)
     total = np.zeros((nmax + 1, len(weights)))
-    buffer = np.empty((nmax + 1) * min(len(x), _BLOCK))
     for first in range(0, len(x), _BLOCK):
-        part = x[first:first + _BLOCK]
-        g = _recursion(nmax, part, buffer[:(nmax + 1) * len(part)].reshape(nmax + 1, -1))
-        total += g @ weights[:, first:first + _BLOCK].T
+        part = slice(first, first + _BLOCK)
+        _add_products(x[part], weights[:, part].T, total)
     return (total / _balanced_coefficients(nmax)[1][:, np.newaxis]).T
+
+
+def _add_products(x: Array, weights: Array, total: Array) -> None:
+    """Add g_n(x) @ weights to row n of total; a few orders at a time, which stay in the cache."""
+    r, _ = _balanced_coefficients(len(total) - 1)
+    g = np.zeros((_ORDERS + 2, len(x)))                 # rows 0 and 1: the two orders before
+    for start in range(0, len(total), _ORDERS):
+        count = min(_ORDERS, len(total) - start)
+        for n in range(start, start + count):                                # eq. 16
+            row = g[n - start + 2]
+            if n < 2:
+                row[:] = np.pi ** -0.25 * np.exp(-0.5 * x * x) if n == 0 else \
+                    np.sqrt(2.0) * x * g[2]
+                continue
+            np.multiply(x, r[n - 1], out=row)
+            np.multiply(row, g[n - start + 1], out=row)
+            np.subtract(row, g[n - start], out=row)
+        total[start:start + count] += g[2:count + 2] @ weights
+        g[:2] = g[count:count + 2]
 
 
 def _project_by_parts(nmax: int, x: Array, weights: Array) -> Array:

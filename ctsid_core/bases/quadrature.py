@@ -20,12 +20,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from ctsid_core.bases.hermite_functions import integral_of_first, project
+from ctsid_core.bases.hermite_functions import integral_of_first
+from ctsid_core.bases.hermite_sums import project
 from ctsid_core.signals import Signal
 
 Array = NDArray[np.float64]
@@ -130,16 +132,26 @@ def integrate(g: Array, c0: Array) -> Array:
     -------
     ndarray, shape (m, nc)
     """
-    nc = g.shape[1]
-    n = np.arange(nc, dtype=float)
-    c = np.zeros_like(g)
+    step, free = _free_motion(g.shape[1])
+    c = np.empty_like(g)
     c[:, 0] = c0
-    c[:, 1:] = np.sqrt(2.0 / n[1:]) * g[:, :-1]
-    ratio = np.sqrt((n[2:] - 1.0) / n[2:])                 # c_n / c_(n-2) where g is zero
+    np.multiply(step, g[:, :-1], out=c[:, 1:])
+    c /= free
     for parity in (0, 1):
-        free = np.concatenate(([1.0], np.cumprod(ratio[parity::2])))[:c[:, parity::2].shape[1]]
-        c[:, parity::2] = free * np.cumsum(c[:, parity::2] / free, axis=1)
+        np.cumsum(c[:, parity::2], axis=1, out=c[:, parity::2])
+    c *= free
     return c
+
+
+@lru_cache(maxsize=64)
+def _free_motion(nc: int) -> tuple[Array, Array]:
+    """Return sqrt(2 / n) for n >= 1, and what c_n is where g vanishes, from c_0 = c_1 = 1."""
+    n = np.arange(nc, dtype=float)
+    free = np.ones(nc)
+    ratio = np.sqrt((n[2:] - 1.0) / n[2:])
+    for parity in (0, 1):
+        free[parity + 2::2] = np.cumprod(ratio[parity::2])
+    return np.sqrt(2.0 / n[1:]), free
 
 
 def _held(t: Array, values: Array, start: float, end: float, alpha: float,
@@ -161,9 +173,12 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
     step, rise = np.diff(x), np.diff(level, axis=1)
     steep = step * top < _STEEP
     slope = np.where(steep, 0.0, rise) / step
-    kinks = np.diff(slope, axis=1, prepend=0.0, append=0.0)
+    kinks, jumps = np.zeros_like(level), np.zeros_like(level)
+    kinks[:, :-1] = slope
+    kinks[:, 1:] -= slope
     half = 0.5 * np.where(steep, rise, 0.0)                # a jump, half of it at either end
-    jumps = np.pad(half, ((0, 0), (0, 1))) + np.pad(half, ((0, 0), (1, 0)))
+    jumps[:, :-1] = half
+    jumps[:, 1:] += half
     jumps[:, 0] += level[:, 0]
     jumps[:, -1] -= level[:, -1]
     first = integral_of_first(x)
@@ -234,8 +249,10 @@ def _trapezoid(t: Array, values: Array, start: float, end: float, alpha: float) 
     first, last = (np.empty((len(values), 0)) if node in t else _near(t, values, node)
                    for node in (start, end))
     level = np.hstack((first, values[:, inside], last))
-    width = np.diff(nodes) / alpha
-    weights = 0.5 * (np.append(width, 0.0) + np.append(0.0, width))
+    half = (nodes[1:] - nodes[:-1]) * (0.5 / alpha)
+    weights = np.zeros_like(nodes)
+    weights[:-1] = half
+    weights[1:] += half
     return Samples(_dimensionless(nodes, start, end, alpha), level * weights, lambda sums: sums)
 
 
@@ -284,6 +301,9 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
     t = signal.time
     if signal.hold == 'zoh' or len(t) < 3:
         return max(min(float(t[0]), end) - start, 0.0) if len(t) else end - start
+    step = np.diff(t)
+    if t[0] <= start and end <= t[-1] and np.max(step) <= GAP_PERIODS * np.min(step):
+        return 0.0                                     # the common case, without a median
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
     return float(covered[np.diff(bounds) > GAP_PERIODS * signal.period].sum())

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Levenberg-Marquardt: damped Gauss-Newton steps to the maximum of a likelihood.
+
+The equations of a step are products of derivatives. They have half the digits of a factorisation
+of the derivatives themselves; that slows the last steps in directions which the data hardly tell,
+but the gradient is as exact as ever, and so is where they end. Damping, however small, keeps steps
+from where the products say nothing: the realisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from ctsid_core.bases.base import Array
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import Likelihood, Prediction
+
+LEAST_DAMPING = 1e-13   # relative: rounding of the products
+_LEAST_GAIN = 1e-2      # -2 log likelihood: smaller gains are not worth another step
+_NEAR = 1.0             # promised gain below which a step's promise can be relied on
+_TRIES = 8              # of a step, with ten times the damping each
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """
+    Products of the derivatives, scaled to unit norm, among each other and with the errors.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (parameters, parameters)
+    pull : ndarray, shape (parameters,)
+        Half the slope of the likelihood.
+    norm : ndarray, shape (parameters,)
+        What the derivatives were divided by; infinite where a parameter does nothing.
+    """
+
+    gram: Array
+    pull: Array
+    norm: Array
+
+
+def normal_equations(rows: Array, error: Array) -> NormalEquations:
+    """Return the equations of a step for derivatives (parameters, N), overwritten, and errors."""
+    norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
+    norm[norm == 0.0] = np.inf
+    rows /= norm[:, np.newaxis]
+    return NormalEquations(rows @ rows.T, rows @ error, norm)
+
+
+def _damped(equations: NormalEquations, damping: float) -> Array:
+    """
+    Return the solution of (gram + damping) step = pull.
+
+    The damping is relative to the norm of the products, and raised if rounding asks for it.
+    """
+    gram = equations.gram
+    least = max(damping, LEAST_DAMPING) * np.linalg.norm(gram)
+    for more in (1.0, 1e2, 1e4):
+        _, step, info = dposv(gram + more * least * np.eye(len(gram)), equations.pull)
+        if info == 0:
+            return np.asarray(step)
+    return np.zeros_like(equations.pull)
+
+
+def climb(model: Matrices, likelihood: Callable[[Matrices], Likelihood],
+          curvature: Callable[[Matrices, Prediction], NormalEquations | None],
+          move: Callable[[Matrices, Array], Matrices], *, limit: float, steps: int,
+          damping: float, rival: float = np.inf) -> tuple[Matrices, float]:
+    """
+    Take a model to the maximum of a likelihood by damped Gauss-Newton steps.
+
+    Parameters
+    ----------
+    model : Matrices
+    likelihood : callable
+        Of a model.
+    curvature : callable
+        From a model and its prediction to the equations of a step; None where there are none.
+    move : callable
+        Adds a step to the parameters of a model.
+    limit : float
+        Steps may not take the real part of a pole beyond this [rad/s].
+    steps : int
+        At most.
+    damping : float
+        Of the first step, relative.
+    rival : float
+        Cost of another model: given up as soon as it is clear that it will not be beaten.
+
+    Returns
+    -------
+    model : Matrices
+    cost : float
+        -2 log likelihood.
+    """
+    here, before = likelihood(model), 0.0
+    for _ in range(steps):
+        equations = curvature(model, here.prediction) if here.prediction else None
+        if equations is None:
+            break
+        for _try in range(_TRIES):
+            step = _damped(equations, damping)
+            promise = float(equations.pull @ step)
+            if promise < _NEAR and here.cost - promise > rival - _LEAST_GAIN:
+                return model, here.cost
+            trial = move(model, step / equations.norm)
+            there = likelihood(trial)
+            if there.cost < here.cost and np.max(there.poles.real) <= limit:
+                break
+            if promise < _LEAST_GAIN:
+                return model, here.cost
+            damping = 10.0 * max(damping, 1e-8)
+        else:
+            break
+        model, gain, here, damping = trial, here.cost - there.cost, there, 0.1 * damping
+        if _arrived(gain, before, promise):
+            break
+        before = gain
+    return model, here.cost
+
+
+def _arrived(gain: float, before: float, promise: float) -> bool:
+    """
+    Return whether the next step is not worth its while.
+
+    Its gain is extrapolated from the last two; but in a curved valley gains are small on the way,
+    of steps that promised much.
+    """
+    slow = promise < _NEAR and gain * gain < _LEAST_GAIN * min(before, _NEAR)
+    return gain < _LEAST_GAIN or slow
