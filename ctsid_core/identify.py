@@ -24,6 +24,8 @@ from ctsid_core.steadiness import Change, likeliest_change
 from ctsid_core.usable import Usable, usable
 
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
+_ROUNDS = 2             # of removing corrupt samples by the model found without them
+_LITTLE = 1.1           # errors' power over that without outliers that changes no choice
 _EXPLAINED = 30.0       # fit [%] below which an output counts as not explained
 
 
@@ -82,7 +84,7 @@ def _identify(record: Record, settings: Settings) -> Estimate:
         found = _estimate(part, settings)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-        return _judge(part, found)
+        return _judge(*_without_outliers(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return Estimate(status=Status.UNRELIABLE, settings=settings,
                         notes=(*part.notes, f'the arithmetic failed: {error}'))
@@ -129,6 +131,37 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
     return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices))
+
+
+def _without_outliers(part: Usable, found: _Found,
+                      settings: Settings) -> tuple[Usable, _Found]:
+    """
+    Return record and model without the corrupt samples that only a model can tell.
+
+    Those that were taken out without one are put back if the model explains them. What was chosen
+    from the data stays as it is, unless the samples made a large difference.
+    """
+    for _ in range(_ROUNDS):
+        m = found.matrices
+        error = as_real(prediction_errors(found.projection, m))
+        density = found.projection.unit * np.mean(error ** 2, axis=1)
+        if not (np.isfinite(m.A).all() and part.doubtful(density)):
+            break
+        model = StateSpace(
+            A=m.A, B=m.B, C=m.C, D=m.D,
+            delay=_own_delays(part, found.settings).delays(part.record.nu),
+            x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A)),
+            y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(len(m.C)))
+        cleaned, gain = part.cleaned(model)
+        large = gain > _LITTLE
+        again = None if cleaned is part else \
+            _estimate(cleaned, settings if large else found.settings)
+        if again is None:
+            break
+        part, found = cleaned, again if large else replace(again, choices=found.choices)
+        if not large:
+            break
+    return part, found
 
 
 def _own_delays(part: Usable, settings: Settings) -> Settings:
@@ -192,6 +225,7 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         status = Status.CHANGED
     ny = part.whole.ny
     worst = np.fmin(fit, held_out)
+    corrupt, counts = part.corrupt()
     notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[i]:.0f} %'
              for i, j in enumerate(part.y) if worst[i] < _EXPLAINED]
     if status is Status.CHANGED:
@@ -204,8 +238,8 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
-        notes=(*part.notes, *notes),
-        statistics={'process_noise': float(found.process_noise),
+        notes=(*part.notes, *corrupt, *notes),
+        statistics={**counts, 'process_noise': float(found.process_noise),
                     'change_p_value': change.p_value, 'change_size': change.size,
                     'change_gain': change.gain})
 

@@ -86,7 +86,7 @@ class Settings:
         when='Set it to false only if all signals are deviations from an equilibrium.')
     delay: float | tuple[float, ...] = parameter(
         0.0, 'Dead time of the inputs: one for all, or one per input.', unit='s', low=0.0,
-        high=60.0, when='Set it when commands are known to act late.')
+        high=60.0, structural=True, when='Set it when commands are known to act late.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
         when='Set it to false to see the plain subspace estimate.')

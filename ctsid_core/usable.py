@@ -9,11 +9,23 @@ import numpy as np
 
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.estimate import Status
+from ctsid_core.outliers import (
+    SURE,
+    SURE_INPUT,
+    Spikes,
+    against_model,
+    despiked,
+    no_spikes,
+    report,
+)
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record, Signal
+from ctsid_core.statespace import StateSpace
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 _FEWEST = 20            # samples of an output
+_SAME = 1.02            # power of what a model leaves over that with better bridges that is enough
+_MORE, _LESS = 1.35, 0.6  # power of a model's errors over that of the noise that samples show
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 
@@ -35,6 +47,12 @@ class Usable:
         trim is estimated all the same: these only shift its origin.
     notes : tuple of str
         What the user should know.
+    measured : tuple of Signal
+        The outputs of `record` with their corrupt samples, if there are any.
+    corrupt_u, corrupt_y : tuple of Spikes
+        Corrupt samples of the inputs and outputs of `record`.
+    held : tuple of (ndarray or None)
+        Held inputs at the stamps of each output signal, if it may follow them at once.
     """
 
     record: Record
@@ -44,6 +62,74 @@ class Usable:
     u_level: Array
     y_level: Array
     notes: tuple[str, ...]
+    measured: tuple[Signal, ...]
+    corrupt_u: tuple[Spikes, ...]
+    corrupt_y: tuple[Spikes, ...]
+    held: tuple[Array | None, ...]
+
+    def doubtful(self, density: Array) -> bool:
+        """
+        Return whether a model may show corrupt samples that neighbours do not.
+
+        Parameters
+        ----------
+        density : ndarray, shape (number of y,)
+            Spectral density of the model's prediction errors [unit^2 s].
+
+        Notes
+        -----
+        It cannot where no sample stands out and the errors have the size of the noise that the
+        samples themselves show: neither is anything hidden in it, nor does anything add to it.
+        """
+        if any(found.any or found.suspects for found in self.corrupt_y):
+            return True
+        shown = np.concatenate([
+            found.scale ** 2 * np.median(np.diff(s.time))
+            for s, found in zip(self.record.outputs, self.corrupt_y, strict=True)])
+        ratio = density / np.maximum(shown, np.finfo(float).tiny)
+        return bool((ratio > _MORE).any() or (ratio < _LESS).any())
+
+    def cleaned(self, model: StateSpace) -> tuple[Usable, float]:
+        """
+        Return this without the samples that a model shows to be corrupt.
+
+        Parameters
+        ----------
+        model : StateSpace
+            Of the channels of `record`.
+
+        Returns
+        -------
+        usable : Usable
+            Itself if the same samples are corrupt as before and well bridged.
+        gain : float
+            How much smaller the power of what the model leaves has become, of the output for
+            which it is most; at least 1. Infinite if no sample is corrupt.
+        """
+        measured = replace(self.record, outputs=self.measured)
+        found, gain = against_model(model, measured, self.corrupt_y, self.held)
+        same = all(np.array_equal(a.mask, b.mask)
+                   for a, b in zip(found, self.corrupt_y, strict=True))
+        if same and gain < _SAME:
+            return self, gain
+        gain = gain if any(f.any for f in found) else np.inf
+        outputs = tuple(replace(s, values=f.instead) if f.any else s
+                        for s, f in zip(self.measured, found, strict=True))
+        return replace(self, record=replace(self.record, outputs=outputs),
+                       corrupt_y=tuple(found)), gain
+
+    def corrupt(self) -> tuple[list[str], dict[str, float]]:
+        """Return a sentence per channel with corrupt samples, and their numbers by name."""
+        notes, counts = [], {'corrupt_samples': 0.0}
+        for kind, all_names, places, signals, found in (
+                ('input', self.whole.input_names, self.u, self.record.inputs, self.corrupt_u),
+                ('output', self.whole.output_names, self.y, self.record.outputs, self.corrupt_y)):
+            more, channels = report(kind, [all_names[j] for j in places], signals, found,
+                                    self.whole)
+            notes += more
+            counts |= channels
+            counts['corrupt_samples'] += sum(channels.values())
+        return notes, counts
 
 
 def usable(record: Record, settings: Settings) -> Usable | Status:
@@ -82,10 +168,49 @@ def usable(record: Record, settings: Settings) -> Usable | Status:
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
+    held = _held_at(record, outputs, settings)
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
+    measured, (outputs, corrupt_y) = outputs, _despiked(
+        outputs, ('smooth', 'linear'), SURE, held)
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
+    measured = outputs if not any(found.any for found in corrupt_y) else \
+        _lowered(measured, y_level)
+    corrupt_y = tuple(replace(found, instead=signal.values)
+                      for found, signal in zip(corrupt_y, outputs, strict=True))
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
-                  u_level, y_level, tuple(notes))
+                  u_level, y_level, tuple(notes), tuple(measured), corrupt_u, corrupt_y,
+                  held)
+
+
+def _held_at(record: Record, signals: list[Signal],
+             settings: Settings) -> tuple[Array | None, ...]:
+    """Return the held inputs, after their dead times, at the stamps of each signal."""
+    if not settings.feedthrough:
+        return (None,) * len(signals)
+    delays, held = iter(settings.delays(record.nu)), []
+    for signal in record.inputs:
+        own = [next(delays) for _ in range(signal.width)]
+        if signal.hold == 'zoh':
+            held += [(signal.time + delay, row)
+                     for delay, row in zip(own, signal.values.T, strict=True)]
+    return tuple(np.array([row[np.maximum(np.searchsorted(t, s.time, side='right') - 1, 0)]
+                           for t, row in held]).reshape(len(held), len(s.time)).T
+                 for s in signals)
+
+
+def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
+              inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
+    """Return the signals without spikes; those of other holds as they are: theirs are real."""
+    pairs = [despiked(s, sure, direct) if s.hold in holds else (s, no_spikes(s))
+             for s, direct in zip(signals, inputs, strict=True)]
+    return [signal for signal, _ in pairs], tuple(found for _, found in pairs)
+
+
+def _lowered(signals: list[Signal], level: Array) -> list[Signal]:
+    """Return the signals less the given levels of their channels."""
+    parts = np.split(level, np.cumsum([s.width for s in signals])[:-1])
+    return [replace(s, values=s.values - part) for s, part in zip(signals, parts, strict=True)]
 
 
 def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:

@@ -18,6 +18,8 @@ class BagWriter:
     A recording of the messages of some topics, in the order in which they are written.
 
     A bag like those of `ros2 bag record -s mcap`; without `close` it is cut off, but readable.
+    Bags are read in the order of log time. Where that jumps back (a clock set back, a simulation
+    that begins anew) another file is begun, so that the two do not mix.
 
     Parameters
     ----------
@@ -29,7 +31,7 @@ class BagWriter:
     Attributes
     ----------
     path : Path
-        Where it is written.
+        Where it is written now.
 
     Raises
     ------
@@ -38,10 +40,13 @@ class BagWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], types: Mapping[str, MessageType]) -> None:
-        wanted = Path(path).expanduser()
-        self.path, number = wanted, 2
+        self._wanted, self._types = Path(path).expanduser(), types
+        self._open()
+
+    def _open(self) -> None:
+        self.path, number, self._last_ns = self._wanted, 2, 0
         while self.path.exists():
-            self.path = wanted.with_stem(f'{wanted.stem}-{number}')
+            self.path = self._wanted.with_stem(f'{self._wanted.stem}-{number}')
             number += 1
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,7 +57,7 @@ class BagWriter:
         # Chunks are compressed at once while messages wait: the lightest way is right here.
         self._writer = Writer(self._stream, compression=CompressionType.LZ4)
         self._writer.start(profile='ros2', library='ctsid')
-        self._channels = {topic: self._channel(topic, kind) for topic, kind in types.items()}
+        self._channels = {topic: self._channel(topic, kind) for topic, kind in self._types.items()}
 
     def _channel(self, topic: str, kind: MessageType) -> int:
         schema = self._writer.register_schema(kind.name, 'ros2msg', definition(kind).encode())
@@ -67,6 +72,10 @@ class BagWriter:
         StorageError
             If the disk is full, or alike.
         """
+        if log_ns < self._last_ns:
+            self.close()
+            self._open()
+        self._last_ns = log_ns
         try:
             self._writer.add_message(self._channels[topic], log_ns, raw, publish_ns, sequence)
         except (OSError, ValueError) as error:

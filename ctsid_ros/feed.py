@@ -202,8 +202,14 @@ class Feed:
             self._broken = [f'the recording has ended: {error}']
 
     def _log_time(self, arrival_ns: int) -> int:
-        """Return a strictly increasing time of arrival, so that a recording keeps the order."""
+        """
+        Return a strictly increasing time of arrival, so that a recording keeps the order.
+
+        While simulated time is not known it is 0, which is no stamp: such samples are counted.
+        """
         log_ns = arrival_ns if self._clock is None else self._clock.at(arrival_ns)
+        if log_ns == 0:
+            return 0
         if self._last_ns - _STEP_NS < log_ns <= self._last_ns:
             log_ns = self._last_ns + 1
         self._last_ns = log_ns

@@ -37,7 +37,8 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
 TOPICS = {'model': String, **dict.fromkeys(
     ('system_matrix', 'a', 'b', 'c', 'd', 'k', 'eigenvalues'), Float64MultiArray)}
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-_STOP = 0.3  # time for the thread of the intake to end [s]
+_STOP = 0.3  # time for the thread of identification to end [s]
+_NUMBER = re.compile(r'(?<!\w)\d+(\.\d+)?(?!\w)')  # not that in a name, as in /imu2
 
 
 class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
@@ -217,7 +218,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
 
     def _log_news(self, troubles: Sequence[str]) -> None:
         """Log what has become wrong since the last look, once, whatever its numbers."""
-        sentences = {re.sub(r'\d+(\.\d+)?', '#', trouble): trouble for trouble in troubles}
+        sentences = {_NUMBER.sub('#', trouble): trouble for trouble in troubles}
         for key in sentences.keys() - self._told:
             self.get_logger().warning(sentences[key])
         self._told = set(sentences)

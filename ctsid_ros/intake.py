@@ -53,7 +53,7 @@ class Intake:
         Message class of each topic.
     settings : NodeSettings
     deliver : callable
-        Given each window that is due, in the thread of the intake.
+        Given each window that is due, in the thread of the intake, which holds the lock.
     clock : SimClock, optional
         The simulated clock of the feed; /clock is subscribed to for it.
 
@@ -104,10 +104,6 @@ class Intake:
         self._own.destroy_node()
         return True
 
-    def publishers(self, topic: str) -> int:
-        """Return how many publishers a topic has now."""
-        return int(self._node.count_publishers(self._names[topic]))
-
     def faults(self) -> Iterator[str]:
         """Yield a sentence on each publisher that cannot be heard."""
         for topic, name in self._names.items():
@@ -147,9 +143,8 @@ class Intake:
         self._tick()
         batch = [*self._drain(), *self._from_callbacks()]
         with self.lock:
-            records = self._feed.take(batch, until_ns)
-        for record in records:
-            self._deliver(record)
+            for record in self._feed.take(batch, until_ns):
+                self._deliver(record)
 
     def _tick(self) -> None:
         if self._ticks is None or self._clock is None:

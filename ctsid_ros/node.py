@@ -7,7 +7,7 @@ SIGINT and SIGTERM end it with exit code 0, in any state, within a second.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import os
 import signal
 import sys
@@ -21,8 +21,7 @@ _PATIENCE = 0.3  # time for threads to end by themselves [s]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is told to end; return the exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _leave)
+    _handle(_leave)
     try:
         return _run(argv)
     except KeyboardInterrupt:  # while it was starting
@@ -40,7 +39,17 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    _handle(_pass)  # another one, as by a second ctrl-C, must not break off the ending
     raise KeyboardInterrupt
+
+
+def _pass(number: int, frame: FrameType | None) -> None:
+    pass
+
+
+def _handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -50,8 +59,7 @@ def _run(argv: Sequence[str] | None) -> int:
 
     from ctsid_ros.identifier import Identifier
 
-    for number in (signal.SIGINT, signal.SIGTERM):  # before those of rclpy, which call them
-        signal.signal(number, _interrupt)
+    _handle(_interrupt)  # before those of rclpy, which call them
     try:
         rclpy.init(args=None if argv is None else list(argv))
     except Exception as error:
@@ -80,6 +88,7 @@ def _run(argv: Sequence[str] | None) -> int:
             ended = node.close(_PATIENCE)
             node.destroy_node()
         rclpy.try_shutdown()
+        _handle(signal.SIG_IGN)  # Python takes back all other handlers before it ends
     if not ended:  # a long identification is under way: nothing is lost with it
         sys.stdout.flush()
         sys.stderr.flush()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,10 +22,10 @@ from ctsid_ros.feed import Feed
 from ctsid_ros.health import Health
 from ctsid_ros.intake import Intake
 from ctsid_ros.plan import Plan
-from ctsid_ros.session import Identified, Session, Window
+from ctsid_ros.session import Identified, Session
 from ctsid_ros.sim_clock import SimClock
 
-_STOP = 0.3  # time for the thread of the intake to end [s]
+_STOP = 0.3  # time for a thread to end [s]
 Answer = tuple[bool, str]  # of a service: whether it did it, and a sentence
 
 
@@ -85,20 +86,18 @@ class Run:
         """Identify the last window of data now, out of turn."""
         with self.intake.lock:
             record = self.feed.latest()
-            window = None if record is None else _window(
-                record, self.session, self.feed, requested=True)
-        if window is None:
-            length = self.feed.config.settings.window_length
-            return False, (f'there are no {length:g} s of data of all channels yet; see '
-                           '/diagnostics')
-        self.session.submit(window)
-        return True, 'the model of the last window is on its way to ~/model'
+            if record is not None:
+                _submit(record, self.session, self.feed, requested=True)
+                return True, ('the last window is identified next, unless a newer one is due by '
+                              'then; see ~/model')
+        length = self.feed.config.settings.window_length
+        return False, f'there are no {length:g} s of data of all channels yet; see /diagnostics'
 
     def reset(self) -> Answer:
         """Forget all data and models."""
-        with self.intake.lock:
+        with self.intake.lock:  # no window of before is handed over in between
             self.feed.reset()
-        self.session.reset()
+            self.session.reset()
         return True, 'data and models are forgotten'
 
     def save(self, folder: Path) -> Answer:
@@ -135,22 +134,27 @@ def begin(node: Node, plan: Plan, publish: Callable[[Identified], None]) -> Run:
         If the recording cannot be begun.
     """
     settings, log = plan.config.node, node.get_logger()
-    recorder = BagWriter(settings.ingest_record, plan.types) if settings.ingest_record else None
-    if recorder is not None:
-        log.info(f'recording the messages to {recorder.path}')
     clock = SimClock() if node.get_parameter('use_sim_time').value else None
 
     def publishers(topic: str) -> int:
         return int(node.count_publishers(node.resolve_topic_name(topic)))
 
-    feed = Feed(plan.config, plan.types, publishers, recorder, clock)
-    session = Session(plan.config.settings, publish, log.error)
-    intake = Intake(node, feed, plan.classes, settings,
-                    lambda record: session.submit(_window(record, session, feed)), clock)
+    with ExitStack() as undo:  # what has begun, if the rest cannot
+        recorder = None
+        if settings.ingest_record:
+            recorder = BagWriter(settings.ingest_record, plan.types)
+            undo.callback(recorder.close)
+            log.info(f'recording the messages to {recorder.path}')
+        feed = Feed(plan.config, plan.types, publishers, recorder, clock)
+        session = Session(plan.config.settings, publish, log.error)
+        undo.callback(session.stop, _STOP)
+        intake = Intake(node, feed, plan.classes, settings,
+                        lambda record: _submit(record, session, feed), clock)
+        undo.pop_all()
     return Run(node.get_fully_qualified_name(), feed, intake, session,
                IngestDiagnosis(plan.config, time.time_ns()), recorder)
 
 
-def _window(record: Record, session: Session, feed: Feed, *, requested: bool = False) -> Window:
+def _submit(record: Record, session: Session, feed: Feed, *, requested: bool = False) -> None:
     end_ns = record.epoch_ns + round(record.end * 1e9)
-    return Window(record, session.progress.windows + 1, feed.arrival_ns(end_ns), requested)
+    session.submit(record, feed.arrival_ns(end_ns), requested=requested)

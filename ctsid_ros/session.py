@@ -104,10 +104,10 @@ class Session:
                  warn: Callable[[str], None]) -> None:
         self._settings, self._publish, self._warn = settings, publish, warn
         self._tracker = Tracker(settings)
-        self._generation = 0  # counts what makes a window under way void
-        self._term = 0  # counts what ends the validity of the window under way
+        self._term = 0  # counts what makes all windows before it void
+        self._tracked = 0  # of the windows that the tracker remembers
         self._progress, self._lock = Progress(), Lock()
-        self._worker = Worker(self._identify, self._failed)
+        self._worker: Worker[tuple[int, Window]] = Worker(self._identify, self._failed)
         self._worker.start()
 
     @property
@@ -115,31 +115,35 @@ class Session:
         """How far it has come."""
         return replace(self._progress, skipped=self._worker.skipped)
 
-    def submit(self, window: Window) -> None:
-        """Identify a window as soon as the present one is done."""
+    def submit(self, record: Record, arrival_ns: int | None, *, requested: bool = False) -> None:
+        """Identify a window as soon as the present one is done; see `Window`."""
         with self._lock:
-            self._progress = replace(self._progress, windows=self._progress.windows + 1)
-        self._worker.submit(window)
+            number = self._progress.windows + 1
+            self._progress = replace(self._progress, windows=number)
+            self._worker.submit((self._term, Window(record, number, arrival_ns, requested)))
 
     def change(self, settings: Settings) -> None:
         """Use other settings from the next window on."""
         self._settings = settings
 
     def reset(self) -> None:
-        """Forget the models and the window that waits."""
-        self._worker.drop()
-        self._term += 1
-        self._tracker.reset()
+        """Forget the models, the window that waits and the one under way."""
         with self._lock:
+            self._worker.drop()
+            self._term += 1  # the tracker is told by the thread that uses it
             self._progress = replace(self._progress, last=None, accepted=None)
 
     def stop(self, timeout: float) -> bool:
         """End the thread [s], publish nothing more; return whether it has ended."""
-        self._term += 1
+        with self._lock:
+            self._term += 1
         return self._worker.stop(timeout)
 
-    def _identify(self, window: Window) -> None:
-        term, start = self._term, time.monotonic()
+    def _identify(self, job: tuple[int, Window]) -> None:
+        (term, window), start = job, time.monotonic()
+        if term != self._tracked:
+            self._tracker.reset()
+            self._tracked = term
         self._tracker.settings = self._settings
         tracked = self._tracker.take(window.record)
         result = Identified(window, tracked, time.monotonic() - start)
@@ -149,8 +153,9 @@ class Session:
         if window.arrival_ns is not None:
             result = replace(result, latency=(time.time_ns() - window.arrival_ns) * 1e-9)
         with self._lock:
-            accepted = result if tracked.estimate.ok else self._progress.accepted
-            self._progress = replace(self._progress, last=result, accepted=accepted)
+            if term == self._term:
+                accepted = result if tracked.estimate.ok else self._progress.accepted
+                self._progress = replace(self._progress, last=result, accepted=accepted)
 
     def _failed(self, error: Exception) -> None:
         with self._lock:

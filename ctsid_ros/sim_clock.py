@@ -27,4 +27,4 @@ class SimClock:
     def at(self, arrival_ns: int) -> int:
         """Return the simulated time at a time of arrival [ns]; 0 before the first tick."""
         ahead = (arrival_ns - self._arrival) * self._rate
-        return self._time + min(round(ahead), self._period)
+        return max(self._time + min(round(ahead), self._period), 0)

@@ -300,3 +300,61 @@ def test_header_less_messages_have_simulated_stamps_and_replay_alike(tmp_path):
     assert [r.epoch_ns - records[0].epoch_ns for r in records] == [
         k * S // 2 for k in range(len(records))]
     assert bits(replayed(writer.path, config)) == bits(records)
+
+
+def test_what_comes_before_simulated_time_has_no_stamp(tmp_path):
+    clock = SimClock()
+    writer = BagWriter(tmp_path / 'sim.mcap', TYPES)
+    config = replace(CONFIG, channels=(
+        *CONFIG.inputs, replace(CONFIG.outputs[0], stamp='log')))
+    feed = Feed(config, TYPES, lambda _: 1, writer, clock)
+    messages = arriving()
+    before, later = messages[:100], messages[100:]
+    assert feed.take(before, before[-1].arrival_ns) == []
+    counts = feed.counts().channels
+    assert (counts['u'].samples.accepted, counts['y'].samples.accepted) == (0, 0)
+    assert sum(own.samples.bad_stamp for own in counts.values()) == 100
+    start = later[0].arrival_ns
+    clock.tick(start - 20 * MS, 100 * S)
+    clock.tick(start - 10 * MS, 100 * S + 10 * MS)
+    records = []
+    for taken in later:
+        clock.tick(taken.arrival_ns, 100 * S + taken.arrival_ns - start + 20 * MS)
+        records += feed.take([taken], taken.arrival_ns)
+    writer.close()
+    assert 100 * S <= records[0].epoch_ns < 101 * S
+    assert bits(replayed(writer.path, config)) == bits(records)
+
+
+def test_simulated_time_is_never_negative():
+    clock = SimClock()
+    clock.tick(EPOCH, 1)
+    clock.tick(EPOCH + 10 * MS, 10 * MS)
+    assert clock.at(EPOCH - 50 * MS) == 0
+
+
+@pytest.mark.parametrize('simulated', [False, True])
+def test_a_clock_that_jumps_back_begins_another_recording(tmp_path, simulated):
+    clock = SimClock() if simulated else None
+    writer = BagWriter(tmp_path / 'flight.mcap', TYPES)
+    config = replace(CONFIG, channels=(
+        *CONFIG.inputs, replace(CONFIG.outputs[0], stamp='log')))
+    feed = Feed(config, TYPES, lambda _: 1, writer, clock)
+    again = [t._replace(arrival_ns=t.arrival_ns + (5 if simulated else -2) * S)
+             for t in arriving(seed=2)]
+    records = []
+    for messages in (arriving(), again):
+        for taken in messages:
+            if clock:
+                clock.tick(taken.arrival_ns, S + taken.arrival_ns - messages[0].arrival_ns)
+            records += feed.take([taken], taken.arrival_ns)
+    writer.close()
+    assert writer.path.name == 'flight-2.mcap'
+    assert feed.counts().resets == 1
+    alone = []
+    for name in ('flight.mcap', 'flight-2.mcap'):
+        with open_bag(tmp_path / name) as bag:
+            ingest = Ingest(fit_config(bag, config))
+            alone += [r for _ in play(bag, ingest, Interval()) for r in ingest.due()]
+            alone += ingest.flush() if name == 'flight.mcap' else ()
+    assert bits(alone) == bits(records)

@@ -26,12 +26,13 @@ VERBS = [f'verbs.{verb}' for verb in (
 LEVELS = {
     'ctsid_core': [
         ['errors'], ['settings'], ['signals'],
-        ['shapes', 'matrix_functions', 'frequency', 'residuals', 'mode_rows'],
+        ['shapes', 'matrix_functions', 'frequency', 'residuals', 'mode_rows', 'spikes'],
         ['simulation', 'realisation'],
         ['statespace'], ['estimate', 'samples', 'predictor', 'alignment'],
         ['windows', 'model_json'],
         ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
+        ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
         ['refine'], ['steadiness'],

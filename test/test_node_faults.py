@@ -113,3 +113,11 @@ def test_a_missing_package_and_wrong_fields_are_named_at_configure(live):
     said = node.wait_health('ingest', lambda h: h.level == Level.ERROR, 'an error')
     assert 'not configured' in said.message
     assert node.program.alive
+
+
+def test_topics_whose_names_differ_by_a_number_are_told_of_each(live):
+    node = live.identifier(params('ingest.timeout: 0.5', command='/rotor1', imu='/rotor2'))
+    node.wait_health('ingest', lambda h: 'on /rotor2' in h.message, 'silence')
+    for topic in ('/rotor1', '/rotor2'):
+        live.wait(lambda: f'no message has come on {topic}' in node.log,  # noqa: B023
+                  f'a word on {topic}')

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A few corrupt samples do not move the estimate; honest ones are not touched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from plants import PLANTS, asynchronous, held, held_response, match, noisy, paper, random_plant
+import pytest
+
+from ctsid_core import Record, Settings, identify
+from ctsid_core.outliers import spikes
+from ctsid_core.usable import usable
+
+
+def uneven(rng, count: int, rate: float = 200.0):
+    return (np.arange(count) + 0.45 * rng.uniform(-1, 1, count)) / rate
+
+
+def slow(t):
+    return np.column_stack((np.sin(9.0 * t) + 0.4 * np.sin(21.0 * t), np.cos(3.0 * t)))
+
+
+def spoilt(rng, record: Record, sigma, share: float, length: int) -> tuple[Record, list]:
+    """Put bursts of equal errors of 10 to 1000 sigma into every output."""
+    outputs, truth = [], []
+    for signal, own in zip(record.outputs, sigma, strict=True):
+        values, count = signal.values.copy(), len(signal.time)
+        for j in range(signal.width):
+            for _ in range(max(round(share * count / length), 1)):
+                first = rng.integers(20, count - 30)
+                values[first:first + length, j] += \
+                    own[j] * 10.0 ** rng.uniform(1.0, 3.0) * rng.choice([-1, 1])
+        outputs.append(replace(signal, values=values))
+        truth.append(values != signal.values)
+    return replace(record, outputs=tuple(outputs)), truth
+
+
+def test_noise_is_not_corrupt():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        assert not spikes(uneven(rng, 10000), rng.standard_normal((10000, 3)), closely=True).any
+
+
+HONEST = {
+    'steps': lambda rng, t: np.repeat(rng.choice([-1.0, 0.0, 1.0], len(t) // 25 + 1),
+                                      25)[:len(t)],
+    'kinks': lambda rng, t: np.abs((3.0 * t) % 2.0 - 1.0),
+    'counts': lambda rng, t: np.round(4.0 * np.sin(9.0 * t)),
+    'fine counts': lambda rng, t: 0.01 * np.round(100.0 * np.sin(9.0 * t)),
+    'held samples': lambda rng, t: np.sin(9.0 * t[(np.arange(len(t)) // 5) * 5]),
+    'a burst of motion': lambda rng, t: np.exp(-(5.0 * (t - 3.0)) ** 2) * np.sin(60.0 * t)
+    + 1e-3 * rng.standard_normal(len(t)),
+    'noise that grows': lambda rng, t: rng.standard_normal(len(t)) * np.where(t > 5, 10.0, 1.0),
+    'no noise': lambda rng, t: np.sin(20.0 * t),
+    'at rest': lambda rng, t: np.where(np.abs(t - 4.0) < 0.5, np.sin(6.0 * t), 0.0),
+}
+
+
+@pytest.mark.parametrize('name', HONEST)
+@pytest.mark.parametrize('closely', [False, True])
+def test_honest_motions_are_not_corrupt(name, closely):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        t = uneven(rng, 2000)
+        assert not spikes(t, HONEST[name](rng, t)[:, np.newaxis], closely=closely).any
+
+
+@pytest.mark.parametrize('length', [1, 5])
+@pytest.mark.parametrize('size', [30.0, 1000.0])
+def test_spikes_and_bursts_are_found_and_bridged(size, length):
+    rng = np.random.default_rng(length)
+    t = uneven(rng, 2000)
+    clean = slow(t) + 0.01 * rng.standard_normal((2000, 2))
+    values, where = clean.copy(), np.zeros((2000, 2), dtype=bool)
+    for first in range(40, 1900, 100):
+        where[first:first + length, 0] = True
+    values[where] += 0.01 * size * np.repeat(rng.choice([-1, 1], 19), length)
+    found = spikes(t, values)
+    np.testing.assert_array_equal(found.mask, where)
+    np.testing.assert_array_equal(found.instead[~where], clean[~where])
+    assert np.std((found.instead - slow(t))[where]) < 0.02
+
+
+def test_an_output_that_follows_pulses_is_honest():
+    """With feedthrough, a held pulse is a burst of the output; a spike beside it is not."""
+    rng = np.random.default_rng(0)
+    t_u, u = np.arange(-8.0, 10.0, 0.02), np.zeros((900, 1))
+    u[rng.choice(900, 60, replace=False)] = rng.uniform(-10, 10, (60, 1))
+    t = np.arange(0.005, 9.9, 0.005)
+    y = noisy(rng, held_response(PLANTS['hd52'], t_u, u, t), 30)[:, 3:]
+    kept = t_u > -0.5
+    part = usable(Record.from_arrays(t_u[kept], u[kept], t, y, input_hold='zoh'), Settings())
+    assert not part.corrupt_y[0].any
+    y[700] += 5.0 * np.std(y)
+    part = usable(Record.from_arrays(t_u[kept], u[kept], t, y, input_hold='zoh'), Settings())
+    assert np.flatnonzero(part.corrupt_y[0].mask).tolist() == [700]
+
+
+EXPERIMENTS = {
+    'from rest': lambda rng: paper(rng, 'hd51', 20),
+    'little noise': lambda rng: paper(rng, 'hd51', 40),
+    'asynchronous': lambda rng: asynchronous(rng, PLANTS['hd51'], 100.0, 150.0, snr=20),
+    'several inputs': lambda rng: held(
+        rng, random_plant(np.random.default_rng(5), 5, 2, 3), 50.0, 200.0, snr=20),
+}
+SNR = {'little noise': 40}
+
+
+@pytest.mark.parametrize('length', [1, 5])
+@pytest.mark.parametrize('name', EXPERIMENTS)
+def test_corrupt_samples_do_not_move_the_estimate(name, length):
+    rng = np.random.default_rng(3)
+    record = EXPERIMENTS[name](rng)
+    sigma = [np.std(s.values, axis=0) * 10 ** (-SNR.get(name, 20) / 20) for s in record.outputs]
+    dirty, truth = spoilt(rng, record, sigma, 0.005, length)
+    before, after = identify(record), identify(dirty)
+    assert before.statistics['corrupt_samples'] == 0
+    assert after.ok
+    assert after.model.n == before.model.n
+    moved = np.abs(match(after.model.poles, before.model.poles) - before.model.poles)
+    assert (moved < before.pole_std).all()
+    there = sum(mask.sum() for mask in truth)
+    assert after.statistics['corrupt_samples'] == pytest.approx(there, abs=0.05 * there + 1)
+    for output in record.output_names:
+        assert any(f'output {output}: ' in note and 'corrupt' in note for note in after.notes)
+        assert after.statistics[f'corrupt_samples.{output}'] >= 1
+
+
+def test_a_clean_record_is_used_as_it_is():
+    record = held(np.random.default_rng(1), PLANTS['hd52'], 50.0, 200.0, snr=30)
+    part = usable(record, Settings(trim=False))
+    assert part.record.outputs[0] is record.outputs[0]
+    estimate = identify(record, Settings(trim=False))
+    again, gain = part.cleaned(estimate.model)
+    assert again is part
+    assert gain == 1.0
+
+
+def test_what_a_model_explains_is_put_back():
+    """A sample that seemed corrupt, and is what the inputs make of it, is used after all."""
+    record = held(np.random.default_rng(1), PLANTS['hd52'], 50.0, 200.0, snr=30)
+    part = usable(record, Settings(trim=False))
+    model = identify(record, Settings(trim=False)).model
+    found = part.corrupt_y[0]
+    mask, instead = found.mask.copy(), found.instead.copy()
+    mask[500, 0], instead[500, 0] = True, instead[500, 0] + 10.0 * np.std(instead[:, 0])
+    wrong = replace(part, corrupt_y=(replace(found, mask=mask, instead=instead),))
+    right, gain = wrong.cleaned(model)
+    assert not right.corrupt_y[0].any
+    assert gain == np.inf
+    np.testing.assert_array_equal(right.record.outputs[0].values, record.outputs[0].values)
+
+
+def test_many_far_samples_are_not_a_few_corrupt_ones():
+    rng = np.random.default_rng(0)
+    record = paper(rng, 'hd51', 30)
+    signal = record.outputs[0]
+    values = signal.values.copy()
+    values[rng.choice(2001, 200, replace=False), 0] += 3.0 * np.std(values)
+    spoiled = replace(record, outputs=(replace(signal, values=values),))
+    estimate = identify(spoiled)
+    assert any('not a few corrupt ones' in note for note in estimate.notes)
+    np.testing.assert_array_equal(usable(spoiled, Settings(trim=False)).record.outputs[0].values,
+                                  values)
+
+
+@pytest.mark.parametrize(('hold', 'count'), [('smooth', 1), ('zoh', 0), ('linear', 0)])
+def test_only_a_smooth_input_can_be_corrupt(hold, count):
+    record = paper(np.random.default_rng(0), 'hd51', 30)
+    signal = record.inputs[0]
+    values = signal.values.copy()
+    values[300] += 5.0
+    part = usable(replace(record, inputs=(replace(signal, values=values, hold=hold),)),
+                  Settings())
+    assert np.count_nonzero(part.corrupt_u[0].mask) == count

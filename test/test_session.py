@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Windows to models in the thread of identification: what resets and stops leave behind."""
+
+from threading import Event
+
+import numpy as np
+import pytest
+
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Record
+from ctsid_core.tracking import Tracker
+from ctsid_ros.session import Session
+
+SETTINGS = Settings(order=1, held_out=0.0)
+
+
+def window(seed=0):
+    """Return a record of a first-order plant, pole at -2 rad/s."""
+    rng = np.random.default_rng(seed)
+    t, y = np.arange(0.0, 8.0, 0.02), np.zeros(400)
+    u = np.repeat(rng.standard_normal(80), 5)
+    for k in range(399):
+        y[k + 1] = np.exp(-0.04) * y[k] + (1 - np.exp(-0.04)) * u[k]
+    return Record.from_arrays(t, u, t, y + 0.01 * rng.standard_normal(400), input_hold='zoh')
+
+
+class Heard:
+    """What a session publishes, one result after the other."""
+
+    def __init__(self):
+        self.results, self.faults, self.told = [], [], Event()
+        self.then = lambda: None
+
+    def publish(self, result):
+        self.results.append(result)
+        self.then()
+        self.told.set()
+
+    def wait(self):
+        assert self.told.wait(20.0), self.faults
+        self.told.clear()
+
+
+@pytest.fixture
+def heard():
+    return Heard()
+
+
+@pytest.fixture
+def session(heard):
+    made = Session(SETTINGS, heard.publish, heard.faults.append)
+    yield made
+    assert made.stop(20.0)
+    assert not heard.faults
+
+
+def test_windows_are_numbered_and_models_kept(session, heard):
+    for number in (1, 2):
+        session.submit(window(number), None)
+        heard.wait()
+    assert [result.window.number for result in heard.results] == [1, 2]
+    assert session.progress.windows == 2
+    assert all(result.tracked.estimate.ok for result in heard.results)
+
+
+def test_a_reset_while_a_model_is_published_leaves_no_model(session, heard):
+    heard.then = session.reset
+    session.submit(window(), None)
+    heard.wait()
+    heard.then = lambda: None
+    session.submit(window(1), None)
+    heard.wait()
+    assert [result.tracked.realisation for result in heard.results] == [1, 2]
+    assert session.stop(20.0)
+    assert session.progress.accepted.window.number == 2
+
+
+def test_a_reset_at_the_end_leaves_nothing(session, heard):
+    heard.then = session.reset
+    session.submit(window(), None)
+    heard.wait()
+    assert session.stop(20.0)
+    assert (session.progress.last, session.progress.accepted) == (None, None)
+
+
+def test_a_window_under_way_is_void_after_a_reset(session, heard, monkeypatch):
+    begun, go, take = Event(), Event(), Tracker.take
+
+    def slowly(tracker, record):
+        tracked = take(tracker, record)
+        begun.set()  # the tracker remembers it now
+        assert go.wait(20.0)
+        return tracked
+
+    monkeypatch.setattr(Tracker, 'take', slowly)
+    session.submit(window(), None)
+    assert begun.wait(20.0)
+    session.submit(window(1), None)  # waits, and is dropped
+    session.reset()
+    go.set()
+    session.submit(window(2), None, requested=True)
+    heard.wait()
+    result, = heard.results
+    assert (result.window.number, result.window.requested) == (3, True)
+    assert np.isnan(result.tracked.fresh_fit).all()  # there is no model before it
+    assert result.tracked.realisation == 2
+    assert session.progress.skipped == 0
