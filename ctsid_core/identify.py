@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record
+from ctsid_core.deviation import pole_deviation
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
-from ctsid_core.refine import affordable, pole_deviation
+from ctsid_core.refine import affordable
 from ctsid_core.selection import choose_order, likeliest_simulation, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
@@ -213,7 +214,8 @@ def _share(record: Record, settings: Settings, share: float) -> Projection:
 def _judge(part: Usable, found: _Found) -> Estimate:
     model = _to_statespace(part, found)
     fit, held_out = line_fit(found.projection, found.matrices), _held_out(part, found)
-    deviation = pole_deviation(found.projection, found.matrices, found.settings.feedthrough)
+    deviation = pole_deviation(found.projection, found.matrices, found.settings.feedthrough,
+                               process_noise=found.process_noise)
     poles = np.linalg.eigvals(found.matrices.A).astype(complex)
     status = _status(found, fit, held_out)
     if status is Status.OK and _vague(part, poles, deviation):
@@ -241,7 +243,7 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         notes=(*part.notes, *corrupt, *notes),
         statistics={**counts, 'process_noise': float(found.process_noise),
                     'change_p_value': change.p_value, 'change_size': change.size,
-                    'change_gain': change.gain})
+                    'change_gain': change.gain, 'change_share': change.share})
 
 
 def _status(found: _Found, fit: Array, held_out: Array) -> Status:

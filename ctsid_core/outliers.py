@@ -18,20 +18,20 @@ import numpy as np
 from ctsid_core.signals import Array, Record, Signal
 from ctsid_core.spikes import (
     MOST,
-    SUSPECT,
+    SURE,
     Channel,
     Mask,
     distance,
     find,
     followed,
     resolution,
+    standing_out,
     weights_of,
 )
 from ctsid_core.statespace import StateSpace
 from ctsid_core.validation import simulation
 
 FEWEST = 50             # samples of a channel that is looked at
-SURE = 6.0              # robust standard deviations from the curve beyond which a sample is bad
 SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest
 _EXPLAINED = 0.3        # of how far off a sample seemed, up to which a model explains it
 _HELP = 1.2             # scale over that without a model from which on the model is no help
@@ -99,19 +99,18 @@ def spikes(time: Array, values: Array, sure: float = SURE, *, least: Array | Non
     scales, suspects, too_many, instead = [], False, [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
-        scales.append(scale)
-        stands_out = bool(np.max(np.abs(off)) > SUSPECT * scale)
-        direct = None
+        stands_out, direct = standing_out(off, scale, sure), None
         if stands_out and inputs is not None and inputs.shape[1]:
             direct = followed(row, inputs, weights)
             off, scale, _ = distance(row - direct, weights)
-            stands_out, scales[-1] = bool(np.max(np.abs(off)) > SUSPECT * scale), scale
+            stands_out = standing_out(off, scale, sure)
+        scales.append(scale)
         suspects |= stands_out
         if not (stands_out or closely):
             continue
         floor = resolution(row) if least is None else float(least[j])
         found, filled = find(Channel(time, weights, sure, floor),
-                              row if direct is None else row - direct)
+                             row if direct is None else row - direct)
         if np.count_nonzero(found) > MOST * len(row):
             too_many.append(j)
         elif found.any():

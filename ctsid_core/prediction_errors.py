@@ -9,7 +9,7 @@ with A bar = A - K C ([HD] eq. 35); tail and ones are inputs like U. K = 0 is th
 form. In the innovation form E = H (Y - G U), H = I - C (s I - A bar)^-1 K, the errors are white;
 because the lines fill a finite band, log det of their covariance must be joined by
 -2 sum log|det H|, the Jacobian of the map from outputs to errors. Without that term a fit
-diverges to ever faster predictors.
+diverges to ever faster predictors; without that of `window_ends.py`, to ever slower ones.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ctsid_core.bases.base import Array, Lines, Projection, as_real, real_times
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.resolvent import Resolvent, resolvent
+from ctsid_core.window_ends import LEAST_DAMPING, ends_cost, ends_slopes, line_distance
 
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
 
@@ -125,8 +126,7 @@ def innovation_cost(projection: Projection, m: Matrices) -> float:
     """
     Return -2 log likelihood, up to the same constant as the output error's, with the model's K.
 
-    Infinite where a pole of the predictor is closer to the imaginary axis than the lines are to
-    each other, or unstable: there the likelihood is that of a single line, and without bound.
+    Infinite where the predictor is unstable, or its memory far longer than the window.
     """
     return innovation(projection, m).cost
 
@@ -135,13 +135,15 @@ def innovation(projection: Projection, m: Matrices) -> Likelihood:
     """Return the likelihood with the model's K, with what its derivatives need."""
     closed = resolvent(m.A - m.K @ m.C, projection.s)
     poles = np.linalg.eigvals(m.A).astype(complex)
-    if np.max(closed.poles.real) > -float(np.abs(projection.s[1] - projection.s[0])):
+    if np.max(closed.poles.real) > -LEAST_DAMPING * line_distance(projection):
         return Likelihood(np.inf, None, poles)
     prediction = predict(projection, m, closed)
     error = as_real(prediction.error)
     covariance = error @ error.T / projection.count + np.diag(_floor(projection))
     cost = projection.count * float(np.linalg.slogdet(covariance)[1])
-    return Likelihood(cost + _spread(projection, poles, closed.poles), prediction, poles)
+    cost += _spread(projection, poles, closed.poles)
+    cost += ends_cost(projection, closed.poles.astype(complex), poles)
+    return Likelihood(cost, prediction, poles)
 
 
 def _spread(projection: Projection, poles: NDArray[np.complex128],
@@ -161,7 +163,7 @@ def line_weights(projection: Projection) -> Array:
 def spread_gradient(projection: Projection, m: Matrices, feedthrough: bool,
                     closed: Resolvent | None = None) -> Array:
     """
-    Return the gradient of -2 sum log|det H| by the entries that `jacobian` lists.
+    Return the gradient of what `innovation_cost` adds to the errors' log det.
 
     Parameters
     ----------
@@ -170,16 +172,23 @@ def spread_gradient(projection: Projection, m: Matrices, feedthrough: bool,
     feedthrough : bool
     closed : Resolvent, optional
         Of A - K C, if it is at hand.
+
+    Returns
+    -------
+    ndarray
+        By the entries that `jacobian` lists.
     """
-    s = projection.s
-    open_sum = resolvent(m.A, s).sum(line_weights(projection))
-    closed_sum = (closed or resolvent(m.A - m.K @ m.C, s)).sum(line_weights(projection))
+    closed = closed or resolvent(m.A - m.K @ m.C, projection.s)
+    plant, weights = resolvent(m.A, projection.s), line_weights(projection)
+    by_predictor, by_plant = ends_slopes(projection, closed, plant)
+    by_predictor = by_predictor - 2.0 * closed.sum(weights)
+    by_plant = by_plant + 2.0 * plant.sum(weights)
     nu, ones = len(projection.u), len(projection.ones)
     B_size = len(m.A) * (nu + len(projection.tail) + ones)
     D_size = len(m.C) * (nu * feedthrough + ones)
-    gradient: Array = -2.0 * np.concatenate((
-        (closed_sum - open_sum).T.ravel(), np.zeros(B_size), -(closed_sum @ m.K).T.ravel(),
-        np.zeros(D_size), -(m.C @ closed_sum).T.ravel()))
+    gradient: Array = np.concatenate((
+        (by_predictor + by_plant).T.ravel(), np.zeros(B_size), -(by_predictor @ m.K).T.ravel(),
+        np.zeros(D_size), -(m.C @ by_predictor).T.ravel()))
     return gradient
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Maximum likelihood from an initial model, and the deviation of the poles that goes with it.
+Maximum likelihood from an initial model.
 
 All entries of A, B, C, D (and K) move; the n^2 directions that change the realisation only are the
-null space of the Jacobian, and steps and covariances of least norm leave them alone (data-driven
-local coordinates: McKelvey, Helmersson and Ribarits 2004, Automatica 40).
+null space of the Jacobian, and steps of least norm leave them alone (data-driven local
+coordinates: McKelvey, Helmersson and Ribarits 2004, Automatica 40).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from ctsid_core.levenberg_marquardt import (
     climb,
     normal_equations,
 )
-from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.prediction_errors import (
     Prediction,
@@ -36,7 +35,6 @@ from ctsid_core.prediction_errors import (
 )
 from ctsid_core.resolvent import resolvent
 
-_RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _DAMPING = 1e-5       # of an innovation form's first step, relative
 _WORK = 1e9           # multiplications of one step beyond which models are not refined
@@ -149,7 +147,7 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
         size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150
         columns = jacobian(projection, m, feedthrough, with_noise=False,
                            whiten=np.diag(1.0 / size), prediction=prediction)
-        return normal_equations(_rows(columns), (error / size[:, np.newaxis]).ravel())
+        return normal_equations(by_parameter(columns), (error / size[:, np.newaxis]).ravel())
 
     still = replace(start, K=np.zeros_like(start.K))
     return climb(still, lambda m: output_error(projection, m), curvature, _mover(feedthrough),
@@ -179,13 +177,18 @@ def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.c
         still = replace(start, K=np.zeros_like(start.K))
         return still, output_error_cost(projection, still)
     starts = [start]
-    if len(set(np.round(poles, 12))) == len(poles):
+    if distinct(poles):
         starts.append(realise_poles(projection, poles, feedthrough))
     model, cost = refine_output_error(projection, starts[-1], feedthrough, limit)
     for other in starts[:-1]:
         found = refine_output_error(projection, other, feedthrough, limit, rival=cost)
         model, cost = min((model, cost), found, key=lambda pair: pair[1])
     return model, cost
+
+
+def distinct(poles: NDArray[np.complex128]) -> bool:
+    """Return whether no two poles are the same, so that they have a modal form."""
+    return len(set(np.round(poles, 12))) == len(poles)
 
 
 def affordable(projection: Projection, n: int) -> bool:
@@ -195,35 +198,9 @@ def affordable(projection: Projection, n: int) -> bool:
     return bool(2.0 * len(projection.s) * ny * parameters ** 2 < _WORK)
 
 
-def _rows(columns: Array) -> Array:
+def by_parameter(columns: Array) -> Array:
     """Return a Jacobian (ny, 2 L, parameters) with a row for each parameter: a view."""
     return np.moveaxis(columns, -1, 0).reshape(columns.shape[2], -1)
-
-
-def _directions(rows: Array) -> tuple[Array, Array, Array]:
-    """
-    Return the directions in which the data determine the parameters.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (parameters, N)
-        Jacobian; overwritten. Rows of zeros belong to entries that do not move.
-
-    Returns
-    -------
-    s : ndarray, shape (r,)
-        Singular values.
-    right : ndarray, shape (r, parameters)
-        Directions.
-    norm : ndarray, shape (parameters,)
-        What the rows were divided by.
-    """
-    norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
-    norm[norm == 0.0] = np.inf
-    rows /= norm[:, np.newaxis]
-    _, s, right = svd(np.linalg.qr(rows.T, mode='r'))
-    kept = s > _RANK * s[0]
-    return s[kept], right[kept], norm
 
 
 def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool, *,
@@ -305,7 +282,7 @@ def _whitened(projection: Projection, m: Matrices, prediction: Prediction, feedt
     whiten = _whitener(projection, error)
     columns = jacobian(projection, m, feedthrough, with_noise=with_noise, whiten=whiten,
                        prediction=prediction)
-    return _rows(columns), (whiten @ error).ravel()
+    return by_parameter(columns), (whiten @ error).ravel()
 
 
 def whitener(projection: Projection, m: Matrices) -> tuple[Array, Array]:
@@ -323,10 +300,10 @@ def _whitener(projection: Projection, error: Array) -> Array:
 
 
 def _mover(feedthrough: bool) -> Callable[[Matrices, Array], Matrices]:
-    return lambda m, step: _moved(m, step, feedthrough)
+    return lambda m, step: moved(m, step, feedthrough)
 
 
-def _moved(m: Matrices, step: Array, feedthrough: bool) -> Matrices:
+def moved(m: Matrices, step: Array, feedthrough: bool) -> Matrices:
     """Add a step to the entries of a model, in the order in which `jacobian` lists them."""
     n, ny, nu = len(m.A), len(m.C), m.B.shape[1]
     tail, ones, feed = m.tail.shape[1], m.x_trim.shape[1], nu * feedthrough
@@ -338,32 +315,3 @@ def _moved(m: Matrices, step: Array, feedthrough: bool) -> Matrices:
         tail=m.tail + B[:, nu:nu + tail], x_trim=m.x_trim + B[:, nu + tail:],
         D=m.D + D[:, :feed] if feed else m.D, y_trim=m.y_trim + D[:, feed:],
         K=m.K + dK.reshape(n, ny) if len(dK) else m.K)
-
-
-def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    """
-    Return the asymptotic standard deviation of the poles, in the order of `eigvals(m.A)`.
-
-    Parameters
-    ----------
-    projection : Projection
-    m : Matrices
-        K = 0 means output error.
-    feedthrough : bool
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Square root of the expected |error|^2 of an efficient estimator (the Cramer-Rao bound at
-        this model and its noise level) [rad/s]; a plain subspace estimate scatters more.
-    """
-    flat, error = whitened(projection, m, feedthrough, with_noise=bool(np.any(m.K)))
-    s, right, norm = _directions(flat.T)
-    spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
-    root = right / s[:, np.newaxis] / norm                        # covariance = root^T root
-    _, modes = np.linalg.eig(m.A)
-    left = np.linalg.inv(modes)
-    n = len(m.A)
-    change = np.stack([np.outer(left[i], modes[:, i]).ravel() for i in range(n)])
-    deviation: Array = np.linalg.norm(change @ root[:, :n * n].T, axis=1) / np.sqrt(spare)
-    return deviation

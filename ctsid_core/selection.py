@@ -6,14 +6,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Projection, as_real
 from ctsid_core.order import OrderTrial, Pair, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import simulate_lines
+from ctsid_core.process_noise import with_process_noise
 from ctsid_core.refine import affordable, best_simulation, growth, refine_innovation
 from ctsid_core.settings import Settings
+from ctsid_core.window_ends import line_distance
 
 _CONTENDERS = 3       # orders whose innovation forms are refined before they are compared
 _STEPS = 6            # of that refinement: enough to compare
@@ -32,27 +35,34 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
     Notes
     -----
     Simulations come at their maximum already. The most promising innovation forms are taken to
-    theirs, and believed if they are likelier than any simulation and simulate nearly as well
-    as the best of the same order.
+    theirs, and taken if they are likelier than any simulation and believed (`Pair.believes`).
     """
     chosen, least = min(trials, key=by_simulation), min(t.simulation for t in trials)
     criterion = {t.order: t.simulation for t in trials}
     for trial in sorted(trials, key=by_innovation)[:_CONTENDERS]:
-        pair, feed = trial.pair, search.settings.feedthrough
-        if not (search.settings.refine and affordable(search.projection, trial.order)):
-            value, poles = trial.innovation, pair.predicting.poles
-        else:
-            price = search.price(trial.order)
-            model, cost = refine_innovation(search.projection, pair.predicting.matrices, feed,
-                                            limit=pair.limit, steps=_STEPS, rival=least - price)
-            value = cost + price
-            poles = np.linalg.eigvals(model.A).astype(complex)
-        if value < least and (pair.limit == np.inf or pair.simulating.nearly_as_good(
-                poles, trial.refined.cost)):
+        found = _innovation_form(search, trial, least)
+        if found is None:
+            continue
+        value, poles = found
+        if value < least and trial.pair.believes(poles, trial.simulation - value,
+                                                 trial.refined.cost):
             chosen, least = trial, value
             criterion[trial.order] = value
     table = ', '.join(f'{order}: {value - least:.0f}' for order, value in criterion.items())
     return chosen, table
+
+
+def _innovation_form(search: Search, trial: OrderTrial,
+                     least: float) -> tuple[float, NDArray[np.complex128]] | None:
+    """Return the criterion and the poles of a trial with process noise; None if it has none."""
+    if not (search.settings.refine and affordable(search.projection, trial.order)):
+        return trial.innovation, trial.pair.predicting.poles
+    if trial.start is None:
+        return None
+    price = search.price(trial.order)
+    model, cost = refine_innovation(search.projection, trial.start, search.settings.feedthrough,
+                                    limit=trial.pair.limit, steps=_STEPS, rival=least - price)
+    return cost + price, np.linalg.eigvals(model.A).astype(complex)
 
 
 def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
@@ -69,24 +79,23 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
     """
     if not (settings.refine and affordable(projection, len(pair.simulating.poles))):
         return pair.best.matrices, pair.process_noise
-    feed, limit, first = settings.feedthrough, pair.limit, pair.simulating
+    feed, limit = settings.feedthrough, pair.limit
     model, cost, top = likeliest_simulation(projection, pair, settings)
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
-    # The innovation form has two starts: the subspace model's own K, and the best simulation with
-    # a gain that makes its predictor faster than the lines are apart.
-    apart = 1.5 * float(np.abs(projection.s[1] - projection.s[0]))
-    simple = replace(model, K=_gain(projection, model, apart))
-    held, held_cost = refine_innovation(projection, simple, feed, plant=False, steps=8)
-    noisy, noisy_cost = refine_innovation(projection, held, feed, limit=limit,
+    start = with_process_noise(projection, model, feed)
+    if start is None:
+        return replace(model, K=_gain(projection, model)), False
+    noisy, noisy_cost = refine_innovation(projection, start, feed, limit=limit,
                                           rival=cost - price)
     other = refine_innovation(projection, pair.predicting.matrices, feed, limit=limit,
                               rival=min(noisy_cost, cost - price))
-    if other[1] < noisy_cost:
-        noisy, noisy_cost = other
-    poles = np.linalg.eigvals(noisy.A).astype(complex)
-    if noisy_cost + price < cost and (limit == np.inf
-                                      or first.nearly_as_good(poles, top)):
+    noisy, noisy_cost = min((noisy, noisy_cost), other, key=lambda found: found[1])
+    gain = cost - noisy_cost - price
+    if pair.believes(np.linalg.eigvals(noisy.A).astype(complex), gain, top):
         return noisy, True
+    damped = replace(model, K=_gain(projection, model, 1.5 * line_distance(projection)))
+    held, held_cost = refine_innovation(projection, damped, feed, plant=False, steps=8,
+                                        rival=cost - price)
     if held_cost + price < cost:
         return held, False
     return replace(model, K=_gain(projection, model)), False
@@ -116,7 +125,7 @@ def likeliest_simulation(projection: Projection, pair: Pair,
     first = pair.simulating
     if not (settings.refine and affordable(projection, len(first.poles))):
         return pair.best.matrices, np.inf, np.inf
-    top = first.refined(pair.limit)
+    top = pair.refined()
     return (*best_simulation(projection, first.matrices, top.poles, settings.feedthrough,
                              pair.limit), top.cost)
 

@@ -27,7 +27,8 @@ from ctsid_core.signals import Array
 Mask = NDArray[np.bool_]
 
 MOST = 0.05             # part of a channel's samples beyond which they are not 'a few'
-SUSPECT = 5.0           # robust standard deviations from which on a sample is suspected
+SURE = 6.0              # robust standard deviations off the curve beyond which samples are bad
+_SUSPECT = 5.0          # the same from which on a sample is suspected
 _PERHAPS = 3.5          # the same if there is another reason to look closer
 _LONGEST = 24           # samples of a run of suspects
 _SIDE = 8               # good samples on either side that judge it
@@ -75,7 +76,15 @@ class Channel:
         before, after = (_foretold(values[first:last], weights) for values in (x, without))
         return bool(np.max(np.abs(before)) > _SHARP * np.max(np.abs(x[run] - without[run]))
                     and np.max(np.abs(after / gain)) < max(
-                        SUSPECT * local, _REST * np.max(np.abs(before / gain))))
+                        _SUSPECT * local, _REST * np.max(np.abs(before / gain))))
+
+
+def standing_out(off: Array, scale: float, sure: float) -> bool:
+    """Return whether any sample lies far off for its surroundings."""
+    limit = _SUSPECT * sure / SURE
+    if not np.max(np.abs(off)) > limit * scale:
+        return False
+    return bool((np.abs(off) > limit * _local(off, scale)).any())
 
 
 def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
@@ -86,15 +95,24 @@ def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
         for apart in _APART:
             off, scale, white = distance(filled, channel.weights)
             local = _local(off, scale)
-            suspect = (np.abs(off) > _PERHAPS * local) & ~bad
+            suspect = (np.abs(off) > _PERHAPS * channel.sure / SURE * local) & ~bad
+            # What still stands out beside corrupt samples: were they the wrong ones?
+            doubted = bad if apart == _APART[-1] else np.zeros_like(bad)
             good = ~(suspect | bad)
-            for first, last in _runs(suspect, apart):
+            for first, last in _runs(suspect | doubted, apart):
+                if not suspect[first:last + 1].any():
+                    continue
+                wide = slice(first, last + 1)
+                given = np.concatenate((filled[:first], np.where(
+                    doubted[wide], x[wide], filled[wide]), filled[last + 1:]))
                 verdicts = [v for run in _hypotheses(first, last, len(x)) if (
-                    v := _judge(channel, filled, bad, run, good, local, white)) is not None]
+                    v := _judge(channel, given, run, good, local, white)) is not None]
                 if verdicts:
                     best = min(verdicts, key=lambda v: v.spread)
+                    bad[wide] &= ~doubted[wide]
+                    filled[wide] = given[wide]
                     bad[best.run] |= best.far
-                    filled[best.run] = best.without
+                    filled[best.run] = np.where(best.far, best.without, filled[best.run])
         if np.count_nonzero(bad) == before or np.count_nonzero(bad) > MOST * len(x):
             break
     return bad, filled
@@ -208,7 +226,7 @@ class _Verdict:
     spread: float
 
 
-def _judge(channel: Channel, x: Array, bad: Mask, run: slice, good: Mask, local: Array,
+def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
            white: bool) -> _Verdict | None:
     """Compare a run with a curve through the good samples beside it; None if none is corrupt."""
     before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
@@ -220,7 +238,7 @@ def _judge(channel: Channel, x: Array, bad: Mask, run: slice, good: Mask, local:
     curve, spread = min((_curve(channel.time, x, side, run, degree, scale)
                          for degree in _DEGREES[:1 if white else None]),
                         key=lambda pair: float(np.max(pair[1])))
-    far = (np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)) & ~bad[run]
+    far = np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)
     without = x.copy()
     without[run] = np.where(far, curve, x[run])
     if not (far.any() and (white or channel.sharp(x, without, run, scale))):

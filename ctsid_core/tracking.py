@@ -4,8 +4,9 @@ The models of consecutive windows as one moving model.
 
 Each window is identified by itself. A controller that takes the models one after the other wants
 entries of A, B, C and K that move as the plant does, eigenvalues that keep their rows, and a word
-on how well the last model foretold what has been measured since. That is added here, and nothing
-else is changed: all estimates are those of `identify`, up to the choice of states.
+on how well the last model foretold what has been measured since. That is added here; and once a
+window has shown that the plant changed, no model of data from both sides of it is accepted. All
+else is as `identify` gives it, up to the choice of states.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.alignment import align, reference_form
-from ctsid_core.estimate import Estimate
+from ctsid_core.estimate import Estimate, Status
 from ctsid_core.identify import identify
 from ctsid_core.mode_rows import Rows, follow
 from ctsid_core.settings import Settings
@@ -29,6 +30,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
+_EDGE = 1 / 40        # part of a window: half of the steps in which the time of a change is found
 _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
 
@@ -102,6 +104,7 @@ class Tracker:
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self._past = _Past()
+        self._changed_ns = 0  # when the plant has changed, as far as windows have shown it
 
     def take(self, record: Record) -> Tracked:
         """
@@ -116,7 +119,7 @@ class Tracker:
         """
         past = self._past
         test = _fresh(past, record)
-        estimate = identify(record, self.settings)
+        estimate = self._doubted(identify(record, self.settings))
         if estimate.model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
@@ -130,6 +133,36 @@ class Tracker:
     def reset(self) -> None:
         """Forget the models; numbers of realisations and modes go on where they were."""
         self._past = _Past(realisation=self._past.realisation, next_mode=self._past.next_mode)
+        self._changed_ns = 0
+
+    def _doubted(self, estimate: Estimate) -> Estimate:
+        """
+        Return an estimate, rejected if an earlier window has shown a change within its window.
+
+        A change near the ends of a window hardly shows in it, and its model may be wrong all the
+        same; but it stood in the middle of a window before.
+        """
+        straddles = _straddled(estimate, self._changed_ns)
+        if estimate.status is Status.CHANGED:
+            # The first window to show it tells the time best: later ones take it for later.
+            found_ns = _time(estimate, estimate.statistics['change_share'])
+            self._changed_ns = min(found_ns, self._changed_ns) if straddles else found_ns
+        elif estimate.model is not None and straddles:
+            share = (self._changed_ns - estimate.start_ns) / (estimate.end_ns - estimate.start_ns)
+            return replace(
+                estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
+                notes=(*estimate.notes, 'an earlier window has shown a change of the plant at '
+                       f'{100 * share:.0f} % of this one'))
+        return estimate
+
+
+def _time(estimate: Estimate, share: float) -> int:
+    return estimate.start_ns + round(share * (estimate.end_ns - estimate.start_ns))
+
+
+def _straddled(estimate: Estimate, at_ns: int) -> bool:
+    """Whether data from both sides of an instant made an estimate."""
+    return _time(estimate, _EDGE) < at_ns < estimate.end_ns
 
 
 def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: float

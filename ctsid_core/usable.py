@@ -10,7 +10,6 @@ import numpy as np
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.estimate import Status
 from ctsid_core.outliers import (
-    SURE,
     SURE_INPUT,
     Spikes,
     against_model,
@@ -20,6 +19,7 @@ from ctsid_core.outliers import (
 )
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record, Signal
+from ctsid_core.spikes import SURE
 from ctsid_core.statespace import StateSpace
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move

@@ -33,9 +33,9 @@ LEVELS = {
         ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'],
-        ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'],
+        ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
-        ['refine'], ['steadiness'],
+        ['refine'], ['steadiness', 'process_noise'], ['deviation'],
         ['order'], ['selection'],
         ['identify'], ['tracking']],
     'ctsid_ros': [

@@ -9,6 +9,7 @@ import pickle
 import numpy as np
 from plants import PLANTS, Plant, flown, plant, running
 import pytest
+from scipy.linalg import expm
 
 from ctsid_core import tracking
 from ctsid_core.alignment import align
@@ -162,6 +163,59 @@ def test_a_changed_plant_shows_before_it_is_learnt():
     assert {t.realisation for t in found} == {1}
     C = np.array([t.estimate.model.C for t in found])
     assert np.ptp(C) < np.abs(C).max()
+
+
+def changing(at: float, duration: float) -> Record:
+    """One run of a resonance that turns from 6 to 9 rad/s at a time [s]; u is held."""
+    rng, h = np.random.default_rng(5), 0.01
+    count = round(duration / h)
+    u = np.repeat(rng.choice([-1.0, 1.0], count // 20 + 1), 20)[:count]
+    steps = []
+    for omega in (6.0, 9.0):
+        M = np.zeros((3, 3))
+        M[:2] = [[0.0, 1.0, 0.0], [-omega ** 2, -0.6 * omega, omega ** 2]]
+        steps.append(expm(M * h)[:2])
+    x, y = np.zeros(2), np.zeros(count)
+    for k in range(count):
+        y[k] = x[0]
+        x = steps[k * h >= at] @ [*x, u[k]]
+    t = h * np.arange(count)
+    y += 0.05 * y.std() * rng.standard_normal(count)
+    return Record.from_arrays(t, u, t, y, input_hold='zoh')
+
+
+def test_once_a_change_is_known_no_window_that_straddles_it_is_accepted():
+    whole, at = changing(12.0, 26.0), 12.0
+    starts = [1.0, *np.arange(5.0, 14.0), 14.0, 15.0]
+    records = [whole.between(float(start), float(start) + 8.0) for start in starts]
+    found = [t.estimate for t in run(records)]
+    names = [e.status.name for e in found]
+    assert names[0] == 'OK'
+    seen = names.index('CHANGED')
+    assert starts[seen] + 8.0 > at
+    for start, estimate in zip(starts[seen:], found[seen:], strict=True):
+        if start < at - 0.5:
+            assert not estimate.ok, start
+    assert names[-2:] == ['OK', 'OK']
+    np.testing.assert_allclose(np.abs(found[-1].model.poles), 9.0, rtol=0.03)
+    # By itself, the last window that the change is in might have been believed.
+    late = starts.index(11.0)
+    alone = identify(records[late], SETTINGS)
+    assert found[late].rejected_model is not None
+    assert alone.status is Status.CHANGED or 'earlier window' in found[late].notes[-1]
+
+
+def test_a_change_is_forgotten_with_a_reset():
+    whole = changing(12.0, 26.0)
+    tracker = Tracker(SETTINGS)
+    assert tracker.take(whole.between(8.0, 16.0)).estimate.status is Status.CHANGED
+    short = whole.between(11.6, 19.6)
+    before = tracker.take(short).estimate
+    tracker.reset()
+    after = tracker.take(short).estimate
+    alone = identify(short, SETTINGS)
+    assert after.status is alone.status
+    assert not before.ok
 
 
 def test_a_window_without_a_model_changes_nothing(steady, tracked):

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a likelihood owes to the states at the ends of the window.
+
+These states are free. A pole of the predictor that decays more slowly than the lines are apart
+lets them explain a whole line: the likelihood then grows without bound, and on the way there it
+prefers predictors of long memory. The restricted likelihood (Patterson and Thompson 1971,
+Biometrika 58) integrates over what is free and adds log det of its information, for one output
+
+    - sum_ij log |p_i + p_j| - sum_i log tanh(pi d_i),
+
+p the poles of the predictor, d their damping in units of the distance of the lines: the first sum
+is the determinant of an observability Gramian, the second the correction for lines instead of an
+integral. Less the first sum for the poles of the plant, as far as the window resolves them:
+states are measured by what they contribute to the outputs of a simulation, and without K next to
+nothing is added where all poles decay within the window.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.bases.base import Array, Projection
+from ctsid_core.resolvent import Resolvent
+
+LEAST_DAMPING = 0.1   # of a predictor, in distances of lines
+
+_Poles = NDArray[np.complex128]
+
+
+def line_distance(projection: Projection) -> float:
+    """Return how far the first lines are apart [rad/s]: what the window resolves."""
+    return float(np.abs(projection.s[1] - projection.s[0]))
+
+
+def ends_cost(projection: Projection, predictor: _Poles, plant: _Poles) -> float:
+    """
+    Return what the ends of the window add to -2 log likelihood.
+
+    Parameters
+    ----------
+    projection : Projection
+    predictor : ndarray, shape (n,)
+        Poles of A - K C, stable [rad/s].
+    plant : ndarray, shape (n,)
+        Those of A.
+    """
+    apart = line_distance(projection)
+    known = _gramian(predictor) - _gramian(_resolved(plant, apart))
+    known -= float(np.log(np.tanh(-np.pi * predictor.real / apart)).sum())
+    return len(projection.tail) * known
+
+
+def ends_cost_of_simulation(projection: Projection, plant: _Poles) -> float:
+    """Return the same for K = 0, where growing poles count like decaying ones."""
+    damping = np.maximum(np.abs(plant.real), LEAST_DAMPING * line_distance(projection))
+    return ends_cost(projection, np.asarray(1j * plant.imag - damping, dtype=complex), plant)
+
+
+def ends_slopes(projection: Projection, predictor: Resolvent,
+                plant: Resolvent) -> tuple[Array, Array]:
+    """
+    Return the derivatives of `ends_cost`.
+
+    Parameters
+    ----------
+    projection : Projection
+    predictor, plant : Resolvent
+        Of A - K C and of A.
+
+    Returns
+    -------
+    by_predictor, by_plant : ndarray, shape (n, n)
+        S, where trace(S dA) is the change with the matrix A; zero where poles coincide.
+    """
+    apart, count = line_distance(projection), len(projection.tail)
+    p, q = predictor.poles, _resolved(plant.poles, apart)
+    of_lines = 2.0 * np.pi / apart / np.sinh(np.minimum(-2.0 * np.pi * p.real / apart, 300.0))
+    slope = _gramian_slope(q)
+    slope = slope.real * plant.poles.real / q.real + 1j * slope.imag
+    return (count * _by_matrix(predictor, _gramian_slope(p) + of_lines),
+            -count * _by_matrix(plant, slope))
+
+
+def _gramian(p: _Poles) -> float:
+    return -float(np.log(np.abs(p[:, np.newaxis] + p)).sum())
+
+
+def _gramian_slope(p: _Poles) -> _Poles:
+    slope: _Poles = -2.0 * np.sum(1.0 / (p[:, np.newaxis] + p), axis=1)
+    return slope
+
+
+def _resolved(poles: _Poles, apart: float) -> _Poles:
+    """Return poles with the damping, be it negative, that the window makes of theirs."""
+    found: _Poles = -np.hypot(poles.real, apart) + 1j * poles.imag
+    return found
+
+
+def _by_matrix(at: Resolvent, by_pole: _Poles) -> Array:
+    if at.modes is None or at.inverse is None:
+        return np.zeros((len(at.poles), len(at.poles)))
+    found: Array = ((at.modes * by_pole) @ at.inverse).real
+    return found
