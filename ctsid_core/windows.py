@@ -280,10 +280,11 @@ class SlidingWindow:
                 return record
             self._skip(end, passed)
         self._discard(passed)
-        # Looking costs some microseconds, so do not look again at every push.
+        # Looking costs some microseconds, so do not look again at every push; but soon, if only the
+        # samples after the end are awaited, for somebody waits for the model.
         self._check = passed + self._grace // 16
-        if start is not None and start + self._length > self._check:
-            self._check = start + self._length - 1
+        if start is not None:
+            self._check = max(start + self._length - 1, passed + self._grace // 512)
         return None
 
     def _complete(self, end: int, passed: int) -> bool:
