@@ -280,7 +280,7 @@ class SlidingWindow:
                 return record
             self._skip(end, passed)
         self._discard(passed)
-        # Looking costs some microseconds, so do not look again at every push; but soon, if only the
+        # Looking costs some microseconds, so do not look again at every push; but soon if only the
         # samples after the end are awaited, for somebody waits for the model.
         self._check = passed + self._grace // 16
         if start is not None:
