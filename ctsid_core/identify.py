@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record
+from ctsid_core.candidates import Candidate, Pair
 from ctsid_core.deviation import pole_deviation
 from ctsid_core.estimate import Choice, Estimate, Status
-from ctsid_core.order import Candidate, Search
+from ctsid_core.order import Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
 from ctsid_core.refine import affordable
@@ -113,14 +114,14 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
     own = _own_delays(part, settings.replace(parts=parts))
     projection = project_record(part.record, own, nmax)
     search = Search(projection, own)
-    order = settings.order or _order(search, choices)
-    pair = search.pair(order) if order else None
+    pair = search.pair(settings.order) if settings.order else _of_best_order(search, choices)
     if pair is None:
         return None
-    tuning, tried = pair.best.subspace.tuning, len(search.tunings(order))
-    if tried > 1:
+    order = len(pair.best.poles)
+    tuning = pair.best.subspace.tuning
+    if pair.tried > 1:
         choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
-                              f'the most likely of {tried} subspace models'))
+                              f'the most likely of {pair.tried} subspace models'))
     matrices, process_noise = most_likely(search.projection, pair, own)
     if settings.refine and not affordable(projection, order):
         choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
@@ -173,15 +174,15 @@ def _own_delays(part: Usable, settings: Settings) -> Settings:
     return settings.replace(delay=tuple(delays[j] for j in part.u))
 
 
-def _order(search: Search, choices: list[Choice]) -> int:
-    """Choose the order; 0 if the data are too short for any model."""
+def _of_best_order(search: Search, choices: list[Choice]) -> Pair | None:
+    """Return the models of the best order; None if the data are too short for any model."""
     trials = search.orders()
     if not trials:
-        return 0
+        return None
     chosen, table = choose_order(search, trials)
     choices.append(Choice('order', chosen.order, "Schwarz's criterion, above its smallest value, "
                           f'by order: {table}'))
-    return chosen.order
+    return chosen.pair
 
 
 def _held_out(part: Usable, found: _Found) -> Array:

@@ -1,43 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Choice of the regression's parameters, of the order and of the noise model.
+Choice of the regression's parameters and of the order.
 
 A subspace estimate costs a fraction of a millisecond, so a grid of (beta, p) is tried and the
-most likely model kept. Three questions have to be answered together:
-
-- Unstable? Seen through a window, a pole in the right half plane always explains a little more.
-  It is believed only if simulations are much better with it than with the best stable model.
-- Process noise? The innovation form is believed if it is more likely by more than simulations
-  lose with its poles, and these lose no more than gusts can cost; else its K has taken up plant
-  dynamics.
-- Which order? The poles of the best candidate of each order are taken to the maximum of the
-  output-error likelihood first (else a badly placed mode looks like two), then Schwarz's
-  criterion decides (`selection.py`).
+most likely model kept (`candidates.py`). The poles of the best candidate of each order are taken
+to the maximum of the output-error likelihood before orders are compared (else a badly placed mode
+looks like two), then Schwarz's criterion decides (`selection.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Projection
-from ctsid_core.pbsid import (
-    Levels,
-    Matrices,
-    Subspace,
-    Tuning,
-    realise,
-    regress,
-    stack_levels,
-)
+from ctsid_core.candidates import UNSTABLE, Candidate, Pair, best_pair, realised, several, worth
+from ctsid_core.pbsid import Levels, Matrices, Subspace, Tuning, regress, stack_levels
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
-from ctsid_core.prediction_errors import innovation_cost, line_fit, output_error_cost
+from ctsid_core.prediction_errors import innovation_cost, line_fit
 from ctsid_core.process_noise import with_process_noise
-from ctsid_core.refine import affordable, best_simulation, distinct, realise_poles
+from ctsid_core.refine import affordable, distinct, realise_poles
 from ctsid_core.settings import Settings
 from ctsid_core.window_ends import ends_cost_of_simulation
 
@@ -47,123 +31,6 @@ _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
-_COLOURED = 64.0              # per state: how much less likely gusts make the true simulation
-_SAME = 0.2                   # relative distance of poles that one climb ends at
-_STEPS = 12                   # Gauss-Newton steps of the poles
-_GLANCE = 4                   # of them, after which a second start must be better
-_UNSTABLE = 1.75              # how much better simulations must be to believe an unstable pole
-
-
-class Candidate:
-    """
-    A subspace model, and what the data say of it: computed when asked for.
-
-    Parameters
-    ----------
-    search : Search
-        Where it was found.
-    subspace : Subspace
-    n : int
-        Order.
-    """
-
-    def __init__(self, search: Search, subspace: Subspace, n: int) -> None:
-        self.search = search
-        self.subspace = subspace
-        self.matrices: Matrices = realise(subspace, n)
-
-    @cached_property
-    def poles(self) -> NDArray[np.complex128]:
-        """Poles, shape (n,) [rad/s]."""
-        return np.linalg.eigvals(self.matrices.A).astype(complex)
-
-    @cached_property
-    def simulated(self) -> OutputErrorFit:
-        """Fit of a simulation with these poles (noise of measurement only)."""
-        return self.search.output_error.fit(self.poles)
-
-    @cached_property
-    def innovation(self) -> float:
-        """-2 log likelihood with its own K."""
-        return innovation_cost(self.search.projection, self.matrices)
-
-    def refined(self, limit: float, steps: int = _STEPS) -> OutputErrorFit:
-        """Return the output-error maximum reached from these poles, within a limit [rad/s]."""
-        return self.search.output_error.fit(self.poles, steps, limit)
-
-    @cached_property
-    def realised(self) -> float:
-        """-2 log likelihood of its own simulation, up to a constant."""
-        return output_error_cost(self.search.projection, self.matrices)
-
-    @property
-    def growth(self) -> float:
-        """Largest real part of the poles [rad/s]."""
-        return float(np.max(self.poles.real))
-
-
-@dataclass(frozen=True)
-class Pair:
-    """
-    The candidate that simulates best and the one of the most likely innovation form.
-
-    Parameters
-    ----------
-    simulating, predicting : Candidate
-    limit : float
-        Largest real part that a pole may have: infinite if the plant is unstable [rad/s].
-    process_noise : bool
-        Whether the second is to be believed.
-    """
-
-    simulating: Candidate
-    predicting: Candidate
-    limit: float
-    process_noise: bool
-
-    @property
-    def best(self) -> Candidate:
-        """The one to be believed."""
-        return self.predicting if self.process_noise else self.simulating
-
-    def believes(self, poles: NDArray[np.complex128], gain: float, simulated: float) -> bool:
-        """
-        Return whether process noise is to be believed.
-
-        Parameters
-        ----------
-        poles : ndarray, shape (n,)
-            That go with it [rad/s].
-        gain : float
-            By which the data are likelier with it.
-        simulated : float
-            Cost of the best simulation.
-
-        Notes
-        -----
-        What K has taken up of the plant is missing in simulations. With gusts they lose a
-        little, too, for the best simulation has its poles where these explain some of the gusts:
-        in proportion to the number of poles and to the power of the residuals where it is
-        largest over its mean, but, unlike what a wrong model loses, however long the record is.
-        Measured: less than 40 per state with gusts, more than 100 with model errors. An unstable
-        plant is told by predictions only.
-        """
-        if gain <= 0.0 or self.limit == np.inf:
-            return gain > 0.0
-        search = self.simulating.search
-        loss = search.output_error.fit(poles).cost - simulated
-        return loss < min(gain, _COLOURED * len(poles))
-
-    def refined(self) -> OutputErrorFit:
-        """Return the best output-error maximum reached from the poles of either."""
-        found = self.simulating.refined(self.limit)
-        away = np.abs(self.predicting.poles[:, np.newaxis] - found.poles).min(axis=1)
-        if np.all(away < _SAME * np.abs(self.predicting.poles)):
-            return found
-        other = self.predicting.refined(self.limit, _GLANCE)
-        if other.cost >= found.cost:
-            return found
-        return self.predicting.refined(self.limit)
 
 
 @dataclass(frozen=True)
@@ -254,15 +121,9 @@ class Search:
     def _stack(self, beta: float, gamma: float, top: int) -> Levels:
         return stack_levels(self.projection, beta, gamma, top)
 
-    def candidates(self, n: int, tunings: list[Tuning]) -> Iterator[Candidate]:
-        """Yield the models of order n of the given tunings; those not finite are left out."""
-        for tuning in tunings:
-            subspace = self._subspace(tuning)
-            if n > len(subspace.singular_values):
-                continue
-            candidate = Candidate(self, subspace, n)
-            if np.isfinite(candidate.matrices.A).all():
-                yield candidate
+    def candidates(self, n: int, tunings: list[Tuning]) -> list[Candidate]:
+        """Return the models of order n of the given tunings; those not finite are left out."""
+        return realised(self.output_error, [self._subspace(t) for t in tunings], n)
 
     def pair(self, n: int, *, thorough: bool = True) -> Pair | None:
         """
@@ -279,46 +140,8 @@ class Search:
             pasts = sorted({t.past for t in tunings})
             kept = {pasts[0], pasts[len(pasts) // 2]} if pasts else set()
             tunings = [t for t in tunings if t.past in kept]
-        found = list(self.candidates(n, tunings))
-        if not found:
-            return None
-        limit = 1.0 / self._length
-        if len(found) == 1:
-            limit = limit if found[0].growth <= limit else np.inf
-            return Pair(found[0], found[0], limit, process_noise=True)
-        stable = [c for c in found if c.growth <= limit]
-        first = min(found, key=self._simulation)
-        if stable and first.growth > limit:
-            calm = min(stable, key=self._simulation)
-            if calm.simulated.cost - first.simulated.cost < self.worth(_UNSTABLE):
-                first = calm
-        if first.growth > limit:
-            limit, group = np.inf, [c for c in found if c.growth > limit]
-        else:
-            group = stable
-        second = min(group, key=lambda c: c.innovation)
-        cost = first.simulated.cost
-        both = Pair(first, second, limit, process_noise=False)
-        return replace(both, process_noise=both.believes(
-            second.poles, cost - second.innovation, cost))
-
-    def _simulation(self, candidate: Candidate) -> float:
-        """
-        Return what simulations with a candidate cost.
-
-        Its poles tell that alone where residues have rank one anyhow. With several inputs and
-        outputs one pole could do the work of several equal ones (roll and pitch of a symmetric
-        vehicle), which no model of that order can.
-        """
-        return candidate.realised if self._several else candidate.simulated.cost
-
-    @property
-    def _several(self) -> bool:
-        return min(len(self.projection.y), len(self.projection.u)) > 1
-
-    def worth(self, ratio: float) -> float:
-        """Return the cost of residuals larger by a ratio in all outputs."""
-        return float(2 * len(self.projection.s) * len(self.projection.y) * 2.0 * np.log(ratio))
+        found = self.candidates(n, tunings)
+        return best_pair(found, 1.0 / self._length) if found else None
 
     def price(self, n: int) -> float:
         """Return what Schwarz's criterion charges for an innovation form of order n."""
@@ -337,14 +160,14 @@ class Search:
         pair = self.pair(n, thorough=False)
         if pair is None:
             return None
-        refined = pair.refined()
+        refined = pair.refined
         simulation = refined.cost + refined.parameters * self.charge
         residual, model = refined.residual, pair.simulating.matrices
         p, feed = self.projection, self.settings.feedthrough
-        if self._several:
+        if several(self.projection):
             ny, direct = len(p.y), len(p.ones) + len(p.u) * feed
             count = n * (len(p.u) + len(p.tail) + ny) + ny * direct
-            model, cost = best_simulation(p, model, refined.poles, feed, pair.limit)
+            model, cost = pair.simulation
             simulation = cost + count * self.charge
             residual = float(np.max((1.0 - 0.01 * line_fit(p, model)) ** 2))
         elif distinct(refined.poles):
@@ -376,7 +199,7 @@ class Search:
                 break
             calm = [t.refined.cost for t in trials if t.pair.limit < np.inf]
             if not (trial.pair.limit == np.inf and calm
-                    and min(calm) - trial.refined.cost < self.worth(_UNSTABLE)):
+                    and min(calm) - trial.refined.cost < worth(self.projection, UNSTABLE)):
                 trials.append(trial)
             last = min(trials, key=by_either).order
             if trial.residual <= _EXPLAINED or n - last >= _PATIENCE:

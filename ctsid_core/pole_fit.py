@@ -15,6 +15,7 @@ Golub and Pereyra 1973, SIAM J. Numer. Anal. 10; Kaufman 1975, BIT 15, for the J
 from __future__ import annotations
 
 from cmath import sqrt as csqrt
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,7 @@ class OutputError:
     """
 
     def __init__(self, projection: Projection, feedthrough: bool) -> None:
+        self.projection, self.feedthrough = projection, feedthrough
         self._top = float(np.abs(projection.s[-1]))
         self._driven = len(projection.u) + len(projection.tail)  # ones: the same as y's trim
         self._s = projection.s / self._top
@@ -116,6 +118,47 @@ class OutputError:
         offset = lines * float(np.log(self._power).sum())
         return OutputErrorFit(cost + offset, _roots(factors) * self._top, count,
                               float(np.max(squares / self._moving)))
+
+    def costs(self, poles: Sequence[NDArray[np.complex128]]) -> Array:
+        """
+        Return what `fit` gives as cost at many sets of poles, all of the same order (k,).
+
+        Parameters
+        ----------
+        poles : sequence of ndarray, shape (n,)
+            Each as in `fit`.
+        """
+        stack = np.array([_factors(p / self._top) for p in poles]).reshape(len(poles), -1, 3)
+        costs = np.empty(len(poles))
+        plain = np.array([self._slowest(factors) is None for factors in stack])
+        if plain.any():
+            costs[plain] = self._costs(stack[plain])
+        for i in np.flatnonzero(~plain):
+            costs[i] = self._cost(self._regressors(stack[i]))[0]
+        return costs + self._count * float(np.log(self._power).sum())
+
+    def _costs(self, stack: Array) -> Array:
+        """Return the cost of each of many factors (k, f, 3), none of them slow."""
+        k, ny, lines = len(stack), len(self._y), len(self._s)
+        a, b = stack[..., 0, np.newaxis], stack[..., 1, np.newaxis]
+        quadratic = stack[0, :, 2] > 0.0                    # the order says which are
+        power = np.where(quadratic[:, np.newaxis], self._s * (self._s + a), self._s)
+        denominator = power + b
+        denominator[denominator == 0.0] = _AXIS
+        first = self._z / denominator[:, :, np.newaxis]
+        second = first[:, quadratic] * self._s
+        direct = np.concatenate((self._direct, self._outputs))
+        rows = np.concatenate((first.reshape(k, -1, lines), second.reshape(k, -1, lines),
+                               np.broadcast_to(direct, (k, *direct.shape))), axis=1)
+        found = rows.view(np.float64)
+        norm = np.sqrt(np.einsum('kij,kij->ki', found, found))
+        norm[:, -ny:] = 1.0
+        norm[norm == 0.0] = 1.0
+        found /= norm[:, :, np.newaxis]
+        left = np.linalg.qr(found.transpose(0, 2, 1), mode='r')[:, -ny:, -ny:]
+        squares = np.einsum('kij,kij->kj', left, left)
+        return np.asarray(self._count * np.log(
+            np.maximum(squares, _FLOOR) / self._count).sum(axis=1))
 
     def _climb(self, factors: Array, steps: int, limit: float) -> Array:
         regressors = self._regressors(factors)

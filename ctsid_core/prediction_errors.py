@@ -111,12 +111,13 @@ def output_error(projection: Projection, m: Matrices) -> Likelihood:
     """Return the likelihood of a simulation, with what its derivatives need."""
     prediction, count = simulation(projection, m), projection.count
     error = as_real(prediction.error)
-    variance = np.maximum(np.einsum('ij,ij->i', error, error) / count, _floor(projection))
+    variance = np.maximum(np.einsum('ij,ij->i', error, error) / count, least_power(projection))
     return Likelihood(float(count * np.log(variance).sum()), prediction,
                       prediction.resolvent.poles)
 
 
-def _floor(projection: Projection) -> Array:
+def least_power(projection: Projection) -> Array:
+    """Return the power of each output below which errors are rounding (ny,)."""
     y = as_real(projection.y)
     floor: Array = _FLOOR * np.einsum('ij,ij->i', y, y) / y.shape[1] + 1e-300
     return floor
@@ -139,20 +140,28 @@ def innovation(projection: Projection, m: Matrices) -> Likelihood:
         return Likelihood(np.inf, None, poles)
     prediction = predict(projection, m, closed)
     error = as_real(prediction.error)
-    covariance = error @ error.T / projection.count + np.diag(_floor(projection))
+    covariance = error @ error.T / projection.count + np.diag(least_power(projection))
     cost = projection.count * float(np.linalg.slogdet(covariance)[1])
-    cost += _spread(projection, poles, closed.poles)
-    cost += ends_cost(projection, closed.poles.astype(complex), poles)
+    cost += float(spread(projection, poles, closed.poles))
+    cost += float(ends_cost(projection, closed.poles.astype(complex), poles))
     return Likelihood(cost, prediction, poles)
 
 
-def _spread(projection: Projection, poles: NDArray[np.complex128],
-            closed: NDArray[np.complex128]) -> float:
-    """Return -2 sum log|det H|."""
+def spread(projection: Projection, poles: NDArray[np.complex128],
+           closed: NDArray[np.complex128]) -> Array:
+    """
+    Return -2 sum log|det H|.
+
+    Parameters
+    ----------
+    projection : Projection
+    poles, closed : ndarray, shape (..., n)
+        Of A and of A - K C [rad/s]; any number of models.
+    """
     # det H = det(s I - A) / det(s I - A bar), because A bar + K C = A
-    spread = np.sum(np.log(np.abs(projection.s - poles[:, np.newaxis]) + 1e-300)
-                    - np.log(np.abs(projection.s - closed[:, np.newaxis])), axis=0)
-    return float(-2.0 * line_weights(projection) @ spread)
+    ratio = np.sum(np.log(np.abs(projection.s - poles[..., np.newaxis]) + 1e-300)
+                   - np.log(np.abs(projection.s - closed[..., np.newaxis])), axis=-2)
+    return np.asarray(-2.0 * ratio @ line_weights(projection))
 
 
 def line_weights(projection: Projection) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines
 
-_SOUND = 1e10         # condition number of the eigenvectors that is still good for 6 digits
+SOUND = 1e10         # condition number of the eigenvectors that is still good for 6 digits
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def resolvent(A: Array, s: Lines) -> Resolvent:
         inverse = np.linalg.inv(modes)
     except np.linalg.LinAlgError:
         inverse = np.full_like(modes, np.inf)
-    if np.linalg.norm(modes) * np.linalg.norm(inverse) < _SOUND:
+    if np.linalg.norm(modes) * np.linalg.norm(inverse) < SOUND:
         return Resolvent(poles, modes, inverse, 1.0 / (s - poles[:, np.newaxis]))
     systems = s[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A
     return Resolvent(poles, None, None, np.linalg.inv(systems))

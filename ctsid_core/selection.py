@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Projection, as_real
-from ctsid_core.order import OrderTrial, Pair, Search, by_innovation, by_simulation
+from ctsid_core.candidates import Pair
+from ctsid_core.order import OrderTrial, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import simulate_lines
 from ctsid_core.process_noise import with_process_noise
-from ctsid_core.refine import affordable, best_simulation, growth, refine_innovation
+from ctsid_core.refine import affordable, growth, refine_innovation
 from ctsid_core.settings import Settings
 from ctsid_core.window_ends import line_distance
 
@@ -125,9 +126,7 @@ def likeliest_simulation(projection: Projection, pair: Pair,
     first = pair.simulating
     if not (settings.refine and affordable(projection, len(first.poles))):
         return pair.best.matrices, np.inf, np.inf
-    top = pair.refined()
-    return (*best_simulation(projection, first.matrices, top.poles, settings.feedthrough,
-                             pair.limit), top.cost)
+    return (*pair.simulation, pair.refined.cost)
 
 
 def _gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:

@@ -34,28 +34,29 @@ def line_distance(projection: Projection) -> float:
     return float(np.abs(projection.s[1] - projection.s[0]))
 
 
-def ends_cost(projection: Projection, predictor: _Poles, plant: _Poles) -> float:
+def ends_cost(projection: Projection, predictor: _Poles, plant: _Poles) -> Array:
     """
     Return what the ends of the window add to -2 log likelihood.
 
     Parameters
     ----------
     projection : Projection
-    predictor : ndarray, shape (n,)
-        Poles of A - K C, stable [rad/s].
-    plant : ndarray, shape (n,)
+    predictor : ndarray, shape (..., n)
+        Poles of A - K C, stable [rad/s]; any number of models.
+    plant : ndarray, shape (..., n)
         Those of A.
     """
     apart = line_distance(projection)
     known = _gramian(predictor) - _gramian(_resolved(plant, apart))
-    known -= float(np.log(np.tanh(-np.pi * predictor.real / apart)).sum())
-    return len(projection.tail) * known
+    known -= np.log(np.tanh(-np.pi * predictor.real / apart)).sum(axis=-1)
+    return np.asarray(len(projection.tail) * known)
 
 
 def ends_cost_of_simulation(projection: Projection, plant: _Poles) -> float:
     """Return the same for K = 0, where growing poles count like decaying ones."""
     damping = np.maximum(np.abs(plant.real), LEAST_DAMPING * line_distance(projection))
-    return ends_cost(projection, np.asarray(1j * plant.imag - damping, dtype=complex), plant)
+    poles = np.asarray(1j * plant.imag - damping, dtype=complex)
+    return float(ends_cost(projection, poles, plant))
 
 
 def ends_slopes(projection: Projection, predictor: Resolvent,
@@ -83,8 +84,9 @@ def ends_slopes(projection: Projection, predictor: Resolvent,
             -count * _by_matrix(plant, slope))
 
 
-def _gramian(p: _Poles) -> float:
-    return -float(np.log(np.abs(p[:, np.newaxis] + p)).sum())
+def _gramian(p: _Poles) -> Array:
+    sums = np.abs(p[..., :, np.newaxis] + p[..., np.newaxis, :])
+    return np.asarray(-np.log(sums).sum(axis=(-2, -1)))
 
 
 def _gramian_slope(p: _Poles) -> _Poles:

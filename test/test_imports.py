@@ -35,7 +35,7 @@ LEVELS = {
         ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
-        ['refine'], ['steadiness', 'process_noise'], ['deviation'],
+        ['refine', 'many_models'], ['steadiness', 'process_noise', 'candidates'], ['deviation'],
         ['order'], ['selection'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
