@@ -27,6 +27,7 @@ from ctsid_core.pole_fit import OutputError, OutputErrorFit
 from ctsid_core.refine import best_simulation
 
 _COLOURED = 64.0              # per state: how much less likely gusts make the true simulation
+_CHANCE = 3.0                 # deviations of chi-squared that are no surprise
 _SAME = 0.2                   # relative distance of poles that one climb ends at
 _STEPS = 12                   # Gauss-Newton steps of the poles
 _GLANCE = 4                   # of them, after which a second start must be better
@@ -184,9 +185,14 @@ class Pair:
     @cached_property
     def simulation(self) -> tuple[Matrices, float]:
         """The model at the maximum of the output-error likelihood, and what it costs."""
-        first = self.simulating
-        return best_simulation(first.output_error.projection, first.matrices, self.refined.poles,
-                               first.output_error.feedthrough, self.limit)
+        first, free = self.simulating, self.refined
+        projection = first.output_error.projection
+        driven = len(projection.u) + len(projection.tail)
+        # Residues of rank one cost what so many parameters may cost by chance.
+        fewer = len(free.poles) * (len(projection.y) - 1) * (driven - 1)
+        return best_simulation(projection, first.matrices, free.poles,
+                               first.output_error.feedthrough, self.limit,
+                               good=free.cost + fewer + _CHANCE * np.sqrt(2.0 * fewer))
 
 
 def best_pair(found: Sequence[Candidate], limit: float) -> Pair:

@@ -114,7 +114,8 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
     own = _own_delays(part, settings.replace(parts=parts))
     projection = project_record(part.record, own, nmax)
     search = Search(projection, own)
-    pair = search.pair(settings.order) if settings.order else _of_best_order(search, choices)
+    pair, noisy = (search.pair(settings.order), None) if settings.order else \
+        _of_best_order(search, choices)
     if pair is None:
         return None
     order = len(pair.best.poles)
@@ -122,7 +123,7 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
     if pair.tried > 1:
         choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
                               f'the most likely of {pair.tried} subspace models'))
-    matrices, process_noise = most_likely(search.projection, pair, own)
+    matrices, process_noise = most_likely(search.projection, pair, own, noisy)
     if settings.refine and not affordable(projection, order):
         choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
                               'the likelihood takes too long; this is the subspace estimate'))
@@ -174,15 +175,17 @@ def _own_delays(part: Usable, settings: Settings) -> Settings:
     return settings.replace(delay=tuple(delays[j] for j in part.u))
 
 
-def _of_best_order(search: Search, choices: list[Choice]) -> Pair | None:
+def _of_best_order(search: Search,
+                   choices: list[Choice]) -> tuple[Pair | None, Matrices | None]:
     """Return the models of the best order; None if the data are too short for any model."""
     trials = search.orders()
     if not trials:
-        return None
-    chosen, table = choose_order(search, trials)
-    choices.append(Choice('order', chosen.order, "Schwarz's criterion, above its smallest value, "
-                          f'by order: {table}'))
-    return chosen.pair
+        return None, None
+    chosen = choose_order(search, trials)
+    table = ', '.join(f'{n}: {value:.0f}' for n, value in chosen.criterion.items())
+    choices.append(Choice('order', chosen.trial.order, "Schwarz's criterion, above its smallest "
+                          f'value, by order: {table}'))
+    return chosen.trial.pair, chosen.noisy
 
 
 def _held_out(part: Usable, found: _Found) -> Array:

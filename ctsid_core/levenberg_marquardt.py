@@ -23,6 +23,7 @@ from ctsid_core.prediction_errors import Likelihood, Prediction
 LEAST_DAMPING = 1e-13   # relative: rounding of the products
 _LEAST_GAIN = 1e-2      # -2 log likelihood: smaller gains are not worth another step
 _NEAR = 1.0             # promised gain below which a step's promise can be relied on
+_HOPE = 10.0            # times its promise: the most that the third step and all later ones gain
 _TRIES = 8              # of a step, with ten times the damping each
 
 
@@ -100,14 +101,15 @@ def climb(model: Matrices, likelihood: Callable[[Matrices], Likelihood],
         -2 log likelihood.
     """
     here, before = likelihood(model), 0.0
-    for _ in range(steps):
+    for made in range(steps):
         equations = curvature(model, here.prediction) if here.prediction else None
         if equations is None:
             break
         for _try in range(_TRIES):
             step = _damped(equations, damping)
             promise = float(equations.pull @ step)
-            if promise < _NEAR and here.cost - promise > rival - _LEAST_GAIN:
+            hope = promise if promise < _NEAR else _HOPE * promise if made > 1 else np.inf
+            if here.cost - hope > rival - _LEAST_GAIN:
                 return model, here.cost
             trial = move(model, step / equations.norm)
             there = likelihood(trial)

@@ -17,9 +17,15 @@ import numpy as np
 
 from ctsid_core.bases.base import Projection
 from ctsid_core.candidates import UNSTABLE, Candidate, Pair, best_pair, realised, several, worth
+from ctsid_core.colour import highest_peak
 from ctsid_core.pbsid import Levels, Matrices, Subspace, Tuning, regress, stack_levels
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
-from ctsid_core.prediction_errors import innovation_cost, line_fit
+from ctsid_core.prediction_errors import (
+    innovation_cost,
+    line_fit,
+    prediction_errors,
+    simulate_lines,
+)
 from ctsid_core.process_noise import with_process_noise
 from ctsid_core.refine import affordable, distinct, realise_poles
 from ctsid_core.settings import Settings
@@ -29,7 +35,11 @@ _PASTS = (2, 3, 4, 6, 8, 12)
 _LENGTHS = 4                  # values of p tried: the shortest that can hold the order
 _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
+_FIRST = 2                    # order that the search begins with
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
+_WHITE = 1e-2                 # chance above which errors count as white
+_COLOURED, _LOUD = 1e-12, 3.0  # chance and ratio of a peak beyond which a mode is missing
+_MARGIN = 10.0                # by which lower orders must be worse: no maximum is exact
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
 
 
@@ -52,6 +62,10 @@ class OrderTrial:
         `start`, or else of the subspace model, not of a maximum.
     residual : float
         Largest part of an output's power, its level apart, that the best simulation leaves.
+    white : bool
+        Whether the simulation's errors are white.
+    lacking : bool
+        Whether they, and those of `start` too, show that something big is missing.
     """
 
     order: int
@@ -61,6 +75,13 @@ class OrderTrial:
     simulation: float
     innovation: float
     residual: float
+    white: bool
+    lacking: bool
+
+    @property
+    def criterion(self) -> float:
+        """The smaller of the two criteria."""
+        return min(self.simulation, self.innovation)
 
 
 class Search:
@@ -174,7 +195,13 @@ class Search:
             model = realise_poles(p, refined.poles, feed)
         simulation += ends_cost_of_simulation(p, refined.poles)
         start, cost = self._innovation_start(pair, model)
-        return OrderTrial(n, pair, refined, start, simulation, cost + self.price(n), residual)
+        peaks = [highest_peak(p.y - simulate_lines(p, model))]
+        if start is not None:
+            peaks.append(highest_peak(prediction_errors(p, start)))
+        return OrderTrial(
+            n, pair, refined, start, simulation, cost + self.price(n), residual,
+            white=peaks[0].chance > _WHITE,
+            lacking=all(peak.chance < _COLOURED and peak.ratio > _LOUD for peak in peaks))
 
     def _innovation_start(self, pair: Pair, simulating: Matrices) -> tuple[Matrices | None, float]:
         found = pair.predicting.matrices, pair.predicting.innovation
@@ -185,26 +212,77 @@ class Search:
             return None, found[1]
         return min(found, (other, innovation_cost(self.projection, other)), key=lambda x: x[1])
 
-    def orders(self) -> list[OrderTrial]:
+    def orders(self, first: int = _FIRST) -> list[OrderTrial]:
         """
-        Try the orders from 1 upwards until the smaller criterion does not fall any more.
+        Try orders upwards from the first one, then downwards, as long as they may be better.
 
-        Orders at which only unstable models were found are left out unless these simulate much
-        better than the stable ones of lower order.
+        Parameters
+        ----------
+        first : int
+            Where to begin. It changes how long the search takes, and hardly ever what it finds.
+
+        Returns
+        -------
+        list of OrderTrial
+            By order; empty if the data are too short for any. Orders at which only unstable
+            models were found are left out unless these simulate much better than the stable
+            ones of lower order.
         """
-        trials: list[OrderTrial] = []
-        for n in range(1, self.settings.max_order + 1):
+        tried: dict[int, OrderTrial] = {}
+        for n in range(min(first, self.settings.max_order), self.settings.max_order + 1):
             trial = self.trial(n)
             if trial is None:
                 break
-            calm = [t.refined.cost for t in trials if t.pair.limit < np.inf]
-            if not (trial.pair.limit == np.inf and calm
-                    and min(calm) - trial.refined.cost < worth(self.projection, UNSTABLE)):
-                trials.append(trial)
-            last = min(trials, key=by_either).order
-            if trial.residual <= _EXPLAINED or n - last >= _PATIENCE:
+            tried[n] = trial
+            if trial.residual <= _EXPLAINED or self._far_beyond(tried, n):
                 break
-        return trials
+        for n in range(min(tried, default=2) - 1, 0, -1):
+            if tried and self._far_below(tried, n):
+                break
+            trial = self.trial(n)
+            if trial is None:
+                break
+            tried[n] = trial
+        return self._believed([tried[n] for n in sorted(tried)])
+
+    def _far_beyond(self, tried: dict[int, OrderTrial], n: int) -> bool:
+        """
+        Return whether orders above n need not be tried.
+
+        Where the simulation of the best order leaves white errors, the next one tells: half the
+        price of a state has to come in at least. White errors of a predictor tell nothing, for
+        its K can take up what is missing.
+        """
+        best = min(self._believed(list(tried.values())), key=by_either)
+        ahead = n - best.order
+        short = tried[n].criterion - best.criterion > 0.5 * self._price_of_state
+        if best.white and short and ahead >= 1:
+            return True
+        return ahead >= (2 * _PATIENCE if best.lacking else _PATIENCE)
+
+    def _far_below(self, tried: dict[int, OrderTrial], n: int) -> bool:
+        """
+        Return whether order n and lower ones cannot be better than what was found.
+
+        A model with fewer states does not explain more: at best it is as likely as the one above
+        it, and cheaper.
+        """
+        best, above = min(t.criterion for t in tried.values()), tried[n + 1]
+        return above.residual > _EXPLAINED and \
+            above.criterion - n * self._price_of_state - _MARGIN > best
+
+    def _believed(self, trials: list[OrderTrial]) -> list[OrderTrial]:
+        """Return the trials but those unstable, or of more states, for little."""
+        explained = [t.order for t in trials if t.residual <= _EXPLAINED]
+        trials = [t for t in trials if t.order <= min(explained, default=t.order)]
+        return [t for t in trials if not (
+            t.pair.limit == np.inf and any(
+                c.refined.cost - t.refined.cost < worth(self.projection, UNSTABLE)
+                for c in trials if c.order < t.order and c.pair.limit < np.inf))]
+
+    @property
+    def _price_of_state(self) -> float:
+        return self.price(2) - self.price(1)
 
 
 def by_simulation(trial: OrderTrial) -> float:
@@ -219,4 +297,4 @@ def by_innovation(trial: OrderTrial) -> float:
 
 def by_either(trial: OrderTrial) -> float:
     """Return the smaller criterion of a trial."""
-    return min(trial.simulation, trial.innovation)
+    return trial.criterion

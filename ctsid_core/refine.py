@@ -155,7 +155,8 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
 
 
 def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.complex128],
-                    feedthrough: bool, limit: float) -> tuple[Matrices, float]:
+                    feedthrough: bool, limit: float, good: float = -np.inf,
+                    ) -> tuple[Matrices, float]:
     """
     Return the output-error maximum reached from a model and from given poles, and its cost.
 
@@ -168,6 +169,8 @@ def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.c
     feedthrough : bool
     limit : float
         Largest real part allowed to a pole [rad/s].
+    good : float
+        Cost of a model from the poles that needs no rival from another start.
 
     Notes
     -----
@@ -180,7 +183,7 @@ def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.c
     if distinct(poles):
         starts.append(realise_poles(projection, poles, feedthrough))
     model, cost = refine_output_error(projection, starts[-1], feedthrough, limit)
-    for other in starts[:-1]:
+    for other in starts[:-1] if cost > good else ():
         found = refine_output_error(projection, other, feedthrough, limit, rival=cost)
         model, cost = min((model, cost), found, key=lambda pair: pair[1])
     return model, cost

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Projection, as_real
@@ -23,9 +22,28 @@ _CONTENDERS = 3       # orders whose innovation forms are refined before they ar
 _STEPS = 6            # of that refinement: enough to compare
 
 
-def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, str]:
+@dataclass(frozen=True, eq=False)
+class Chosen:
     """
-    Return the trial to take, and the table of criteria that decided.
+    The order that was chosen, and why.
+
+    Parameters
+    ----------
+    trial : OrderTrial
+    criterion : dict of int to float
+        Schwarz's criterion of each order that was tried, above the smallest.
+    noisy : Matrices or None
+        The innovation form that decided, near its maximum.
+    """
+
+    trial: OrderTrial
+    criterion: dict[int, float]
+    noisy: Matrices | None
+
+
+def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
+    """
+    Choose among the orders that were tried.
 
     Parameters
     ----------
@@ -39,34 +57,35 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
     theirs, and taken if they are likelier than any simulation and believed (`Pair.believes`).
     """
     chosen, least = min(trials, key=by_simulation), min(t.simulation for t in trials)
-    criterion = {t.order: t.simulation for t in trials}
+    criterion, noisy = {t.order: t.simulation for t in trials}, None
     for trial in sorted(trials, key=by_innovation)[:_CONTENDERS]:
         found = _innovation_form(search, trial, least)
         if found is None:
             continue
-        value, poles = found
+        value, model = found
+        poles = np.linalg.eigvals(model.A).astype(complex)
         if value < least and trial.pair.believes(poles, trial.simulation - value,
                                                  trial.refined.cost):
-            chosen, least = trial, value
+            chosen, least, noisy = trial, value, model
             criterion[trial.order] = value
-    table = ', '.join(f'{order}: {value - least:.0f}' for order, value in criterion.items())
-    return chosen, table
+    return Chosen(chosen, {n: value - least for n, value in criterion.items()}, noisy)
 
 
 def _innovation_form(search: Search, trial: OrderTrial,
-                     least: float) -> tuple[float, NDArray[np.complex128]] | None:
-    """Return the criterion and the poles of a trial with process noise; None if it has none."""
+                     least: float) -> tuple[float, Matrices] | None:
+    """Return the criterion and the model of a trial with process noise; None if it has none."""
     if not (search.settings.refine and affordable(search.projection, trial.order)):
-        return trial.innovation, trial.pair.predicting.poles
+        return trial.innovation, trial.pair.predicting.matrices
     if trial.start is None:
         return None
     price = search.price(trial.order)
     model, cost = refine_innovation(search.projection, trial.start, search.settings.feedthrough,
                                     limit=trial.pair.limit, steps=_STEPS, rival=least - price)
-    return cost + price, np.linalg.eigvals(model.A).astype(complex)
+    return cost + price, model
 
 
-def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
+def most_likely(projection: Projection, pair: Pair, settings: Settings,
+                noisy: Matrices | None = None) -> tuple[Matrices, bool]:
     """
     Return the model at the maximum of the likelihood, and whether it has process noise.
 
@@ -77,13 +96,15 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
         The subspace models to start from.
     settings : Settings
         With `refine` false the subspace model itself is returned.
+    noisy : Matrices, optional
+        An innovation form near its maximum, if one is known.
     """
     if not (settings.refine and affordable(projection, len(pair.simulating.poles))):
         return pair.best.matrices, pair.process_noise
     feed, limit = settings.feedthrough, pair.limit
     model, cost, top = likeliest_simulation(projection, pair, settings)
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
-    start = with_process_noise(projection, model, feed)
+    start = noisy or with_process_noise(projection, model, feed)
     if start is None:
         return replace(model, K=_gain(projection, model)), False
     noisy, noisy_cost = refine_innovation(projection, start, feed, limit=limit,

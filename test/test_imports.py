@@ -33,7 +33,7 @@ LEVELS = {
         ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'],
-        ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
+        ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable', 'colour'], ['window_ends'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
         ['refine', 'many_models'], ['steadiness', 'process_noise', 'candidates'], ['deviation'],
         ['order'], ['selection'],

@@ -27,7 +27,7 @@ def lines():
 
 def chosen(projection, settings=None) -> OrderTrial:
     search = Search(projection, settings or Settings())
-    return choose_order(search, search.orders())[0]
+    return choose_order(search, search.orders()).trial
 
 
 @pytest.mark.parametrize('n', range(1, 7))
@@ -44,10 +44,14 @@ def test_noise_free_data_do_not_raise_the_order(n):
 
 
 def test_the_search_stops_soon_after_the_best_order(lines):
-    trials = Search(lines, Settings()).orders()
-    assert [t.order for t in trials] == list(range(1, len(trials) + 1))
-    best = min(trials, key=by_either).order
-    assert len(trials) == best + 2
+    for first in (1, 2, 3, 4, 6):
+        trials = Search(lines, Settings()).orders(first)
+        tried = [t.order for t in trials]
+        best = min(trials, key=by_either).order
+        assert best == 3
+        assert tried == list(range(tried[0], tried[-1] + 1))
+        assert tried[0] == min(first, 2)
+        assert tried[-1] <= max(first + 2, 5)
     assert [t.order for t in Search(lines, Settings(max_order=2)).orders()] == [1, 2]
 
 
