@@ -47,11 +47,11 @@ class NormalEquations:
 
 
 def normal_equations(rows: Array, error: Array) -> NormalEquations:
-    """Return the equations of a step for derivatives (parameters, N), overwritten, and errors."""
-    norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
+    """Return the equations of a step for derivatives (parameters, N) and errors (N,)."""
+    gram = rows @ rows.T
+    norm = np.sqrt(np.diag(gram))
     norm[norm == 0.0] = np.inf
-    rows /= norm[:, np.newaxis]
-    return NormalEquations(rows @ rows.T, rows @ error, norm)
+    return NormalEquations(gram / norm / norm[:, np.newaxis], (rows @ error) / norm, norm)
 
 
 def _damped(equations: NormalEquations, damping: float) -> Array:
