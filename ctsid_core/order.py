@@ -35,7 +35,12 @@ from ctsid_core.pbsid import (
     stack_levels,
 )
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
-from ctsid_core.prediction_errors import innovation_cost, line_fit, output_error_cost
+from ctsid_core.prediction_errors import (
+    innovation_cost,
+    line_fit,
+    noise_spectrum,
+    output_error_cost,
+)
 from ctsid_core.process_noise import with_process_noise
 from ctsid_core.refine import affordable, best_simulation, distinct, realise_poles
 from ctsid_core.settings import Settings
@@ -47,7 +52,8 @@ _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
-_COLOURED = 64.0              # per state: how much less likely gusts make the true simulation
+_COLOURED = 64.0              # per state: less than wrong models lose, whatever the noise
+_SURE = 7.0                   # 99.9 % of a squared normal number: its mean and 7 deviations
 _SAME = 0.2                   # relative distance of poles that one climb ends at
 _STEPS = 12                   # Gauss-Newton steps of the poles
 _GLANCE = 4                   # of them, after which a second start must be better
@@ -126,14 +132,14 @@ class Pair:
         """The one to be believed."""
         return self.predicting if self.process_noise else self.simulating
 
-    def believes(self, poles: NDArray[np.complex128], gain: float, simulated: float) -> bool:
+    def believes(self, m: Matrices, gain: float, simulated: float) -> bool:
         """
         Return whether process noise is to be believed.
 
         Parameters
         ----------
-        poles : ndarray, shape (n,)
-            That go with it [rad/s].
+        m : Matrices
+            The model with process noise.
         gain : float
             By which the data are likelier with it.
         simulated : float
@@ -143,16 +149,19 @@ class Pair:
         -----
         What K has taken up of the plant is missing in simulations. With gusts they lose a
         little, too, for the best simulation has its poles where these explain some of the gusts:
-        in proportion to the number of poles and to the power of the residuals where it is
-        largest over its mean, but, unlike what a wrong model loses, however long the record is.
-        Measured: less than 40 per state with gusts, more than 100 with model errors. An unstable
-        plant is told by predictions only.
+        how much is known from the noise that K stands for (`gain_of_colour`). Unlike what a wrong
+        model loses, it does not grow with the length of the record. An unstable plant is told by
+        predictions only.
         """
         if gain <= 0.0 or self.limit == np.inf:
             return gain > 0.0
         search = self.simulating.search
+        poles = np.linalg.eigvals(m.A).astype(complex)
         loss = search.output_error.fit(poles).cost - simulated
-        return loss < min(gain, _COLOURED * len(poles))
+        if loss < min(gain, _COLOURED * len(poles)):
+            return True
+        mean, std = search.output_error.gain_of_colour(poles, noise_spectrum(search.projection, m))
+        return loss < min(gain, mean + _SURE * std)
 
     def refined(self) -> OutputErrorFit:
         """Return the best output-error maximum reached from the poles of either."""
@@ -300,7 +309,7 @@ class Search:
         cost = first.simulated.cost
         both = Pair(first, second, limit, process_noise=False)
         return replace(both, process_noise=both.believes(
-            second.poles, cost - second.innovation, cost))
+            second.matrices, cost - second.innovation, cost))
 
     def _simulation(self, candidate: Candidate) -> float:
         """

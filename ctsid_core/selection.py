@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Projection, as_real
@@ -43,8 +42,8 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
         found = _innovation_form(search, trial, least)
         if found is None:
             continue
-        value, poles = found
-        if value < least and trial.pair.believes(poles, trial.simulation - value,
+        value, model = found
+        if value < least and trial.pair.believes(model, trial.simulation - value,
                                                  trial.refined.cost):
             chosen, least = trial, value
             criterion[trial.order] = value
@@ -53,16 +52,16 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
 
 
 def _innovation_form(search: Search, trial: OrderTrial,
-                     least: float) -> tuple[float, NDArray[np.complex128]] | None:
-    """Return the criterion and the poles of a trial with process noise; None if it has none."""
+                     least: float) -> tuple[float, Matrices] | None:
+    """Return the criterion and the model of a trial with process noise; None if it has none."""
     if not (search.settings.refine and affordable(search.projection, trial.order)):
-        return trial.innovation, trial.pair.predicting.poles
+        return trial.innovation, trial.pair.predicting.matrices
     if trial.start is None:
         return None
     price = search.price(trial.order)
     model, cost = refine_innovation(search.projection, trial.start, search.settings.feedthrough,
                                     limit=trial.pair.limit, steps=_STEPS, rival=least - price)
-    return cost + price, np.linalg.eigvals(model.A).astype(complex)
+    return cost + price, model
 
 
 def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple[Matrices, bool]:
@@ -91,7 +90,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
                               rival=min(noisy_cost, cost - price))
     noisy, noisy_cost = min((noisy, noisy_cost), other, key=lambda found: found[1])
     gain = cost - noisy_cost - price
-    if pair.believes(np.linalg.eigvals(noisy.A).astype(complex), gain, top):
+    if pair.believes(noisy, gain, top):
         return noisy, True
     damped = replace(model, K=_gain(projection, model, 1.5 * line_distance(projection)))
     held, held_cost = refine_innovation(projection, damped, feed, plant=False, steps=8,
