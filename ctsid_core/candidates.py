@@ -24,9 +24,11 @@ from ctsid_core.bases.base import Projection
 from ctsid_core.many_models import innovation_costs, output_error_costs
 from ctsid_core.pbsid import Matrices, Subspace, realise
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
+from ctsid_core.prediction_errors import noise_spectrum
 from ctsid_core.refine import best_simulation
 
-_COLOURED = 64.0              # per state: how much less likely gusts make the true simulation
+_COLOURED = 64.0              # per state: less than wrong models lose, whatever the noise
+_SURE = 7.0                   # 99.9 % of a squared normal number: its mean and 7 deviations
 _CHANCE = 3.0                 # deviations of chi-squared that are no surprise
 _SAME = 0.2                   # relative distance of poles that one climb ends at
 _STEPS = 12                   # Gauss-Newton steps of the poles
@@ -143,14 +145,14 @@ class Pair:
         """The one to be believed."""
         return self.predicting if self.process_noise else self.simulating
 
-    def believes(self, poles: NDArray[np.complex128], gain: float, simulated: float) -> bool:
+    def believes(self, m: Matrices, gain: float, simulated: float) -> bool:
         """
         Return whether process noise is to be believed.
 
         Parameters
         ----------
-        poles : ndarray, shape (n,)
-            That go with it [rad/s].
+        m : Matrices
+            The model with process noise.
         gain : float
             By which the data are likelier with it.
         simulated : float
@@ -160,15 +162,19 @@ class Pair:
         -----
         What K has taken up of the plant is missing in simulations. With gusts they lose a
         little, too, for the best simulation has its poles where these explain some of the gusts:
-        in proportion to the number of poles and to the power of the residuals where it is
-        largest over its mean, but, unlike what a wrong model loses, however long the record is.
-        Measured: less than 40 per state with gusts, more than 100 with model errors. An unstable
-        plant is told by predictions only.
+        how much is known from the noise that K stands for (`gain_of_colour`). Unlike what a wrong
+        model loses, it does not grow with the length of the record. An unstable plant is told by
+        predictions only.
         """
         if gain <= 0.0 or self.limit == np.inf:
             return gain > 0.0
-        loss = self.simulating.output_error.fit(poles).cost - simulated
-        return loss < min(gain, _COLOURED * len(poles))
+        output_error = self.simulating.output_error
+        poles = np.linalg.eigvals(m.A).astype(complex)
+        loss = output_error.fit(poles).cost - simulated
+        if loss < min(gain, _COLOURED * len(poles)):
+            return True
+        mean, std = output_error.gain_of_colour(poles, noise_spectrum(output_error.projection, m))
+        return loss < min(gain, mean + _SURE * std)
 
     @cached_property
     def refined(self) -> OutputErrorFit:
@@ -224,7 +230,7 @@ def best_pair(found: Sequence[Candidate], limit: float) -> Pair:
     cost = first.simulated.cost
     both = Pair(first, second, limit, process_noise=False, tried=len(found))
     return replace(both, process_noise=both.believes(
-        second.poles, cost - second.innovation, cost))
+        second.matrices, cost - second.innovation, cost))
 
 
 def _by_simulation(candidate: Candidate) -> float:

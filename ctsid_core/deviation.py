@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The standard deviation of the poles.
+What the data tell of a model's entries: the root of their covariance.
 
 Errors of an innovation form are white if the model is right, and the covariance is the
 Cramer-Rao bound. Residuals of a simulation need not be: whatever gusts leave is coloured. Their
-power is therefore taken from the residuals, smoothed over neighbouring lines and corrected for
-what the fit has taken out of them, and the covariance is the 'sandwich' of the derivatives with
-it (White 1980, Econometrica 48; MacKinnon and White 1985, J. Econometrics 29, HC2).
+power is therefore taken from the residuals, corrected for what the fit has taken out of them and
+smoothed over neighbouring lines, as many as the data ask for (Hurvich 1985, J. Am. Stat. Assoc.
+80), and the covariance is the 'sandwich' of the derivatives with it (White 1980, Econometrica 48;
+MacKinnon and White 1985, J. Econometrics 29, HC2).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.base import Array, Projection
+from ctsid_core.covariance import Entries
 from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices
 from ctsid_core.process_noise import driven
@@ -23,15 +25,15 @@ from ctsid_core.refine import whitened
 from ctsid_core.window_ends import line_distance
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
-_SMOOTHING = 9        # lines over which the power of residuals is averaged
+_WIDTHS = (9, 27, 81)  # lines over which the power of residuals is averaged; or over all
 _PASSES = 3           # of a regression that weights outputs by what the last one left of them
 _RESOLVED = 2.0       # distances of lines: a notch of the noise that is narrower is filled
 
 
-def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
-                   process_noise: bool | None = None) -> Array:
+def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
+                  process_noise: bool | None = None) -> Entries:
     """
-    Return the asymptotic standard deviation of the poles, in the order of `eigvals(m.A)`.
+    Return the root of the asymptotic covariance of a model's entries, as rows of changes.
 
     Parameters
     ----------
@@ -39,16 +41,15 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
     m : Matrices
     feedthrough : bool
     process_noise : bool, optional
-        Whether the poles were found with the model's K, or by a simulation; by default what K
-        says: 0 means a simulation.
+        Whether the model was found with its K, or by a simulation; by default what K says: 0
+        means a simulation.
 
     Returns
     -------
-    ndarray, shape (n,)
-        Square root of the expected |error|^2 [rad/s]; a plain subspace estimate scatters more.
+    Entries
+        Of A, B, C and D; zeros for the dead times. A plain subspace estimate scatters more.
     """
     noisy = bool(np.any(m.K)) if process_noise is None else process_noise
-    change = _pole_change(m)
     if noisy:
         root = _root_with_noise(projection, m, feedthrough)
     else:
@@ -57,7 +58,36 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
             for _ in range(_PASSES):
                 m = driven(projection, m, feedthrough)
         root = _root_of_simulation(projection, m, feedthrough)
-    deviation: Array = np.linalg.norm(change @ root[:, :change.shape[1]].T, axis=1)
+    return _entries(root, m, feedthrough)
+
+
+def _entries(root: Array, m: Matrices, feedthrough: bool) -> Entries:
+    """Return rows of changes in the order of `jacobian` by matrix, without tail, trim and K."""
+    r, (n, nu), ny = len(root), m.B.shape, len(m.C)
+    width, ones = nu + m.tail.shape[1] + m.x_trim.shape[1], m.y_trim.shape[1]
+    feed = nu * feedthrough
+    sizes = [n * n, n * width, ny * n, ny * (feed + ones)]
+    A, B, C, D = np.split(root, np.cumsum(sizes), axis=1)[:4]
+    direct = np.zeros((r, ny, nu))
+    direct[:, :, :feed] = D.reshape(r, ny, feed + ones)[:, :, :feed]
+    return Entries(A.reshape(r, n, n), B.reshape(r, n, width)[:, :, :nu], C.reshape(r, ny, n),
+                   direct, np.zeros((r, nu)))
+
+
+def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
+                   process_noise: bool | None = None) -> Array:
+    """
+    Return the asymptotic standard deviation of the poles, in the order of `eigvals(m.A)`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Square root of the expected |error|^2 [rad/s]; parameters as of `entry_changes`.
+    """
+    changes = entry_changes(projection, m, feedthrough, process_noise=process_noise)
+    _, modes = np.linalg.eig(m.A)
+    moved = np.einsum('ia,rab,bi->ri', np.linalg.inv(modes), changes.A, modes, optimize=True)
+    deviation: Array = np.linalg.norm(moved, axis=0)
     return deviation
 
 
@@ -93,23 +123,38 @@ def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) 
     spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))
     power = (error ** 2 / spared).reshape(len(m.C), -1, 2).mean(axis=2)
     size = np.repeat(np.sqrt(_smoothed(power)).ravel(), 2)
-    root: Array = (size[:, np.newaxis] * basis) @ (right / s[:, np.newaxis] / norm)
+    few = np.linalg.qr(size[:, np.newaxis] * basis, mode='r')
+    root: Array = few @ (right / s[:, np.newaxis] / norm)
     return root
 
 
 def _smoothed(power: Array) -> Array:
-    """Return the running mean over lines of each output's power (ny, L)."""
-    half = max(min(_SMOOTHING // 2, power.shape[1] - 2), 0)
-    sums = np.cumsum(np.pad(power, ((0, 0), (half + 1, half)), mode='reflect'), axis=1)
-    mean: Array = (sums[:, 2 * half + 1:] - sums[:, :-2 * half - 1]) / (2 * half + 1)
-    return mean
+    """
+    Return the running mean over lines of each output's power (ny, L).
+
+    A mean of many lines is known better, one of few keeps more of the colour: of several widths
+    that is taken under which lines are likeliest by the mean of their neighbours.
+    """
+    means, costs = [], []
+    for width in (*(w for w in _WIDTHS if w < power.shape[1]), np.inf):
+        mean, others = _running_mean(power, width)
+        others = np.maximum(others, 1e-300)
+        means.append(mean)
+        costs.append(np.sum(np.log(others) + power / others, axis=1))
+    best = np.argmin(costs, axis=0)
+    found: Array = np.stack(means)[best, np.arange(len(power))]
+    return found
 
 
-def _pole_change(m: Matrices) -> Array:
-    """Return the derivatives of the poles by the entries of A, (n, n^2)."""
-    _, modes = np.linalg.eig(m.A)
-    left = np.linalg.inv(modes)
-    return np.stack([np.outer(left[i], modes[:, i]).ravel() for i in range(len(m.A))])
+def _running_mean(power: Array, width: float) -> tuple[Array, Array]:
+    """Return the mean over lines around each, and the same without the line itself."""
+    if width == np.inf:
+        total, count = np.sum(power, axis=1, keepdims=True) + 0.0 * power, power.shape[1]
+    else:
+        half, count = int(width) // 2, int(width)
+        sums = np.cumsum(np.pad(power, ((0, 0), (half + 1, half)), mode='reflect'), axis=1)
+        total = sums[:, count:] - sums[:, :-count]
+    return total / count, (total - power) / max(count - 1, 1)
 
 
 def _directions(rows: Array) -> tuple[Array, Array, Array]:

@@ -3,12 +3,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ctsid_core.covariance import (
+    Covariance,
+    ResponseDeviation,
+    damping_deviation,
+    delay_deviation,
+    gain_deviation,
+    natural_frequency_deviation,
+    pole_covariance,
+    response_deviation,
+)
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
 
@@ -64,6 +75,9 @@ class Estimate:
     pole_std : ndarray, shape (n,)
         Standard deviation of each pole [rad/s], in the order of `model.poles`: the square root
         of the expected squared distance |estimate - truth| in the complex plane; NaN if unknown.
+    covariance : Covariance or None
+        Of the entries of the model, or of the rejected one if there is no other; None if unknown.
+        Further properties of the estimate follow from it.
     fit : ndarray, shape (ny,)
         Simulation fit (NRMSE) of each output on the window itself [%].
     held_out_fit : ndarray, shape (ny,)
@@ -88,6 +102,7 @@ class Estimate:
     model: StateSpace | None = None
     rejected_model: StateSpace | None = None
     pole_std: Array = field(default_factory=lambda: np.empty(0))
+    covariance: Covariance | None = None
     fit: Array = field(default_factory=lambda: np.empty(0))
     held_out_fit: Array = field(default_factory=lambda: np.empty(0))
     singular_values: Array = field(default_factory=lambda: np.empty(0))
@@ -102,3 +117,58 @@ class Estimate:
     def ok(self) -> bool:
         """Whether there is an accepted model."""
         return self.model is not None
+
+    @property
+    def pole_covariance(self) -> Array:
+        """Covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
+        return self._derived(pole_covariance, 'n', 2, 2)
+
+    @property
+    def natural_frequency_std(self) -> Array:
+        """Standard deviation of each natural frequency, (n,) [rad/s]."""
+        return self._derived(natural_frequency_deviation, 'n')
+
+    @property
+    def damping_std(self) -> Array:
+        """Standard deviation of each damping ratio, (n,); 0 for real poles."""
+        return self._derived(damping_deviation, 'n')
+
+    @property
+    def dc_gain_std(self) -> Array:
+        """Standard deviation of the steady gain, (ny, nu)."""
+        return self._derived(gain_deviation, 'ny', 'nu')
+
+    @property
+    def delay_std(self) -> Array:
+        """Standard deviation of each dead time, (nu,) [s]; 0 where it was given."""
+        return self._derived(delay_deviation, 'nu')
+
+    def frequency_response_std(self, omega: ArrayLike) -> ResponseDeviation:
+        """
+        Return the standard deviations of magnitude (over the magnitude) and phase [rad].
+
+        Parameters
+        ----------
+        omega : array_like, shape (M,)
+            Frequencies [rad/s].
+
+        Returns
+        -------
+        ResponseDeviation
+            Two arrays of shape (M, ny, nu); NaN where unknown.
+        """
+        model = self.model or self.rejected_model
+        if model is None or self.covariance is None:
+            nothing = np.full((np.size(omega), *((model.ny, model.nu) if model else (0, 0))),
+                              np.nan)
+            return ResponseDeviation(nothing, nothing)
+        return response_deviation(self.covariance, model, omega)
+
+    def _derived(self, what: Callable[[Covariance, StateSpace], Array],
+                 *shape: str | int) -> Array:
+        """Return what follows from the covariance; NaN if there is none, 0 states if no model."""
+        model = self.model or self.rejected_model
+        if model is not None and self.covariance is not None:
+            return what(self.covariance, model)
+        return np.full([size if isinstance(size, int) else getattr(model, size, 0)
+                        for size in shape], np.nan)

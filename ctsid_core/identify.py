@@ -12,7 +12,8 @@ from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record
 from ctsid_core.candidates import Candidate, Pair
-from ctsid_core.deviation import pole_deviation
+from ctsid_core.covariance import Covariance, pole_deviation, spread
+from ctsid_core.deviation import entry_changes
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.order import Search
 from ctsid_core.pbsid import Matrices
@@ -218,11 +219,11 @@ def _share(record: Record, settings: Settings, share: float) -> Projection:
 def _judge(part: Usable, found: _Found) -> Estimate:
     model = _to_statespace(part, found)
     fit, held_out = line_fit(found.projection, found.matrices), _held_out(part, found)
-    deviation = pole_deviation(found.projection, found.matrices, found.settings.feedthrough,
-                               process_noise=found.process_noise)
-    poles = np.linalg.eigvals(found.matrices.A).astype(complex)
+    covariance = _covariance(part, found, model)
+    deviation = np.full(model.n, np.nan) if covariance is None else \
+        pole_deviation(covariance, model)
     status = _status(found, fit, held_out)
-    if status is Status.OK and _vague(part, poles, deviation):
+    if status is Status.OK and _vague(part, model.poles, deviation):
         status = Status.UNRELIABLE
     # The test is for a model at the maximum of the likelihood.
     change = likeliest_change(found.projection, found.matrices, found.settings) \
@@ -240,7 +241,7 @@ def _judge(part: Usable, found: _Found) -> Estimate:
     return Estimate(
         status=status, settings=found.settings, model=model if status is Status.OK else None,
         rejected_model=None if status is Status.OK else model,
-        pole_std=np.array([deviation[np.argmin(np.abs(poles - p))] for p in model.poles]),
+        pole_std=deviation, covariance=covariance,
         fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
@@ -269,6 +270,15 @@ def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:
     out = np.full(count, np.nan)
     out[list(places)] = values
     return out
+
+
+def _covariance(part: Usable, found: _Found, model: StateSpace) -> Covariance | None:
+    """Return the covariance of the entries of the model of all channels; None if not finite."""
+    changes = entry_changes(found.projection, found.matrices, found.settings.feedthrough,
+                            process_noise=found.process_noise)
+    if not all(np.isfinite(block).all() for block in changes):
+        return None
+    return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model)
 
 
 def _to_statespace(part: Usable, found: _Found) -> StateSpace:

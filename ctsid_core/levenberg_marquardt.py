@@ -24,6 +24,7 @@ LEAST_DAMPING = 1e-13   # relative: rounding of the products
 _LEAST_GAIN = 1e-2      # -2 log likelihood: smaller gains are not worth another step
 _NEAR = 1.0             # promised gain below which a step's promise can be relied on
 _HOPE = 10.0            # times its promise: the most that the third step and all later ones gain
+_BEYOND = 1e150         # numbers whose squares are near the end of the range
 _TRIES = 8              # of a step, with ten times the damping each
 
 
@@ -48,7 +49,12 @@ class NormalEquations:
 
 def normal_equations(rows: Array, error: Array) -> NormalEquations:
     """Return the equations of a step for derivatives (parameters, N) and errors (N,)."""
-    gram = rows @ rows.T
+    with np.errstate(over='ignore'):
+        gram = rows @ rows.T
+    if not np.isfinite(gram).all():             # beyond the range of squares: of unit norm first
+        norm = np.linalg.norm(rows / _BEYOND, axis=1) * _BEYOND
+        found = normal_equations(rows / np.where(norm > 0.0, norm, 1.0)[:, np.newaxis], error)
+        return NormalEquations(found.gram, found.pull, np.where(norm > 0.0, norm, np.inf))
     norm = np.sqrt(np.diag(gram))
     norm[norm == 0.0] = np.inf
     return NormalEquations(gram / norm / norm[:, np.newaxis], (rows @ error) / norm, norm)

@@ -102,6 +102,17 @@ def _prediction(projection: Projection, m: Matrices, closed: Resolvent,
     return Prediction(closed, x, e)
 
 
+def noise_spectrum(projection: Projection, m: Matrices) -> Lines:
+    """Return the spectrum of the noise that a model's K stands for, (ny, ny, L); in any unit."""
+    error = as_real(prediction_errors(projection, m))
+    covariance = error @ error.T / projection.count
+    through = np.tensordot(m.K.T, resolvent(m.A, projection.s).outputs(m.C), axes=1)
+    through += np.eye(len(m.C))[:, :, np.newaxis]              # by innovation, output, line
+    driven = np.tensordot(covariance, through, axes=1)
+    spectrum: Lines = np.einsum('ail,ajl->ijl', driven, through.conj())
+    return spectrum
+
+
 def output_error_cost(projection: Projection, m: Matrices) -> float:
     """Return -2 log likelihood, up to a constant, of a simulation (noise of measurement only)."""
     return output_error(projection, m).cost

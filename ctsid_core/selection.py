@@ -63,8 +63,7 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
         if found is None:
             continue
         value, model = found
-        poles = np.linalg.eigvals(model.A).astype(complex)
-        if value < least and trial.pair.believes(poles, trial.simulation - value,
+        if value < least and trial.pair.believes(model, trial.simulation - value,
                                                  trial.refined.cost):
             chosen, least, noisy = trial, value, model
             criterion[trial.order] = value
@@ -113,7 +112,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings,
                               rival=min(noisy_cost, cost - price))
     noisy, noisy_cost = min((noisy, noisy_cost), other, key=lambda found: found[1])
     gain = cost - noisy_cost - price
-    if pair.believes(np.linalg.eigvals(noisy.A).astype(complex), gain, top):
+    if pair.believes(noisy, gain, top):
         return noisy, True
     damped = replace(model, K=_gain(projection, model, 1.5 * line_distance(projection)))
     held, held_cost = refine_innovation(projection, damped, feed, plant=False, steps=8,

@@ -56,6 +56,9 @@ PLANTS = {
     'flexible': flexible_structure(),
     # Poles +2 and -3: has to be flown under a controller.
     'unstable': plant([[0, 1], [6, -1]], [[0], [1]], [[1, 0]]),
+    # Poles -0.8 +- 4i and -2; gusts shake all of its states.
+    'shaken': plant([[-0.8, 4, 0], [-4, -0.8, 0], [0, 0, -2]], [[1], [2], [2]],
+                    [[1, 0, 1], [0, 1, -0.5]]),
 }
 
 
@@ -209,30 +212,31 @@ def paper(rng, name: str, snr=None, *, count: int = 2001) -> Record:
 
 
 def flown(rng, q: float = 0.0, r: float = 1e-3, *, rate: float = 500.0,
-          duration: float = 10.0) -> Record:
+          duration: float = 10.0, name: str = 'unstable', gain=((20.0, 6.0),)) -> Record:
     """
-    Return a window of the unstable plant under u = ref - 20 x1 - 6 x2.
+    Return a window of a plant of one input, the unstable one, under u = ref - 20 x1 - 6 x2.
 
     ref is low-passed noise (3 poles at 3 Hz) of standard deviation 10; white noise of intensity
     q^2 adds to u in the plant (process noise), and of deviation r to the samples of y. All is
     one linear stochastic system from its stationary state, sampled without approximation.
     """
-    p = PLANTS['unstable']
-    gain = np.array([[20.0, 6.0]])
+    p, gain = PLANTS[name], np.array(gain)
+    n = len(p.A)
     num, den = butter(3, 2 * np.pi * 3.0, analog=True)
     shape = np.vstack((-den[1:] / den[0], np.eye(2, 3)))
-    F = np.zeros((5, 5))
-    F[:2, :2], F[2:, 2:] = p.A - p.B @ gain, shape
+    F = np.zeros((n + 3, n + 3))
+    F[:n, :n], F[n:, n:] = p.A - p.B @ gain, shape
     drive = np.eye(3, 1) * num[-1]
     spread = solve_continuous_lyapunov(shape, -drive @ drive.T)
-    F[:2, 4:] = p.B
-    G = np.zeros((5, 5))
-    G[2:, 2:] = drive @ drive.T * 100.0 / spread[2, 2]
-    G[:2, :2] = q * q * p.B @ p.B.T
+    F[:n, n + 2:] = p.B
+    G = np.zeros_like(F)
+    G[n:, n:] = drive @ drive.T * 100.0 / spread[2, 2]
+    G[:n, :n] = q * q * p.B @ p.B.T
     x = _stationary(rng, F, G, 1.0 / rate, round(duration * rate) + 1)
     t = np.arange(len(x)) / rate
-    u = x[:, 4:] - x[:, :2] @ gain.T
-    return Record.from_arrays(t, u, t, x[:, :1] + r * rng.standard_normal((len(x), 1)))
+    u = x[:, n + 2:] - x[:, :n] @ gain.T
+    y = x[:, :n] @ p.C.T
+    return Record.from_arrays(t, u, t, y + r * rng.standard_normal(y.shape))
 
 
 def _stationary(rng, F, G, h: float, count: int) -> np.ndarray:

@@ -28,7 +28,7 @@ LEVELS = {
         ['errors'], ['settings'], ['signals'],
         ['shapes', 'matrix_functions', 'frequency', 'residuals', 'mode_rows', 'spikes'],
         ['simulation', 'realisation'],
-        ['statespace'], ['estimate', 'samples', 'predictor', 'alignment'],
+        ['statespace'], ['covariance'], ['estimate', 'samples', 'predictor', 'alignment'],
         ['windows', 'model_json'],
         ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],

@@ -51,7 +51,8 @@ def test_inadmissible_and_defective_models_are_like_any_other():
     assert found[1] == np.inf
     for costs, one in ((found, innovation_cost),
                        (output_error_costs(projection, models), output_error_cost)):
-        np.testing.assert_allclose(costs, [one(projection, m) for m in models], rtol=0.0, atol=1e-3)
+        np.testing.assert_allclose(costs, [one(projection, m) for m in models],
+                                   rtol=0.0, atol=1e-3)
 
 
 def test_poles_alone_are_judged_as_by_a_fit():

@@ -287,7 +287,7 @@ def fisher(lines, start, *, feedthrough=True) -> np.ndarray:
 @pytest.mark.parametrize('n', [1, 2, 3, 4])
 def test_the_deviation_of_the_poles_is_that_of_the_fisher_information(n, monkeypatch):
     """Residuals' power smoothed over all lines: as if it were known that they are white."""
-    monkeypatch.setattr(deviation_of, '_SMOOTHING', 10**6)
+    monkeypatch.setattr(deviation_of, '_WIDTHS', ())
     p = random_plant(np.random.default_rng(n), n, 1, 1)
     lines = window(p, 20, n)
     model, _ = refine_output_error(lines, subspace_model(lines, n, past=n + 1), True, steps=40)
