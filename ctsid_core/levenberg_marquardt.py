@@ -51,7 +51,8 @@ def normal_equations(rows: Array, error: Array) -> NormalEquations:
     """Return the equations of a step for derivatives (parameters, N) and errors (N,)."""
     with np.errstate(over='ignore'):
         gram = rows @ rows.T
-    if not np.isfinite(gram).all():             # beyond the range of squares: of unit norm first
+    if not np.isfinite(gram).all() and np.isfinite(rows).all():
+        # Beyond the range of squares: of unit norm first.
         norm = np.linalg.norm(rows / _BEYOND, axis=1) * _BEYOND
         found = normal_equations(rows / np.where(norm > 0.0, norm, 1.0)[:, np.newaxis], error)
         return NormalEquations(found.gram, found.pull, np.where(norm > 0.0, norm, np.inf))
