@@ -33,6 +33,12 @@ def examine(projection: Projection, m: Matrices, record: Record, unseen: Array, 
     feedthrough : bool
         Whether D is free.
     """
+    with np.errstate(over='ignore', invalid='ignore'):  # of absurdly small or large signals
+        return _examine(projection, m, record, unseen, feedthrough)
+
+
+def _examine(projection: Projection, m: Matrices, record: Record, unseen: Array,
+             feedthrough: bool) -> Verdict:
     n, nu, ny = len(m.A), len(projection.u), len(projection.y)
     foreseen = Foreseen(projection, m)
     excitation = excitations(foreseen, record, n + ny * feedthrough)

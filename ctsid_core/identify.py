@@ -200,7 +200,7 @@ def _held_out(part: Usable, found: _Found) -> tuple[Array, Array]:
     """
     record, share = part.record, found.settings.held_out
     unknown = np.full(record.ny, np.nan)
-    if share == 0.0:
+    if share == 0.0 or found.settings.edges == 'paper':  # whose parts are not at rest
         return unknown, unknown
     own = _own_delays(part, found.settings)
     split = record.end - share * record.duration

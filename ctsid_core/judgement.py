@@ -125,14 +125,14 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
 def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
     tested = e.held_out[np.isfinite(e.held_out)]
     best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
-    dead = np.flatnonzero(e.worst < (EXPLAINED if best < EXPLAINED else _DEAD))
     if best < EXPLAINED:
-        which = 'No output is' if len(dead) > 1 else f'Output {e.output_names[dead[0]]} is not' \
-            if len(dead) else 'No output is'
         yield Status.UNEXPLAINED, (
-            f'{which} explained by the inputs: the best fit is {best:.0f} % of unseen data; check '
-            'the choice of inputs and outputs, the dead time and the order, or the plant is not '
-            'linear over this window.')
+            f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} (the '
+            f'best fit is {max(best, -999.0):.0f} %); check the choice of inputs and outputs, the '
+            'dead time and the order, or the plant is not linear over this window.')
+    # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
+    erring = (e.fit < EXPLAINED) | (e.numbers.next_ratio > _NEXT)
+    dead = np.flatnonzero((e.worst < _DEAD) & erring)
     if len(dead):
         least = int(dead[np.argmin(e.worst[dead])])
         yield Status.UNEXPLAINED, (
@@ -151,9 +151,8 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
         yield (f'The model misses {100 * numbers.missing[i]:.2g} % of the response of output '
                f'{names[i]} to the inputs; raise `order` or `max_order`, check the dead time and '
                'the hold of the inputs, or the plant is not linear.')
-    ratio = _pole_ratio(e)
     if numbers.pole_uncertainty > _VAGUE:
-        worst = int(np.argmax(ratio))
+        worst = int(np.argmax(_pole_ratio(e)))
         yield (f'The pole {_number(e.poles[worst])} rad/s has a standard deviation of '
                f'{e.deviation[worst]:.2g} rad/s; excite the plant around '
                f'{max(abs(e.poles[worst]), e.resolution):.2g} rad/s, take a longer window, or '
@@ -167,6 +166,8 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
             yield (f'The noise of output {names[i]} is not as the model has it, so that the '
                    'standard deviations cannot be trusted; raise `order`, or measure what else '
                    'acts on the plant.')
+    if not np.isfinite(np.delete(numbers.missing, e.fixed_outputs)).all():
+        yield 'The model could not be examined; check the size of the signals and their units.'
     if not np.isfinite(e.held_out).any():
         yield UNTESTED
 
@@ -201,6 +202,10 @@ def _praise(e: Evidence) -> str:
     return (f'Every test is passed: the response to each input is known to {100 * known:.2g} %, '
             f'every pole to {100 * e.numbers.pole_uncertainty:.2g} %, and unseen data fit to '
             f'{worst:.0f} %.')
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ', '.join(names) if len(names) < 5 else f'{len(names)} signals'
 
 
 def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
