@@ -14,10 +14,11 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals import Record, Signal
 from ctsid_core.statespace import StateSpace
 from ctsid_core.storage import load_model, save_model
+from ctsid_core.verdict import Grade, Verdict
 from ctsid_core.windows import SlidingWindow
 
 __all__ = [
-    'BagError', 'Choice', 'CtsidError', 'DataError', 'Estimate', 'Record', 'Settings',
-    'SettingsError', 'Signal', 'SlidingWindow', 'StateSpace', 'Status', 'StorageError',
+    'BagError', 'Choice', 'CtsidError', 'DataError', 'Estimate', 'Grade', 'Record', 'Settings',
+    'SettingsError', 'Signal', 'SlidingWindow', 'StateSpace', 'Status', 'StorageError', 'Verdict',
     'identify', 'load_model', 'save_model',
 ]

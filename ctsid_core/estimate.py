@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -20,8 +20,10 @@ from ctsid_core.covariance import (
     pole_covariance,
     response_deviation,
 )
+from ctsid_core.errors import DataError
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
+from ctsid_core.verdict import UNJUDGED, Grade, Verdict
 
 Array = NDArray[np.float64]
 
@@ -34,11 +36,11 @@ class Status(Enum):
                  'longer window.')
     NO_EXCITATION = ('No input moves within the window; excite the inputs, or choose a window in '
                      'which they move.')
-    NO_RESPONSE = ('No output moves within the window; check that the right topics and fields '
-                   'are used.')
+    NO_RESPONSE = ('An output does not move within the window, or is stuck; check that its sensor '
+                   'works and the right topics and fields are used, or leave it out.')
     GAPS = ('Too much of the window lies in gaps of the data; find out why messages are '
             'missing, or choose another window.')
-    UNEXPLAINED = ('No linear model explains the outputs by the inputs; check the choice of '
+    UNEXPLAINED = ('No linear model explains all outputs by the inputs; check the choice of '
                    'inputs and outputs, the dead time and the order, or the plant is not linear '
                    'over this window.')
     UNRELIABLE = ('The data do not determine a single pole well enough for a trustworthy model; '
@@ -95,6 +97,14 @@ class Estimate:
         The window, absolute [ns].
     statistics : dict of str to float
         Further numbers, by name with unit.
+    verdict : Verdict
+        GOOD, WEAK or REJECT, the reason, and the numbers behind it. REJECT if and only if
+        `model` is None: without a model it is made so.
+
+    Raises
+    ------
+    DataError
+        If a model is given together with the verdict REJECT.
     """
 
     status: Status
@@ -112,10 +122,24 @@ class Estimate:
     start_ns: int = 0
     end_ns: int = 0
     statistics: dict[str, float] = field(default_factory=dict)
+    verdict: Verdict = UNJUDGED
+
+    def __post_init__(self) -> None:
+        if self.model is None and self.verdict.grade is not Grade.REJECT:
+            none = replace(self.verdict, grade=Grade.REJECT, reason=self.status.value)
+            object.__setattr__(self, 'verdict', none)
+        elif self.model is not None and self.verdict.grade is Grade.REJECT:
+            raise DataError('`verdict` is REJECT but `model` is given; give it as '
+                            '`rejected_model`')
+
+    @property
+    def good(self) -> bool:
+        """Whether the model may be acted on: the verdict is GOOD."""
+        return self.verdict.grade is Grade.GOOD
 
     @property
     def ok(self) -> bool:
-        """Whether there is an accepted model."""
+        """Whether there is an accepted model, GOOD or WEAK."""
         return self.model is not None
 
     @property

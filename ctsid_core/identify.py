@@ -15,21 +15,23 @@ from ctsid_core.candidates import Candidate, Pair
 from ctsid_core.covariance import Covariance, pole_deviation, spread
 from ctsid_core.deviation import entry_changes
 from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.examination import examine
+from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty, without_model
 from ctsid_core.order import Search
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
+from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen
 from ctsid_core.refine import affordable
 from ctsid_core.selection import choose_order, likeliest_simulation, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace
 from ctsid_core.steadiness import Change, likeliest_change
+from ctsid_core.stuck import stuck_outputs
 from ctsid_core.usable import Usable, usable
+from ctsid_core.verdict import UNJUDGED, Grade
 
-_VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
 _LITTLE = 1.1           # errors' power over that without outliers that changes no choice
-_EXPLAINED = 30.0       # fit [%] below which an output counts as not explained
 
 
 def identify(record: Record, settings: Settings | None = None) -> Estimate:
@@ -82,7 +84,8 @@ def identify(record: Record, settings: Settings | None = None) -> Estimate:
 def _identify(record: Record, settings: Settings) -> Estimate:
     part = usable(record, settings)
     if isinstance(part, Status):
-        return Estimate(status=part, settings=settings)
+        return Estimate(status=part, settings=settings, verdict=replace(
+            UNJUDGED, grade=Grade.REJECT, reason=without_model(part, record)))
     try:
         found = _estimate(part, settings)
         if found is None:
@@ -189,11 +192,21 @@ def _of_best_order(search: Search,
     return chosen.trial.pair, chosen.noisy
 
 
-def _held_out(part: Usable, found: _Found) -> Array:
-    """Return the fit on the last part of the window of a model of the first part [%]."""
+def _held_out(part: Usable, found: _Found) -> tuple[Array, Array]:
+    """
+    Return how a model of the first part of the window does on the last part.
+
+    Returns
+    -------
+    fit : ndarray, shape (ny,)
+        [%]
+    density : ndarray, shape (ny,)
+        Of the errors [unit^2 s].
+    """
     record, share = part.record, found.settings.held_out
-    if share == 0.0:
-        return np.full(record.ny, np.nan)
+    unknown = np.full(record.ny, np.nan)
+    if share == 0.0 or found.settings.edges == 'paper':  # whose parts are not at rest
+        return unknown, unknown
     own = _own_delays(part, found.settings)
     split = record.end - share * record.duration
     lead = max(own.delays(record.nu), default=0.0)
@@ -202,11 +215,11 @@ def _held_out(part: Usable, found: _Found) -> Array:
                                              (split, record.end, share)))
     pair = Search(first, own).pair(own.order)
     if pair is None:
-        return np.full(record.ny, np.nan)
+        return unknown, unknown
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
-    return unseen_fit(last, model)
+    return unseen(last, model)
 
 
 def _share(record: Record, settings: Settings, share: float) -> Projection:
@@ -218,31 +231,28 @@ def _share(record: Record, settings: Settings, share: float) -> Projection:
 
 def _judge(part: Usable, found: _Found) -> Estimate:
     model = _to_statespace(part, found)
-    fit, held_out = line_fit(found.projection, found.matrices), _held_out(part, found)
     covariance = _covariance(part, found, model)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
-    status = _status(found, fit, held_out)
-    if status is Status.OK and _vague(part, model.poles, deviation):
-        status = Status.UNRELIABLE
-    # The test is for a model at the maximum of the likelihood.
-    change = likeliest_change(found.projection, found.matrices, found.settings) \
-        if status is Status.OK and found.settings.refine else Change()
-    if change.matters:
-        status = Status.CHANGED
-    ny = part.whole.ny
-    worst = np.fmin(fit, held_out)
+    evidence = _evidence(part, found, model.poles, deviation)
+    status, verdict = judge(evidence)
+    if status is Status.OK and found.settings.refine:
+        # The test is for a model at the maximum of the likelihood.
+        evidence = replace(evidence, change=likeliest_change(
+            found.projection, found.matrices, found.settings))
+        status, verdict = judge(evidence)
+    change, worst = evidence.change, evidence.worst
     corrupt, counts = part.corrupt()
-    notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[i]:.0f} %'
-             for i, j in enumerate(part.y) if worst[i] < _EXPLAINED]
+    notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[j]:.0f} %'
+             for j in part.y if worst[j] < EXPLAINED]
     if status is Status.CHANGED:
         notes.append(f'the likeliest time of the change is {change.share * 100:.0f} % of the '
                      f'window, {change.share * part.record.duration:.2g} s after its start')
     return Estimate(
         status=status, settings=found.settings, model=model if status is Status.OK else None,
         rejected_model=None if status is Status.OK else model,
-        pole_std=deviation, covariance=covariance,
-        fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
+        pole_std=deviation, covariance=covariance, verdict=verdict,
+        fit=evidence.fit, held_out_fit=evidence.held_out,
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
         notes=(*part.notes, *corrupt, *notes),
@@ -251,18 +261,25 @@ def _judge(part: Usable, found: _Found) -> Estimate:
                     'change_gain': change.gain, 'change_share': change.share})
 
 
-def _status(found: _Found, fit: Array, held_out: Array) -> Status:
-    if not (np.isfinite(fit).all() and np.isfinite(found.matrices.A).all()):
-        return Status.UNRELIABLE
-    tested = held_out[np.isfinite(held_out)]
-    best = min(np.max(fit), np.max(tested)) if len(tested) else np.max(fit)
-    return Status.OK if best >= _EXPLAINED else Status.UNEXPLAINED
-
-
-def _vague(part: Usable, poles: NDArray[np.complex128], deviation: Array) -> bool:
-    """Return whether not a single pole is known to half its size (or the window's resolution)."""
-    size = np.maximum(np.abs(poles), 2.0 * np.pi / part.record.duration)
-    return bool(np.min(deviation / size) > _VAGUE)
+def _evidence(part: Usable, found: _Found, poles: NDArray[np.complex128],
+              deviation: Array) -> Evidence:
+    """Return what is known of a model, but for a change of the plant."""
+    whole, projection, m = part.whole, found.projection, found.matrices
+    fit, (held_out, density) = line_fit(projection, m), _held_out(part, found)
+    resolution = 2.0 * np.pi / part.record.duration
+    numbers = examine(projection, m, part.record, density, feedthrough=found.settings.feedthrough)
+    places = {name: _spread(getattr(numbers, name), part.y, whole.ny)
+              for name in ('missing', 'missing_p_value', 'whiteness', 'next_ratio')}
+    return Evidence(
+        input_names=whole.input_names, output_names=whole.output_names,
+        fixed_inputs=tuple(j for j in range(whole.nu) if j not in part.u),
+        fixed_outputs=tuple(i for i in range(whole.ny) if i not in part.y),
+        stuck=stuck_outputs(whole), fit=_spread(fit, part.y, whole.ny),
+        held_out=_spread(held_out, part.y, whole.ny), poles=poles, deviation=deviation,
+        resolution=resolution, change=Change(), duration=part.record.duration,
+        process_noise=found.process_noise,
+        numbers=replace(numbers, **places, pole_uncertainty=pole_uncertainty(
+            poles, deviation, resolution)))
 
 
 def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:

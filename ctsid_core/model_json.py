@@ -8,12 +8,13 @@ is null, infinities are the words "Infinity" and "-Infinity" (JSON has neither).
 
 A reader refuses what it does not know: another format, a newer version, missing and unknown keys.
 Only parameters of identification that are missing take their defaults, so that files outlive the
-arrival of new ones.
+arrival of new ones; and a model without a verdict is one that nobody has judged, which is WEAK.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from enum import Enum
 import json
 import math
@@ -26,6 +27,7 @@ from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
+from ctsid_core.verdict import UNJUDGED, Excitation, Grade, Verdict
 
 Array = NDArray[np.float64]
 
@@ -34,8 +36,8 @@ VERSION = 1
 EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
              'y = C x + D u(t - delay) + y_trim + e;  time in s, poles in rad/s')
 
-TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'start_ns', 'end_ns', 'model',
-            'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
+TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 'start_ns', 'end_ns',
+            'model', 'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
             'statistics', 'choices', 'notes', 'settings', 'metadata')
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
@@ -57,6 +59,7 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
     document = {
         'format': FORMAT, 'version': VERSION, 'equations': EQUATIONS,
         'status': estimate.status.name, 'message': estimate.status.value,
+        'verdict': describe(estimate.verdict),
         'start_ns': int(estimate.start_ns), 'end_ns': int(estimate.end_ns),
         'model': _model(estimate.model), 'rejected_model': _model(estimate.rejected_model),
         'pole_std': estimate.pole_std, 'fit': estimate.fit,
@@ -89,6 +92,12 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
         raise StorageError(f'`status` is {status.name} but `model` is '
                            f'{"given" if model else "null"}; they contradict each other, so the '
                            'file was changed by hand: write it again')
+    unjudged = UNJUDGED if model else replace(UNJUDGED, grade=Grade.REJECT, reason=status.value)
+    verdict = read_verdict(document['verdict']) if 'verdict' in document else unjudged
+    if (verdict.grade is Grade.REJECT) != (model is None):
+        raise StorageError(f'`verdict` is {verdict.grade.name} but `model` is '
+                           f'{"given" if model else "null"}; they contradict each other, so the '
+                           'file was changed by hand: write it again')
     vectors: dict[str, Any] = {key: _numbers(document[key], key, nan=True) for key in
                ('pole_std', 'fit', 'held_out_fit', 'singular_values')}
     if model is not None:
@@ -106,7 +115,17 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
         notes=tuple(_word(w, f'notes[{i}]') for i, w in enumerate(_list(document, 'notes'))),
         start_ns=_integer(document, 'start_ns'), end_ns=_integer(document, 'end_ns'),
         statistics={k: _number(v, f'statistics.{k}', nan=True) for k, v in statistics.items()},
-    ), metadata
+        verdict=verdict), metadata
+
+
+def describe(verdict: Verdict) -> dict[str, object]:
+    """Return a verdict as words, numbers, and lists and mappings of them."""
+    found: dict[str, object] = {f.name: getattr(verdict, f.name) for f in fields(Verdict)}
+    found['grade'] = verdict.grade.name
+    found['excitation'] = [{'input': x.name, 'low': x.low, 'high': x.high,
+                            'frequencies': x.frequencies, 'own': x.own,
+                            'uncertainty': x.uncertainty} for x in verdict.excitation]
+    return found
 
 
 def _model(model: StateSpace | None) -> dict[str, object] | None:
@@ -171,7 +190,7 @@ def _document(text: str) -> dict[str, Any]:
     if version > VERSION:
         raise StorageError(f'written by a newer ctsid (`version` {version}; this one reads up to '
                            f'{VERSION}); upgrade ctsid')
-    _check_keys(document, TOP_KEYS, '')
+    _check_keys({'verdict': None, **document}, TOP_KEYS, '')
     return document
 
 
@@ -283,6 +302,39 @@ def _status(name: Any) -> Status:
         raise StorageError(f'`status` is {_shown(name)}; this ctsid knows '
                            f'{", ".join(Status.__members__)}: upgrade it')
     return Status[name]
+
+
+def read_verdict(found: Any) -> Verdict:
+    """
+    Return the verdict that `describe` has described, after a way through JSON.
+
+    Raises
+    ------
+    StorageError
+        If it is none.
+    """
+    found = _object(found, 'verdict')
+    _check_keys(found, tuple(f.name for f in fields(Verdict)), 'verdict')
+    grade = found['grade']
+    if not isinstance(grade, str) or grade not in Grade.__members__:
+        raise StorageError(f'`verdict.grade` is {_shown(grade)}; this ctsid knows '
+                           f'{", ".join(Grade.__members__)}: upgrade it')
+    scalars = ('pole_uncertainty', 'moved')
+    return Verdict(
+        grade=Grade[grade], reason=_word(found['reason'], 'verdict.reason'),
+        excitation=tuple(_read_excitation(x, f'verdict.excitation[{i}]')
+                         for i, x in enumerate(_list(found, 'excitation'))),
+        **{key: _number(found[key], f'verdict.{key}', nan=True) for key in scalars},
+        **{key: _numbers(found[key], f'verdict.{key}', nan=True) for key in found
+           if key not in ('grade', 'reason', 'excitation', *scalars)})
+
+
+def _read_excitation(found: Any, where: str) -> Excitation:
+    found = _object(found, where)
+    names = ('low', 'high', 'frequencies', 'own', 'uncertainty')
+    _check_keys(found, ('input', *names), where)
+    return Excitation(_word(found['input'], f'{where}.input'),
+                      **{key: _number(found[key], f'{where}.{key}', nan=True) for key in names})
 
 
 def _read_settings(found: Any) -> Settings:

@@ -277,13 +277,25 @@ def line_fit(projection: Projection, m: Matrices) -> Array:
 
 
 def unseen_fit(projection: Projection, m: Matrices) -> Array:
+    """Return the first result of `unseen` [%]."""
+    return unseen(projection, m)[0]
+
+
+def unseen(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     """
-    Return how much of each output the inputs explain in data that the model has not seen [%].
+    Return how well a model simulates data that it has not seen.
 
     Parameters
     ----------
     projection : Projection
     m : Matrices
+
+    Returns
+    -------
+    fit : ndarray, shape (ny,)
+        How much of each output the inputs explain [%].
+    density : ndarray, shape (ny,)
+        Of the simulation's errors, as white noise has it [unit^2 s].
 
     Notes
     -----
@@ -298,7 +310,10 @@ def unseen_fit(projection: Projection, m: Matrices) -> Array:
     modes = [(as_real(_free(projection, m, i, part)) / unit).ravel()
              for i in range(len(m.A)) for part in range(len(projection.tail))]
     levels = [np.kron(row, one) for row in np.eye(len(y)) for one in ones]
-    return _nrmse(_beyond(error, modes), _beyond(y / unit, [*modes, *levels]))
+    error = _beyond(error, modes)
+    spare = max(projection.count - len(modes) / len(y), 1.0)
+    density: Array = projection.unit * np.sum((error * unit) ** 2, axis=1) / spare
+    return _nrmse(error, _beyond(y / unit, [*modes, *levels])), density
 
 
 def _beyond(y: Array, rows: list[Array]) -> Array:

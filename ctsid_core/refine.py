@@ -282,7 +282,7 @@ def _whitened(projection: Projection, m: Matrices, prediction: Prediction, feedt
               with_noise: bool) -> tuple[Array, Array]:
     """Return the same, but the Jacobian with a row for each parameter."""
     error = as_real(prediction.error)
-    whiten = _whitener(projection, error)
+    whiten = whitener_of(projection, error)
     columns = jacobian(projection, m, feedthrough, with_noise=with_noise, whiten=whiten,
                        prediction=prediction)
     return by_parameter(columns), (whiten @ error).ravel()
@@ -291,10 +291,11 @@ def _whitened(projection: Projection, m: Matrices, prediction: Prediction, feedt
 def whitener(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     """Return what makes the errors' covariance over outputs one (ny, ny), and the errors."""
     error = as_real(prediction_errors(projection, m))
-    return _whitener(projection, error), error
+    return whitener_of(projection, error), error
 
 
-def _whitener(projection: Projection, error: Array) -> Array:
+def whitener_of(projection: Projection, error: Array) -> Array:
+    """Return what makes the covariance over outputs of errors (ny, 2 L) one."""
     covariance = error @ error.T / projection.count
     scale = np.sqrt(np.diag(covariance)) + 1e-150
     root = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))

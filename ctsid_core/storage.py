@@ -114,7 +114,7 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
     Parameters
     ----------
     path : path-like
-        '.csv': one row per window: window, status, order, poles with standard deviation, natural
+        '.csv': one row per window: window, status, verdict, order, poles with standard deviation, natural
         frequency and damping, fits. '.npz': the same and the matrices as arrays with one entry
         per window, padded with NaN to the largest order, and each whole estimate as JSON.
     estimates : sequence of Estimate
@@ -179,7 +179,7 @@ def _named(estimates: Sequence[Estimate], ny: int) -> list[str]:
 def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
     orders = [e.model.n if e.model else 0 for e in estimates]
     ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
-    head = ['start_ns', 'end_ns', 'status', 'order']
+    head = ['start_ns', 'end_ns', 'status', 'verdict', 'reason', 'order']
     for k in range(1, max(orders, default=0) + 1):
         head += [f'pole{k}_re [rad/s]', f'pole{k}_im [rad/s]', f'pole{k}_std [rad/s]',
                  f'pole{k}_natural_frequency [rad/s]', f'pole{k}_damping']
@@ -197,6 +197,7 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
 
 def _csv_row(estimate: Estimate, order: int, ny: int, more: Sequence[float]) -> list[object]:
     row: list[object] = [estimate.start_ns, estimate.end_ns, estimate.status.name,
+                         estimate.verdict.grade.name, estimate.verdict.reason,
                          estimate.model.n if estimate.model else '']
     cells: list[float] = []
     if estimate.model:
@@ -220,6 +221,8 @@ def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
         'start_ns': np.array([e.start_ns for e in estimates], dtype=np.int64),
         'end_ns': np.array([e.end_ns for e in estimates], dtype=np.int64),
         'status': np.array([e.status.name for e in estimates], dtype=str),
+        'verdict': np.array([e.verdict.grade.name for e in estimates], dtype=str),
+        'reason': np.array([e.verdict.reason for e in estimates], dtype=str),
         'order': np.array([e.model.n if e.model else 0 for e in estimates], dtype=np.int64),
         'condition': np.array([e.condition for e in estimates], dtype=float),
         'json': np.array([to_json(e).encode() for e in estimates], dtype=bytes)}

@@ -20,11 +20,13 @@ from scipy.optimize import linear_sum_assignment
 from ctsid_core.alignment import align, reference_form
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.identify import identify
+from ctsid_core.judgement import in_sequence
 from ctsid_core.mode_rows import Rows, follow
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record
 from ctsid_core.statespace import StateSpace
 from ctsid_core.validation import simulation
+from ctsid_core.verdict import Grade
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -79,6 +81,7 @@ class _Past:
     realisation: int = 0
     reference: StateSpace | None = None
     model: StateSpace | None = None
+    pole_std: Array = field(default_factory=lambda: np.empty(0))
     end_ns: int = 0
     rows: Rows = field(default_factory=Rows)
     next_mode: int = 1
@@ -120,6 +123,7 @@ class Tracker:
         past = self._past
         test = _fresh(past, record)
         estimate = self._doubted(identify(record, self.settings))
+        estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate))
         if estimate.model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
@@ -149,10 +153,13 @@ class Tracker:
             self._changed_ns = min(found_ns, self._changed_ns) if straddles else found_ns
         elif estimate.model is not None and straddles:
             share = (self._changed_ns - estimate.start_ns) / (estimate.end_ns - estimate.start_ns)
+            words = f'an earlier window has shown a change of the plant at {100 * share:.0f} % ' \
+                    'of this one'
             return replace(
                 estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
-                notes=(*estimate.notes, 'an earlier window has shown a change of the plant at '
-                       f'{100 * share:.0f} % of this one'))
+                notes=(*estimate.notes, words), verdict=replace(
+                    estimate.verdict, grade=Grade.REJECT, reason=f'{words.capitalize()}; wait '
+                    'until the change has left the window.'))
         return estimate
 
 
@@ -175,7 +182,8 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
         realisation += 1
     rows = follow(past.rows, aligned.poles, resolution, past.next_mode)
     estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned))
-    return estimate, _Past(realisation, reference, aligned, estimate.end_ns, rows,
+    return estimate, _Past(realisation, reference, aligned, estimate.pole_std, estimate.end_ns,
+                           rows,
                            max((past.next_mode, *(1 + mode for mode in rows.identities))))
 
 
@@ -192,11 +200,25 @@ def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Arra
     return std
 
 
+def _moved(past: _Past, estimate: Estimate) -> float:
+    """Return how far the poles have moved since the last model, see `Verdict.moved`."""
+    model, last = estimate.model or estimate.rejected_model, past.model
+    if model is None or last is None or model.n != last.n or \
+            len(past.pole_std) != last.n or len(estimate.pole_std) != model.n:
+        return np.nan
+    both = np.hypot(estimate.pole_std[:, np.newaxis], past.pole_std)
+    away = np.abs(model.poles[:, np.newaxis] - last.poles) / np.maximum(both, 1e-300)
+    if not np.isfinite(away).all():
+        return np.nan
+    return float(away[linear_sum_assignment(away)].max(initial=0.0))
+
+
 @dataclass(frozen=True)
 class _Test:
-    """What the last model makes of data that it has not seen."""
+    """What the last model makes of data that it has not seen, and how that compares with older."""
 
     fit: Array
+    ratio: Array
     start_ns: int = 0
     end_ns: int = 0
 
@@ -204,7 +226,7 @@ class _Test:
 def _fresh(past: _Past, record: Record) -> _Test:
     """Test the last model on the part of a record that is later than its own window."""
     start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
-    none = _Test(np.full(record.ny, np.nan))
+    none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
     if past.model is None or past.end_ns >= end_ns:
         return none
     try:
@@ -212,11 +234,12 @@ def _fresh(past: _Past, record: Record) -> _Test:
     except np.linalg.LinAlgError:  # of the data's making: a node must not die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    fit = np.array([_fit(y, y_hat, new) for y, y_hat in zip(found.y.T, found.y_hat.T,
-                                                            strict=True)])
+    pairs = list(zip(found.y.T, found.y_hat.T, strict=True))
+    fit = np.array([_fit(y, y_hat, new) for y, y_hat in pairs])
     if np.isnan(fit).all():
         return none
-    return _Test(fit, max(start_ns, past.end_ns), end_ns)
+    ratio = np.array([_rms(y - y_hat, new) / _rms(y - y_hat, ~new) for y, y_hat in pairs])
+    return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
 def _fit(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> float:
@@ -228,3 +251,11 @@ def _fit(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> float:
         return np.nan
     with np.errstate(over='ignore'):  # a model that explodes
         return 100 * (1 - float(np.sqrt(np.mean(error ** 2))) / spread)
+
+
+def _rms(error: Array, rows: NDArray[np.bool_]) -> float:
+    """Return the root mean square of errors on some rows; NaN for too few or a perfect model."""
+    found = error[rows & ~np.isnan(error)]
+    with np.errstate(over='ignore'):
+        rms = float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan
+    return rms if rms > 0.0 else np.nan

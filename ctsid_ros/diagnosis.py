@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.estimate import Estimate
+from ctsid_core.verdict import Verdict
 from ctsid_ros.channels import Config
 from ctsid_ros.feed import Feed
 from ctsid_ros.health import Health, Level
@@ -126,23 +127,36 @@ def diagnose_identification(progress: Progress) -> Health:
     values |= {'window': last.window.number, 'computing time [s]': last.computing,
                'latency [s]': last.latency, **_estimate_values(estimate),
                'fresh fit [%]': _numbers(last.tracked.fresh_fit)}
-    troubles = [] if estimate.ok else [f'{estimate.status.name}: {estimate.status.value}']
+    verdict = estimate.verdict
+    troubles = [] if estimate.good else [f'{verdict.grade.name}: {verdict.reason}']
     if progress.failures:
         troubles.append(f'{progress.failures} windows broke off: {progress.failure}')
     if progress.skipped:
         troubles.append(f'{progress.skipped} windows were skipped because identification takes '
                         'longer than `window.stride`; raise it, or set `order`')
     level = Level.OK if not troubles else Level.WARN if estimate.ok else Level.ERROR
-    return Health(IDENTIFICATION, level, '; '.join(troubles) or estimate.status.value, values)
+    return Health(IDENTIFICATION, level, '; '.join(troubles) or verdict.reason, values)
 
 
 def _estimate_values(estimate: Estimate) -> dict[str, object]:
     values: dict[str, object] = {
+        'verdict': estimate.verdict.grade.name, 'reason': estimate.verdict.reason,
         'status': estimate.status.name, 'window start [ns]': estimate.start_ns,
         'window end [ns]': estimate.end_ns}
     if estimate.model is not None:
         values |= {'order': estimate.model.n, 'fit [%]': _numbers(estimate.fit),
                    'held-out fit [%]': _numbers(estimate.held_out_fit)}
+    return values | _verdict_values(estimate.verdict)
+
+
+def _verdict_values(verdict: Verdict) -> dict[str, object]:
+    values: dict[str, object] = {}
+    for one in verdict.excitation:
+        values |= {f'{one.name} excites [rad/s]': f'{one.low:.3g} to {one.high:.3g}',
+                   f'{one.name} response known to [%]': 100 * one.uncertainty}
+    if verdict.excitation:
+        values |= {'poles known to [%]': 100 * verdict.pole_uncertainty,
+                   'missing of the response [%]': _numbers(100 * verdict.missing)}
     return values
 
 

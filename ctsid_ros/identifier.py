@@ -53,7 +53,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self._outputs: dict[str, Any] = {}
         self._offered: list[Any] = []
         self._told: set[str] = set()  # what is wrong now, and has been logged
-        self._status = ''
+        self._told_verdict = ''
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._survive_transitions()
@@ -161,20 +161,22 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         tracked, run = result.tracked, self._now
         if run is None:
             return
-        model, status = tracked.estimate.model, tracked.estimate.status
+        model, verdict = tracked.estimate.model, tracked.estimate.verdict
         found = {'model': messages.encode_model(tracked, run.metadata(result))}
-        if model is not None:
+        if tracked.estimate.good:  # an array cannot say how far it is to be trusted
+            assert model is not None
             found |= {'system_matrix': messages.encode_system_matrix(model),
                       **messages.encode_matrices(model),
                       'eigenvalues': messages.encode_eigenvalues(tracked)}
         for name, message in found.items():
             self._outputs[name].publish(message)
-        if status.name != self._status:
-            self._status = status.name
-            if model is not None:  # rclpy wants a line of its own for each severity
-                self.get_logger().info(status.value)
+        told = f'{verdict.grade.name} {tracked.estimate.status.name}'
+        if told != self._told_verdict:
+            self._told_verdict = told
+            if tracked.estimate.good:  # rclpy wants a line of its own for each severity
+                self.get_logger().info(f'{verdict.grade.name}: {verdict.reason}')
             else:
-                self.get_logger().warning(status.value)
+                self.get_logger().warning(f'{verdict.grade.name}: {verdict.reason}')
 
     def _offer(self, name: str, act: Callable[[Run], Answer]) -> Any:
         """Make a service that does something with what runs."""

@@ -87,7 +87,8 @@ def decode_model(msg: Any) -> Estimate:
     """
     Return the estimate in a message of the topic `~/model`, equal to the last bit.
 
-    There is one for every window. Ask `estimate.ok` before using `estimate.model`.
+    There is one for every window. Act on `estimate.model` only if `estimate.good`: else
+    `estimate.verdict` says what is wrong with it, and what to do.
 
     Raises
     ------

@@ -170,7 +170,8 @@ class Replay:
         last = self.results[-1].estimate
         fit = ', '.join(f'{value:.1f}' for value in last.fit)
         count = f'{len(self.results)} window{"s" if len(self.results) > 1 else ""}'
-        return f'{count}, fit {fit} %' if last.ok else f'{count}, {last.status.name}'
+        return f'{count}, fit {fit} %, {last.verdict.grade.name}' if last.ok else \
+            f'{count}, {last.status.name}'
 
     def _why_no_window(self) -> str:
         length = self.config.settings.window_length
@@ -185,11 +186,12 @@ def best_of(results: Sequence[Result]) -> int | None:
     """
     Return the number of the model to keep; None if none was accepted.
 
-    Of those that explain unseen data nearly as well as any (the windows they were tested on
+    Of the GOOD ones, if there are any, and those that explain unseen data nearly as well as any (the windows they were tested on
     differ, so that the last percent means nothing), the one with the fewest states; of these the
     one that explains them best.
     """
     accepted = [(i, r, r.estimate.model.n) for i, r in enumerate(results) if r.estimate.model]
+    accepted = [entry for entry in accepted if entry[1].estimate.good] or accepted
     tested = [entry for entry in accepted if entry[1].tested] or accepted
     if not tested:
         return None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.statespace import StateSpace
 from ctsid_core.validation import ResidualTests, Validation
+from ctsid_core.verdict import Grade
 from ctsid_ros.document import Bullets, Section
 from ctsid_ros.figures import (
     bode_figures,
@@ -75,18 +76,39 @@ def mode_table(found: Sequence[Mode]) -> Table:
 def model_section(estimate: Estimate, title: str) -> Section:
     """Return a model, accepted or rejected, with its poles, fits and gains."""
     model = estimate.model or estimate.rejected_model
+    parts: list[str | Table | Bullets] = [verdict_text(estimate)]
     if model is None:
-        return Section(title, (estimate.status.value,))
-    parts: list[str | Table | Bullets] = []
+        return Section(title, tuple(parts))
     if not estimate.ok:
-        parts.append(f'NOT ACCEPTED. {estimate.status.value} What was computed all the same, to '
+        parts.append(f'NOT ACCEPTED ({estimate.status.name}). What was computed all the same, to '
                      'look at:')
     words = f'{model.n} state{"s" if model.n > 1 else ""}, {"with" if model.D.any() else "no"} ' \
             'direct feedthrough'
     if any(model.delay):
         words += f', dead time {", ".join(f"{d:g}" for d in model.delay)} s'
     return Section(title, (*parts, f'{words}.', mode_table(modes_of(estimate)),
-                           fit_table(estimate, model)))
+                           *verdict_tables(estimate, model), fit_table(estimate, model)))
+
+
+def verdict_text(estimate: Estimate) -> str:
+    """Return the verdict in words."""
+    return f'{estimate.verdict.grade.name}. {estimate.verdict.reason}'
+
+
+def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
+    """Return the numbers behind the verdict."""
+    verdict = estimate.verdict
+    inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
+                    percent(100 * x.own), percent(100 * x.uncertainty))
+                   for x in verdict.excitation)
+    columns = (100 * verdict.missing, verdict.whiteness, verdict.next_ratio, verdict.fresh_ratio)
+    outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
+                    for i, name in enumerate(model.output_names))
+    tables = [Table(('input', 'excites from [rad/s]', 'to [rad/s]', 'frequencies',
+                     'by itself [%]', 'response known to [%]'), inputs, ('input',))]
+    tables.append(Table(('output', 'missing [%]', 'white (p)', 'unseen / own error', 'fresh / own'),
+                        outputs, ('output',)))
+    return tables if inputs else []
 
 
 def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
@@ -150,12 +172,12 @@ def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
 def window_section(results: Sequence[Result], start_ns: int, best: int = 0) -> Section:
     """Return the windows along a bag, thinned where they are many."""
     rows = [_window_row(index, r, start_ns) for index, r in enumerate(results, 1)]
-    head = ('window', 'from [s]', 'to [s]', 'order', 'fit [%]', 'next fit [%]',
+    head = ('window', 'from [s]', 'to [s]', 'verdict', 'order', 'fit [%]', 'next fit [%]',
             'poles of the model [rad/s]')
     shown = thinned(rows, _MOST_ROWS, best)
     more = [f'{len(shown)} of {len(rows)} windows are shown; all are in `estimates.csv`.'] \
         if len(shown) < len(rows) else []
-    return Section('Models along the bag', (Table(head, shown, head[-1:]), *more))
+    return Section('Models along the bag', (Table(head, shown, (head[3], head[-1])), *more))
 
 
 def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
@@ -166,7 +188,7 @@ def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
         else f'none: {estimate.status.name}'
     poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''
     order = str(estimate.model.n) if estimate.model else '-'
-    return (str(index), *span, order, _fits(estimate.fit), _fits(result.next_fit), poles)
+    return (str(index), *span, estimate.verdict.grade.name, order, _fits(estimate.fit), _fits(result.next_fit), poles)
 
 
 def _fits(values: Array) -> str:
@@ -178,7 +200,12 @@ def status_section(results: Sequence[Result]) -> Section:
     bad = [r.estimate.status for r in results if not r.estimate.ok]
     lines = [f'{bad.count(s)} of {len(results)} windows gave no model ({s.name}). {s.value}'
              for s in Status if s in bad]
-    return Section('Windows without a model', (Bullets(tuple(lines)),) if lines else ())
+    weak = [r.estimate.verdict.reason for r in results
+            if r.estimate.verdict.grade is Grade.WEAK]
+    if weak:
+        lines.insert(0, f'{len(weak)} of {len(results)} windows gave a WEAK model, such as: '
+                     f'{weak[-1]}')
+    return Section('Windows without a GOOD model', (Bullets(tuple(lines)),) if lines else ())
 
 
 def truth_section(estimate: Estimate, results: Sequence[Result], truth: StateSpace) -> Section:
@@ -245,8 +272,8 @@ def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str
 
 def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Iterator[str]:
     model, settings = estimate.model or estimate.rejected_model, estimate.settings
-    if not estimate.ok:
-        yield estimate.status.value
+    if not estimate.good:
+        yield estimate.verdict.reason
     if model is None:
         return
     unseen = test_fit if np.isfinite(test_fit).any() else estimate.held_out_fit

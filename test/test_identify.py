@@ -322,7 +322,10 @@ def test_constant_channels_leave_zero_rows_and_columns(record):
                                                    other.values)),
                     names=('stuck', *other.names), units=('', *other.units))
     found = identify(Record((idle, signal), (stuck,), 0.0, 10.0))
-    model = found.model
+    assert found.status is Status.NO_RESPONSE
+    assert found.verdict.reason.startswith('Output stuck does not move')
+    assert found.model is None
+    model = found.rejected_model
     assert (model.nu, model.ny) == (2, 5)
     for matrix in (model.B[:, 0], model.D[:, 0], model.C[0], model.D[0], model.K[:, 0],
                    model.noise[0], model.noise[:, 0]):

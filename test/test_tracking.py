@@ -21,6 +21,7 @@ from ctsid_core.signals import Record
 from ctsid_core.statespace import StateSpace
 from ctsid_core.tracking import Tracked, Tracker
 from ctsid_core.validation import simulation
+from ctsid_core.verdict import Verdict
 
 S = 10**9
 SETTINGS = Settings(order=2, feedthrough=False)
@@ -56,8 +57,8 @@ def same(a: Tracked, b: Tracked) -> bool:
 
 
 def same_value(a, b) -> bool:
-    if isinstance(a, Estimate):
-        return all(same_value(getattr(a, f.name), getattr(b, f.name)) for f in fields(Estimate))
+    if isinstance(a, Estimate | Verdict):
+        return all(same_value(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
     if isinstance(a, np.ndarray):
         return np.array_equal(a, b, equal_nan=True)
     return a == b or (a != a and b != b)
@@ -77,8 +78,12 @@ def test_estimates_are_those_of_identify_in_other_states(steady, tracked):
     for record, found in zip(steady, tracked, strict=True):
         plain = identify(record, SETTINGS)
         for f in fields(Estimate):
-            if f.name not in ('model', 'pole_std'):
+            if f.name not in ('model', 'pole_std', 'verdict'):
                 assert same_value(getattr(found.estimate, f.name), getattr(plain, f.name)), f.name
+        for f in fields(Verdict):
+            if f.name not in ('fresh_ratio', 'moved'):
+                assert same_value(getattr(found.estimate.verdict, f.name),
+                                  getattr(plain.verdict, f.name)), f.name
         again = align(plain.model, tracked[0].estimate.model)
         np.testing.assert_allclose(found.estimate.model.A, again.A, atol=1e-9)
         np.testing.assert_allclose(found.estimate.pole_std, plain.pole_std, rtol=1e-9)

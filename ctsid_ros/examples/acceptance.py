@@ -55,8 +55,8 @@ def objection(estimate: Estimate, fresh_fit: Array, now_ns: int, limits: Limits)
     limits : Limits
     """
     model, age = estimate.model, (now_ns - estimate.end_ns) * 1e-9
-    if model is None:
-        return f'no model: {estimate.status.value.rstrip(".")}'
+    if model is None or not estimate.good:
+        return f'{estimate.verdict.grade.name}: {estimate.verdict.reason.rstrip(".")}'
     if (model.input_names, model.output_names) != (limits.inputs, limits.outputs):
         return (f'the model is from {_listed(model.input_names)} to '
                 f'{_listed(model.output_names)}; wanted is from {_listed(limits.inputs)} to '

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.model_json import describe
 from ctsid_core.statespace import StateSpace
 from ctsid_core.storage import load_model, save_series, to_json
 from ctsid_core.validation import simulation
@@ -200,6 +201,7 @@ class _Report:
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
                 'interrupted': interrupted, 'accepted': sum(r.estimate.ok for r in self.results),
+                'good': sum(r.estimate.good for r in self.results),
                 'best_window': self.number if self.best.estimate.ok else None,
                 'windows': [self._window(i, r) for i, r in enumerate(self.results, 1)],
                 'true_poles': self.truth.poles if self.truth else None,
@@ -211,6 +213,7 @@ class _Report:
         return {'window': index, **dict(zip(('from', 'to'), span, strict=True)),
                 'start_ns': estimate.start_ns, 'end_ns': estimate.end_ns,
                 'status': estimate.status.name, 'message': estimate.status.value,
+                'verdict': describe(estimate.verdict),
                 'order': estimate.model.n if estimate.model else None,
                 'poles': estimate.model.poles if estimate.model else [],
                 'pole_std': estimate.pole_std, 'fit': estimate.fit,

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers behind a verdict, from the projection that a model was made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.bases.base import Array, Projection, as_real
+from ctsid_core.excitation import Foreseen, excitations
+from ctsid_core.leftover import leftover
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import simulate_lines
+from ctsid_core.signals import Record
+from ctsid_core.verdict import UNJUDGED, Verdict
+
+
+def examine(projection: Projection, m: Matrices, record: Record, unseen: Array, *,
+            feedthrough: bool) -> Verdict:
+    """
+    Return a verdict of which the numbers are those of a model, and the grade is still open.
+
+    Parameters
+    ----------
+    projection : Projection
+    m : Matrices
+        Made of it.
+    record : Record
+        That was projected.
+    unseen : ndarray, shape (ny,)
+        Density of the errors on data held out [unit^2 s].
+    feedthrough : bool
+        Whether D is free.
+    """
+    with np.errstate(over='ignore', invalid='ignore'):  # of absurdly small or large signals
+        return _examine(projection, m, record, unseen, feedthrough)
+
+
+def _examine(projection: Projection, m: Matrices, record: Record, unseen: Array,
+             feedthrough: bool) -> Verdict:
+    n, nu, ny = len(m.A), len(projection.u), len(projection.y)
+    foreseen = Foreseen(projection, m)
+    excitation = excitations(foreseen, record, n + ny * feedthrough)
+    highest = max((x.high for x in excitation if x.high > 0.0), default=0.0)
+    found = leftover(foreseen, highest or float(np.abs(projection.s).max()), n * (nu + 2 * ny)
+                     + ny * nu * feedthrough)
+    error = as_real(projection.y - simulate_lines(projection, m))
+    spare = max(projection.count - n * (nu / ny + 1) - nu * feedthrough, 1.0)
+    density = projection.unit * np.sum(error ** 2, axis=1) / spare
+    return replace(UNJUDGED, excitation=excitation, missing=found.missing,
+                   missing_p_value=found.p_value, whiteness=found.whiteness,
+                   next_ratio=unseen / np.maximum(density, 1e-300))

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From numbers to a verdict.
+
+What rejects a model comes first, and gives its status; what weakens it comes next, the gravest
+first: the first that applies is the reason. Each threshold and where it was measured:
+`docs/verdict.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.estimate import Estimate, Status
+from ctsid_core.signals import Array, Record
+from ctsid_core.steadiness import Change
+from ctsid_core.stuck import Stuck
+from ctsid_core.verdict import Grade, Verdict
+
+EXPLAINED = 30.0        # fit [%] below which an output counts as not explained
+_DEAD = 10.0            # fit [%] below which nothing of an output is
+_VAGUE = 0.5            # standard deviation over size above which a pole is not known
+_UNKNOWN = 0.05         # the same of the response to an input
+_ONE_SINE = 1.5         # frequencies of an input
+_MISSING = 0.02         # of the response
+_SURE = 1e-5            # p-value
+_COLOURED = 1e-6        # p-value
+_NEXT = 4.0             # power of the errors on data not seen over that on the model's own
+_FRESH = 2.0            # the same of the model before, rms
+_MATTERS = 90.0         # fresh fit [%] above which that does not matter
+_MOVED = 3.0            # standard deviations
+
+UNTESTED = ('The model has not been tested on data that it has not seen; set `validation.held_out` '
+            'above 0, or wait for the next window.')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """
+    What is known of a model, for all channels of the record; `numbers` has the rest.
+
+    Parameters
+    ----------
+    input_names, output_names : tuple of str
+    fixed_inputs, fixed_outputs : tuple of int
+        Places of the channels that are constant over the window.
+    stuck : tuple of Stuck
+        Outputs that stop moving within it.
+    fit, held_out : ndarray, shape (ny,)
+        [%]; NaN for constant outputs.
+    poles : ndarray, shape (n,)
+    deviation : ndarray, shape (n,)
+        Standard deviations, in the same order [rad/s].
+    resolution : float
+        Slowest frequency that the window resolves [rad/s].
+    change : Change
+    duration : float
+        Of the window [s].
+    process_noise : bool
+    numbers : Verdict
+        With the numbers that have a place in it.
+    """
+
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    fixed_inputs: tuple[int, ...]
+    fixed_outputs: tuple[int, ...]
+    stuck: tuple[Stuck, ...]
+    fit: Array
+    held_out: Array
+    poles: NDArray[np.complex128]
+    deviation: Array
+    resolution: float
+    change: Change
+    duration: float
+    process_noise: bool
+    numbers: Verdict
+
+    @property
+    def worst(self) -> Array:
+        """The lower of the fits, of each output [%]."""
+        return np.asarray(np.fmin(self.fit, self.held_out))
+
+
+def judge(evidence: Evidence) -> tuple[Status, Verdict]:
+    """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
+    for status, reason in _rejections(evidence):
+        return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason)
+    for reason in _weaknesses(evidence):
+        return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason)
+    return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_praise(evidence))
+
+
+def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
+    if not (np.isfinite(e.poles).all() and np.isfinite(np.delete(e.fit, e.fixed_outputs)).all()):
+        yield Status.UNRELIABLE, Status.UNRELIABLE.value
+    if e.fixed_outputs:
+        yield Status.NO_RESPONSE, (
+            f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor, its '
+            'topic and field, or leave it out.')
+    for one in e.stuck:
+        yield Status.NO_RESPONSE, (
+            f'Output {e.output_names[one.output]} does not change by a bit from {one.start:.3g} '
+            f'to {one.end:.3g} s after the start of the window, although inputs move; the sensor '
+            'is stuck or its last value is repeated: check it, or leave it out.')
+    yield from _unexplained(e)
+    ratio = _pole_ratio(e)
+    if ratio.min() > _VAGUE:
+        best = int(np.argmin(ratio))
+        yield Status.UNRELIABLE, (
+            f'Even the best known pole, {_number(e.poles[best])} rad/s, has a standard deviation '
+            f'of {e.deviation[best]:.2g} rad/s; excite more frequencies, take a longer window, or '
+            'lower the order.')
+    if e.change.matters:
+        yield Status.CHANGED, (
+            'The plant, or the offset of a signal, changed about '
+            f'{e.change.share * e.duration:.2g} s after the start of the window; take a window '
+            'before or after that, or wait until it has left the window.')
+
+
+def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
+    tested = e.held_out[np.isfinite(e.held_out)]
+    best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
+    if best < EXPLAINED:
+        yield Status.UNEXPLAINED, (
+            f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} (the '
+            f'best fit is {max(best, -999.0):.0f} %); check the choice of inputs and outputs, the '
+            'dead time and the order, or the plant is not linear over this window.')
+    # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
+    erring = (e.fit < EXPLAINED) | (e.numbers.next_ratio > _NEXT)
+    dead = np.flatnonzero((e.worst < _DEAD) & erring)
+    if len(dead):
+        least = int(dead[np.argmin(e.worst[dead])])
+        yield Status.UNEXPLAINED, (
+            f'Output {e.output_names[least]} does not follow the inputs (fit '
+            f'{max(e.worst[least], -999.0):.0f} %) while others do; check its sensor, topic and '
+            'field, or leave it out.')
+
+
+def _weaknesses(e: Evidence) -> Iterator[str]:
+    yield from _of_inputs(e)
+    for i in np.flatnonzero(e.worst < EXPLAINED):
+        yield (f'Output {e.output_names[i]} is hardly explained, fit {e.worst[i]:.0f} %; check '
+               'its sensor, reduce its noise, or leave it out.')
+    numbers, names = e.numbers, e.output_names
+    for i in np.flatnonzero((numbers.missing_p_value < _SURE) & (numbers.missing > _MISSING)):
+        yield (f'The model misses {100 * numbers.missing[i]:.2g} % of the response of output '
+               f'{names[i]} to the inputs; raise `order` or `max_order`, check the dead time and '
+               'the hold of the inputs, or the plant is not linear.')
+    if numbers.pole_uncertainty > _VAGUE:
+        worst = int(np.argmax(_pole_ratio(e)))
+        yield (f'The pole {_number(e.poles[worst])} rad/s has a standard deviation of '
+               f'{e.deviation[worst]:.2g} rad/s; excite the plant around '
+               f'{max(abs(e.poles[worst]), e.resolution):.2g} rad/s, take a longer window, or '
+               'lower the order.')
+    for i in np.flatnonzero(numbers.next_ratio > _NEXT):
+        yield (f'A model of the first part of the window errs on the rest of output {names[i]} '
+               f'with {numbers.next_ratio[i]:.2g} times the power of the noise; take a longer '
+               'window, or lower the order.')
+    if e.process_noise:
+        for i in np.flatnonzero(numbers.whiteness < _COLOURED):
+            yield (f'The noise of output {names[i]} is not as the model has it, so that the '
+                   'standard deviations cannot be trusted; raise `order`, or measure what else '
+                   'acts on the plant.')
+    if not np.isfinite(np.delete(numbers.missing, e.fixed_outputs)).all():
+        yield 'The model could not be examined; check the size of the signals and their units.'
+    if not np.isfinite(e.held_out).any():
+        yield UNTESTED
+
+
+def _of_inputs(e: Evidence) -> Iterator[str]:
+    for j in e.fixed_inputs:
+        yield (f'Input {e.input_names[j]} does not move within the window, and its zero column of '
+               'B and D is not measured; move it, or leave it out.')
+    for one in e.numbers.excitation:
+        if one.frequencies < _ONE_SINE:
+            yield (f'Input {one.name} moves at a single frequency, which cannot tell one model '
+                   'from another; excite more frequencies (a sweep, steps, or noise).')
+        if one.uncertainty > _UNKNOWN:
+            how = 'not known at all' if one.uncertainty > 1.0 else \
+                f'known to {100 * one.uncertainty:.2g} % only'
+            cure = f'move it independently of the other inputs (now {100 * one.own:.2g} % of its ' \
+                'power)' if one.own < 0.1 else 'move it more, or for longer, or leave it out'
+            yield f'The response to input {one.name} is {how}; {cure}.'
+
+
+def _pole_ratio(e: Evidence) -> Array:
+    return np.asarray(e.deviation / np.maximum(np.abs(e.poles), e.resolution))
+
+
+def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution: float) -> float:
+    """Return the largest deviation over size; see `Verdict.pole_uncertainty`."""
+    return float(np.max(deviation / np.maximum(np.abs(poles), resolution), initial=0.0))
+
+
+def _praise(e: Evidence) -> str:
+    worst, known = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
+    return (f'Every test is passed: the response to each input is known to {100 * known:.2g} %, '
+            f'every pole to {100 * e.numbers.pole_uncertainty:.2g} %, and unseen data fit to '
+            f'{worst:.0f} %.')
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ', '.join(names) if len(names) < 5 else f'{len(names)} signals'
+
+
+def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
+    listed = ', '.join(e.output_names[i] for i in places)
+    return f'Outputs {listed} do' if len(places) > 1 else f'Output {listed} does'
+
+
+def _number(pole: complex) -> str:
+    return f'{pole.real:.3g}' if pole.imag == 0 else f'{pole.real:.3g} +- {abs(pole.imag):.3g}j'
+
+
+def without_model(status: Status, record: Record) -> str:
+    """Return why nothing of a record can be used, with the names that matter."""
+    if status is Status.NO_EXCITATION:
+        return (f'No input moves within the window ({", ".join(record.input_names)}); excite the '
+                'inputs, or choose a window in which they move.')
+    if status is Status.NO_RESPONSE:
+        return (f'No output moves within the window ({", ".join(record.output_names)}); check that '
+                'the right topics and fields are used.')
+    return status.value
+
+
+def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float
+                ) -> Estimate:
+    """
+    Return an estimate whose verdict knows the model before it.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    fresh_fit, fresh_ratio : ndarray, shape (ny,)
+        How the model before does on the data that are new; NaN if not known.
+    moved : float
+        See `Verdict.moved`.
+    """
+    verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
+    model = estimate.model
+    if model is None:
+        return replace(estimate, verdict=verdict)
+    if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
+        verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the model '
+                          'before this one foretold the data that are new in it.')
+    if verdict.grade is Grade.GOOD:
+        for reason in _disagreements(model.output_names, fresh_fit, fresh_ratio, moved):
+            verdict = replace(verdict, grade=Grade.WEAK, reason=reason)
+            break
+    return replace(estimate, verdict=verdict)
+
+
+def _disagreements(names: tuple[str, ...], fit: Array, ratio: Array, moved: float
+                   ) -> Iterator[str]:
+    collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH) & (fit < _MATTERS),
+                         fit < EXPLAINED)
+    for i in np.flatnonzero(collapsed):
+        yield (f'The model before this one foretells the newest data of output {names[i]} badly '
+               f'(fit {max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
+               'models agree again.')
+    if moved > _MOVED:
+        yield (f'A pole has moved by {moved:.2g} standard deviations since the window before; wait '
+               'until models agree again, or set `order`.')
