@@ -46,6 +46,35 @@ class Choice:
     why: str
 
 
+@dataclass(frozen=True)
+class RecordShare:
+    """
+    What one of several records told that is its own.
+
+    Parameters
+    ----------
+    number : int
+        Of the record among those given, from 1.
+    start_ns, end_ns : int
+        Its interval, absolute [ns].
+    x_trim, y_trim : ndarray, shapes (n,), (ny,)
+        Its trim, in the state coordinates of the model.
+    fit : ndarray, shape (ny,)
+        Simulation fit (NRMSE) of each output on it [%].
+    weight : float
+        By which its noise is smaller than that of all records (geometric mean); 1 unless they
+        differ so much that it matters.
+    """
+
+    number: int
+    start_ns: int
+    end_ns: int
+    x_trim: Array
+    y_trim: Array
+    fit: Array
+    weight: float = 1.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """
@@ -78,9 +107,12 @@ class Estimate:
     notes : tuple of str
         What else the user should know (gaps, constant channels, removed inputs).
     start_ns, end_ns : int
-        The window, absolute [ns].
+        The window, absolute [ns]; of several records the first start and the last end.
     statistics : dict of str to float
         Further numbers, by name with unit.
+    records : tuple of RecordShare
+        Of several records that were identified together, those that were used; else empty. The
+        model's trim and noise are those of the record that ends last.
     """
 
     status: Status
@@ -97,6 +129,7 @@ class Estimate:
     start_ns: int = 0
     end_ns: int = 0
     statistics: dict[str, float] = field(default_factory=dict)
+    records: tuple[RecordShare, ...] = ()
 
     @property
     def ok(self) -> bool:

@@ -34,8 +34,8 @@ LEVELS = {
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
-        ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
-        ['refine'], ['steadiness', 'process_noise'], ['deviation'],
+        ['pole_fit', 'prediction_errors'], ['levenberg_marquardt', 'joint'],
+        ['refine'], ['steadiness', 'process_noise'], ['deviation', 'sameness'],
         ['order'], ['selection'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
