@@ -249,7 +249,7 @@ def _judge(part: Joint, found: _Found) -> Estimate:
     # The test is for a model at the maximum of the likelihood.
     tested = found.settings.refine and (status is Status.OK or part.several)
     differing = likeliest_difference(
-        found.projection, found.matrices, found.settings, found.layout.sizes) \
+        found.projection, found.matrices, found.settings, found.layout) \
         if tested and np.isfinite(found.matrices.A).all() else Differing()
     change = differing.change
     if change.matters:
@@ -279,9 +279,13 @@ def _judge(part: Joint, found: _Found) -> Estimate:
 def _change_note(part: Joint, differing: Differing) -> str:
     change, place = differing.change, differing.place
     if not differing.within:
-        return (f'record {part.numbers[place]} shows another plant than the other records: the '
-                f'responses to the inputs differ by {100 * change.size:.2g} %; identify it by '
-                'itself, or leave it out')
+        numbers = part.numbers
+        who = f'records {numbers[0]} and {numbers[1]} show different plants' \
+            if len(numbers) == 2 else \
+            f'record {numbers[place]} shows another plant than the other records'
+        cure = 'each' if len(numbers) == 2 else 'it'
+        return (f'{who}: the responses to the inputs differ by {100 * change.size:.0f} %; '
+                f'identify {cure} by itself')
     where = f'record {part.numbers[place]}: ' if part.several else ''
     record = part.parts[place].record
     return (f'{where}the likeliest time of the change is {change.share * 100:.0f} % of the '

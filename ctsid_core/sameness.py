@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.base import Array, Projection
+from ctsid_core.joint import Layout
 from ctsid_core.pbsid import Matrices
-from ctsid_core.refine import affordable, growth
+from ctsid_core.refine import affordable, growth, whitener
 from ctsid_core.settings import Settings
 from ctsid_core.steadiness import (
     GROWS,
@@ -50,7 +51,7 @@ class Differing:
 
 
 def likeliest_difference(projection: Projection, m: Matrices, settings: Settings,
-                         sizes: tuple[tuple[int, int], ...]) -> Differing:
+                         layout: Layout) -> Differing:
     """
     Return what speaks most for a change of the plant within a record or between records.
 
@@ -62,58 +63,72 @@ def likeliest_difference(projection: Projection, m: Matrices, settings: Settings
         At the maximum of the likelihood, or near it.
     settings : Settings
         As used; `feedthrough` matters here.
-    sizes : tuple of (int, int)
-        nmax and the number of parts of each record.
+    layout : Layout
+        Of the projection.
     """
-    count = len(sizes)
+    count, sizes = len(layout.sizes), layout.sizes
     if count == 1:
         return Differing(0, True, likeliest_change(projection, m, settings))
     within = [Differing(i, True, likeliest_change(record, own, settings.replace(nmax=nmax)))
               for i, (record, own, (nmax, _)) in enumerate(zip(
                   projection.records, m.of_records(projection), sizes, strict=True))]
     between = [Differing(i, False, change) for i, change in enumerate(
-        _differences(projection, m, settings, sizes))]
+        _differences(projection, m, settings, layout))]
     # A record of another plant is a change of all: that it is, and which, goes first.
-    for found in (between, within):
-        likely = [replace(f, change=replace(f.change, p_value=min(count * f.change.p_value, 1.0)))
-                  for f in found]
-        mattering = [f for f in likely if f.change.matters]
+    both = [[replace(f, change=replace(f.change, p_value=min(count * f.change.p_value, 1.0)))
+             for f in found] for found in (between, within)]
+    for found in both:
+        mattering = [f for f in found if f.change.matters]
         if mattering:
             return max(mattering, key=lambda f: (f.change.gain, f.change.size))
-    return min(likely, key=lambda f: (f.change.p_value, -f.change.size))
+    return min(both[0] + both[1], key=lambda f: (f.change.p_value, -f.change.size))
 
 
 def _differences(projection: Projection, m: Matrices, settings: Settings,
-                 sizes: tuple[tuple[int, int], ...]) -> list[Change]:
-    """Return, for each record, how much its plant differs from that of the others."""
+                 layout: Layout) -> list[Change]:
+    """
+    Return, for each record, how much its plant differs from that of the others.
+
+    Errors that another plant has made larger must not make a record count less: records are
+    compared as if noise was the same in all, and the level that it really has is found on the way.
+    """
     stable = np.max(np.linalg.eigvals(m.A - m.K @ m.C).real) < 0.0 and \
         growth(m) * projection.length < GROWS
     if not (stable and affordable(projection, len(m.A))):
         return []
-    records, models = projection.records, m.of_records(projection)
-    rows = [_without_nuisances(record, own, settings, nmax)
-            for record, own, (nmax, _) in zip(records, models, sizes, strict=True)]
+    each = list(zip(projection.records, m.of_records(projection), layout.sizes, strict=True))
+    level = np.array([_level(record, own) for record, own, _ in each]) / layout.weights
+    level /= np.exp(np.mean(np.log(level)))
+    rows = [_without_nuisances(record, own, settings, nmax, factor)
+            for (record, own, (nmax, _)), factor in zip(each, level, strict=True)]
     size = np.sqrt(sum(np.sum(moving ** 2, axis=0) for moving, _, _ in rows))
     size[size == 0.0] = np.inf
     turn = orthonormal(np.vstack([np.linalg.qr(moving / size, mode='r')
                                   for moving, _, _ in rows]))[1]
     sides = [_side(moving / size @ turn, error, free) for moving, error, free in rows]
-    response = float(np.sqrt(sum(
-        response_to_inputs(record, own, nmax) ** 2
-        for record, own, (nmax, _) in zip(records, models, sizes, strict=True))))
+    response = float(np.linalg.norm([factor * response_to_inputs(record, own, nmax)
+                                     for (record, own, (nmax, _)), factor
+                                     in zip(each, level, strict=True)]))
     total = sum(len(error) for _, error, _ in rows)
-    return [compared(len(rows[i][1]) / total, side, _all(sides[:i] + sides[i + 1:]), response)
+    return [compared(len(rows[i][1]) / total, side, _all(sides[:i] + sides[i + 1:]), response,
+                     alone=True)
             for i, side in enumerate(sides)]
 
 
-def _without_nuisances(record: Projection, m: Matrices, settings: Settings,
-                       nmax: int) -> tuple[Array, Array, int]:
+def _level(record: Projection, m: Matrices) -> float:
+    """Return the amplitude of the errors of a record: the geometric mean over the outputs."""
+    whiten = whitener(record, m)[0]
+    return float(np.exp(-np.mean(np.log(np.abs(np.diag(whiten))))))     # triangular
+
+
+def _without_nuisances(record: Projection, m: Matrices, settings: Settings, nmax: int,
+                       factor: float) -> tuple[Array, Array, int]:
     """Return derivatives by the plant and errors, less what is free, and how much that is."""
     flat, error, plant = weighed(record, m, settings, nmax)
     norm = np.linalg.norm(flat, axis=0)
     other = ~plant & (norm > 0.0)
     nuisances = orthonormal(flat[:, other] / norm[other])[0]
-    moving = flat[:, plant]
+    moving, error = factor * flat[:, plant], factor * error
     return (moving - nuisances @ (nuisances.T @ moving),
             error - nuisances @ (nuisances.T @ error), nuisances.shape[1])
 

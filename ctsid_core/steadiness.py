@@ -330,8 +330,14 @@ def _response(projection: Projection, m: Matrices) -> Array:
     return y - still
 
 
-def compared(share: float, before: Side, after: Side, response: float) -> Change:
-    """Compare two sides; `response` is the norm of the response to the inputs."""
+def compared(share: float, before: Side, after: Side, response: float, *,
+             alone: bool = False) -> Change:
+    """
+    Compare two sides; `response` is the norm of the response to the inputs.
+
+    The gain is over all errors, or, if the first side `alone` is in question, over twice its own:
+    the same where the sides are alike.
+    """
     values, vectors = np.linalg.eigh(before.information + after.information)
     kept = values > _RANK
     turn = vectors[:, kept] / np.sqrt(values[kept])
@@ -350,6 +356,7 @@ def compared(share: float, before: Side, after: Side, response: float) -> Change
     moved, scatter = (first - second) ** 2, one + other
     excess = float(g * (1.0 - g) @ (moved - scatter)) / (share * (1.0 - share))
     explained = float(g * (1.0 - g) @ moved)
+    unexplained = min(left[0] + left[1], 2.0 * left[0]) if alone else left[0] + left[1]
     return Change(share, float(fdtrc(count, freedom, np.mean(moved / scatter))),
                   float(np.sqrt(max(excess, 0.0))) / max(response, 1e-300),
-                  explained / (explained + left[0] + left[1]))
+                  explained / (explained + unexplained))
