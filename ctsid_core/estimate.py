@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -135,3 +135,20 @@ class Estimate:
     def ok(self) -> bool:
         """Whether there is an accepted model."""
         return self.model is not None
+
+    def trimmed(self, model: StateSpace, number: int) -> StateSpace:
+        """
+        Return a model of this estimate at the trim of one of several records.
+
+        Parameters
+        ----------
+        model : StateSpace
+            `model`, or `rejected_model`.
+        number : int
+            Of the record among those given, from 1; of one that was not used, the model's trim
+            stays.
+        """
+        for record in self.records:
+            if record.number == number:
+                return replace(model, x_trim=record.x_trim, y_trim=record.y_trim)
+        return model

@@ -44,7 +44,7 @@ LEVELS = {
         ['node_settings'], ['channels'], ['config_file', 'cdr', 'health', 'origin'],
         ['bag', 'bag_writer', 'ingest', 'matrix_messages', 'sim_clock', 'sequence_numbers'],
         ['feed', 'messages'],
-        ['survey_stats', 'playback', 'tracks'], ['survey', 'replay'],
+        ['survey_stats', 'playback', 'tracks', 'recordings'], ['survey', 'replay'],
         ['examples.quadrotor_roll', 'examples.lqr', 'examples.acceptance', 'examples.running'],
         ['examples.flight', 'examples.tuner_node', 'examples.demo_table',
          'examples.demo_processes'], ['examples.robot_node', 'examples.demo_node'],
