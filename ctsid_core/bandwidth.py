@@ -24,13 +24,15 @@ _FINENESS = 12.0        # steps per octave of nmax, so that windows alike share 
 _SMOOTHING = 31         # periodogram lines averaged, so that noise alone stays below the threshold
 
 
-def choose_nmax(record: Record) -> tuple[int, int, str]:
+def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int, str]:
     """
     Choose the highest order of the Hermite functions, and the parts of a long record.
 
     Parameters
     ----------
     record : Record
+    band : float
+        Up to which the outputs rise above their noise in other records [rad/s].
 
     Returns
     -------
@@ -41,7 +43,7 @@ def choose_nmax(record: Record) -> tuple[int, int, str]:
         One sentence for the user.
     """
     tau = 0.5 * record.duration
-    band = max(signal_band(s, record.start, record.end) for s in record.outputs)
+    band = max(band, output_band(record))
     slowest = max((s.period for s in (*record.inputs, *record.outputs) if s.hold != 'zoh'),
                   default=record.duration / 20.0)
     highest = _NYQUIST * np.pi / slowest
@@ -57,6 +59,11 @@ def choose_nmax(record: Record) -> tuple[int, int, str]:
     if product > _MOST * _MOST_PARTS:
         why += ', for so long a record no more; take a shorter --duration, or replay windows'
     return max(int(nmax), 8), parts, why
+
+
+def output_band(record: Record) -> float:
+    """Return the frequency up to which the outputs of a record rise above their noise [rad/s]."""
+    return max(signal_band(s, record.start, record.end) for s in record.outputs)
 
 
 def signal_band(signal: Signal, start: float, end: float) -> float:

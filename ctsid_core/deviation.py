@@ -109,10 +109,12 @@ def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> 
 def _trust(projection: Projection, m: Matrices) -> Array:
     """Return what to multiply each line with, as if all notches were as wide as is resolved."""
     found = np.linalg.eigvals(m.A - m.K @ m.C)
-    wide = -np.hypot(found.real, _RESOLVED * line_distance(projection)) + 1j * found.imag
-    ratio = np.abs(projection.s - found[:, np.newaxis]) / np.abs(projection.s -
-                                                                 wide[:, np.newaxis])
-    return np.asarray(np.prod(ratio, axis=0))
+    trust = []
+    for record in projection.records:
+        wide = -np.hypot(found.real, _RESOLVED * line_distance(record)) + 1j * found.imag
+        ratio = np.abs(record.s - found[:, np.newaxis]) / np.abs(record.s - wide[:, np.newaxis])
+        trust.append(np.prod(ratio, axis=0))
+    return np.concatenate(trust)
 
 
 def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) -> Array:

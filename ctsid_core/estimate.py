@@ -59,6 +59,35 @@ class Choice:
     why: str
 
 
+@dataclass(frozen=True)
+class RecordShare:
+    """
+    What one of several records told that is its own.
+
+    Parameters
+    ----------
+    number : int
+        Of the record among those given, from 1.
+    start_ns, end_ns : int
+        Its interval, absolute [ns].
+    x_trim, y_trim : ndarray, shapes (n,), (ny,)
+        Its trim, in the state coordinates of the model.
+    fit : ndarray, shape (ny,)
+        Simulation fit (NRMSE) of each output on it [%].
+    weight : float
+        By which its noise is smaller than that of all records (geometric mean); 1 unless they
+        differ so much that it matters.
+    """
+
+    number: int
+    start_ns: int
+    end_ns: int
+    x_trim: Array
+    y_trim: Array
+    fit: Array
+    weight: float = 1.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """
@@ -94,9 +123,12 @@ class Estimate:
     notes : tuple of str
         What else the user should know (gaps, constant channels, removed inputs).
     start_ns, end_ns : int
-        The window, absolute [ns].
+        The window, absolute [ns]; of several records the first start and the last end.
     statistics : dict of str to float
         Further numbers, by name with unit.
+    records : tuple of RecordShare
+        Of several records that were identified together, those that were used; else empty. The
+        model's trim and noise are those of the record that ends last.
     verdict : Verdict
         GOOD, WEAK or REJECT, the reason, and the numbers behind it. REJECT if and only if
         `model` is None: without a model it is made so.
@@ -122,6 +154,7 @@ class Estimate:
     start_ns: int = 0
     end_ns: int = 0
     statistics: dict[str, float] = field(default_factory=dict)
+    records: tuple[RecordShare, ...] = ()
     verdict: Verdict = UNJUDGED
 
     def __post_init__(self) -> None:
@@ -196,3 +229,20 @@ class Estimate:
             return what(self.covariance, model)
         return np.full([size if isinstance(size, int) else getattr(model, size, 0)
                         for size in shape], np.nan)
+
+    def trimmed(self, model: StateSpace, number: int) -> StateSpace:
+        """
+        Return a model of this estimate at the trim of one of several records.
+
+        Parameters
+        ----------
+        model : StateSpace
+            `model`, or `rejected_model`.
+        number : int
+            Of the record among those given, from 1; of one that was not used, the model's trim
+            stays.
+        """
+        for record in self.records:
+            if record.number == number:
+                return replace(model, x_trim=record.x_trim, y_trim=record.y_trim)
+        return model

@@ -3,45 +3,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.bandwidth import choose_nmax
-from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.bases.hermite import project_record
-from ctsid_core.candidates import Candidate, Pair
-from ctsid_core.covariance import Covariance, pole_deviation, spread
-from ctsid_core.deviation import entry_changes
+from ctsid_core.bases.base import as_real
+from ctsid_core.candidates import Pair
 from ctsid_core.estimate import Choice, Estimate, Status
-from ctsid_core.examination import examine
-from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty, without_model
+from ctsid_core.found import Found, own_delays
+from ctsid_core.joint import Joint, Layout, balanced, check_alike, join_records
 from ctsid_core.order import Search
+from ctsid_core.outcome import conclude
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen
+from ctsid_core.prediction_errors import prediction_errors
 from ctsid_core.refine import affordable
-from ctsid_core.selection import choose_order, likeliest_simulation, most_likely
+from ctsid_core.selection import choose_order, most_likely
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Array, Record
+from ctsid_core.signals import Record
 from ctsid_core.statespace import StateSpace
-from ctsid_core.steadiness import Change, likeliest_change
-from ctsid_core.stuck import stuck_outputs
-from ctsid_core.usable import Usable, usable
-from ctsid_core.verdict import UNJUDGED, Grade
+from ctsid_core.usable import Usable
 
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
+_REWEIGHTED = 2         # rounds of weighting records by the noise that a model finds in them
 _LITTLE = 1.1           # errors' power over that without outliers that changes no choice
 
 
-def identify(record: Record, settings: Settings | None = None) -> Estimate:
+def identify(record: Record | Sequence[Record], settings: Settings | None = None) -> Estimate:
     """
-    Identify a continuous-time state-space model from one record.
+    Identify a continuous-time state-space model from one record, or from several of one plant.
 
     Parameters
     ----------
-    record : Record
-        Inputs and outputs, each with its own stamps.
+    record : Record or sequence of Record
+        Inputs and outputs, each with its own stamps. Several share the plant; each has a trim,
+        states at its ends and a level of noise of its own, and may be of any duration and rates.
     settings : Settings, optional
         What is not to be found from the data; by default everything is.
 
@@ -54,10 +50,16 @@ def identify(record: Record, settings: Settings | None = None) -> Estimate:
     ------
     SettingsError
         If `settings.delay` does not fit the number of inputs.
+    DataError
+        If several records differ in the number, names or units of their channels.
 
     Notes
     -----
     Pure: the same record and settings give the same bits.
+
+    Of several records: the trim and the noise of the model are those of the record that ends last
+    (of several, the last given), those of all are in `Estimate.records`. The order does not matter
+    otherwise. The last `held_out` part of every record is what the model of the rest is tested on.
 
     References
     ----------
@@ -76,47 +78,55 @@ def identify(record: Record, settings: Settings | None = None) -> Estimate:
     >>> print(estimate.model.poles.real.round(2))
     [-3.]
     """
-    estimate = _identify(record, settings or Settings())
-    return replace(estimate, start_ns=record.epoch_ns + round(record.start * 1e9),
-                   end_ns=record.epoch_ns + round(record.end * 1e9))
+    records = (record,) if isinstance(record, Record) else tuple(record)
+    check_alike(records)
+    estimate = _identify(records, settings or Settings())
+    return replace(estimate, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+                   end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
 
 
-def _identify(record: Record, settings: Settings) -> Estimate:
-    part = usable(record, settings)
-    if isinstance(part, Status):
-        return Estimate(status=part, settings=settings, verdict=replace(
-            UNJUDGED, grade=Grade.REJECT, reason=without_model(part, record)))
+def _identify(records: tuple[Record, ...], settings: Settings) -> Estimate:
+    part = join_records(records, settings)
+    if isinstance(part, Estimate):
+        return part
     try:
         found = _estimate(part, settings)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-        return _judge(*_without_outliers(part, found, settings))
+        return conclude(*_without_outliers(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return Estimate(status=Status.UNRELIABLE, settings=settings,
                         notes=(*part.notes, f'the arithmetic failed: {error}'))
 
 
-@dataclass(frozen=True)
-class _Found:
-    """A model of the moving channels, and how it was found."""
+def _estimate(part: Joint, settings: Settings, layout: Layout | None = None) -> Found | None:
+    """
+    Return the model of records, or None if they are too short for any.
 
-    settings: Settings
-    projection: Projection
-    matrices: Matrices
-    best: Candidate
-    process_noise: bool
-    choices: tuple[Choice, ...]
-
-
-def _estimate(part: Usable, settings: Settings) -> _Found | None:
-    """Return the model of a record, or None if it is too short for any."""
+    Several are weighted by the noise that their model finds in them.
+    """
     choices: list[Choice] = []
-    nmax, parts = settings.nmax, settings.parts or 1
-    if not nmax:
-        nmax, parts, why = choose_nmax(part.record)
-        choices.append(Choice('hermite.nmax', nmax, why))
-    own = _own_delays(part, settings.replace(parts=parts))
-    projection = project_record(part.record, own, nmax)
+    if layout is None:
+        layout, why = part.layout(settings)
+        choices += [Choice('hermite.nmax', max(layout.sizes)[0], why)] if why else []
+    found = _estimate_on(layout, part, settings, list(choices))
+    for _ in range(_REWEIGHTED * part.several):
+        if found is None:
+            break
+        better = balanced(found.projection, found.matrices, found.layout)
+        if better is found.layout:
+            break
+        weighted = ', '.join(f'{w:.2g}' for w in better.weights)
+        found = _estimate_on(better, part, settings, [*choices, Choice(
+            'weights', weighted, 'the noise of the records differs')])
+    return found
+
+
+def _estimate_on(layout: Layout, part: Joint, settings: Settings,
+                 choices: list[Choice]) -> Found | None:
+    nmax, parts = max(layout.sizes)
+    own = own_delays(part.parts[0], settings.replace(parts=parts))
+    projection = part.project(own, layout)
     search = Search(projection, own)
     pair, noisy = (search.pair(settings.order), None) if settings.order else \
         _of_best_order(search, choices)
@@ -137,11 +147,12 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
             'the likelier of process noise (innovation form) and measurement noise alone'))
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
-    return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices))
+    return Found(used, projection, matrices, pair.best, process_noise, tuple(choices),
+                  layout)
 
 
-def _without_outliers(part: Usable, found: _Found,
-                      settings: Settings) -> tuple[Usable, _Found]:
+def _without_outliers(part: Joint, found: Found,
+                      settings: Settings) -> tuple[Joint, Found]:
     """
     Return record and model without the corrupt samples that only a model can tell.
 
@@ -149,20 +160,18 @@ def _without_outliers(part: Usable, found: _Found,
     from the data stays as it is, unless the samples made a large difference.
     """
     for _ in range(_ROUNDS):
-        m = found.matrices
-        error = as_real(prediction_errors(found.projection, m))
-        density = found.projection.unit * np.mean(error ** 2, axis=1)
-        if not (np.isfinite(m.A).all() and part.doubtful(density)):
+        own, matrices = found.projection, found.matrices.of_records(found.projection)
+        errors = [as_real(prediction_errors(p, m))
+                  for p, m in zip(own.records, matrices, strict=True)]
+        densities = [own.unit * np.mean(error ** 2, axis=1) / weight ** 2
+                     for error, weight in zip(errors, found.layout.weights, strict=True)]
+        if not (np.isfinite(found.matrices.A).all() and part.doubtful(densities)):
             break
-        model = StateSpace(
-            A=m.A, B=m.B, C=m.C, D=m.D,
-            delay=_own_delays(part, found.settings).delays(part.record.nu),
-            x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A)),
-            y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(len(m.C)))
-        cleaned, gain = part.cleaned(model)
+        cleaned, gain = part.cleaned([_simulating(usable, m, found.settings)
+                                      for usable, m in zip(part.parts, matrices, strict=True)])
         large = gain > _LITTLE
-        again = None if cleaned is part else \
-            _estimate(cleaned, settings if large else found.settings)
+        again = None if cleaned is part else _estimate(cleaned, settings) if large else \
+            _estimate(cleaned, found.settings, found.layout)
         if again is None:
             break
         part, found = cleaned, again if large else replace(again, choices=found.choices)
@@ -171,12 +180,12 @@ def _without_outliers(part: Usable, found: _Found,
     return part, found
 
 
-def _own_delays(part: Usable, settings: Settings) -> Settings:
-    """Return the settings with the dead times of the moving inputs only."""
-    delays = settings.delays(part.whole.nu)
-    if len(set(delays)) == 1:
-        return settings
-    return settings.replace(delay=tuple(delays[j] for j in part.u))
+def _simulating(part: Usable, m: Matrices, settings: Settings) -> StateSpace:
+    """Return the model of the moving channels of one record, for simulations."""
+    return StateSpace(
+        A=m.A, B=m.B, C=m.C, D=m.D, delay=own_delays(part, settings).delays(part.record.nu),
+        x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A)),
+        y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(len(m.C)))
 
 
 def _of_best_order(search: Search,
@@ -190,130 +199,3 @@ def _of_best_order(search: Search,
     choices.append(Choice('order', chosen.trial.order, "Schwarz's criterion, above its smallest "
                           f'value, by order: {table}'))
     return chosen.trial.pair, chosen.noisy
-
-
-def _held_out(part: Usable, found: _Found) -> tuple[Array, Array]:
-    """
-    Return how a model of the first part of the window does on the last part.
-
-    Returns
-    -------
-    fit : ndarray, shape (ny,)
-        [%]
-    density : ndarray, shape (ny,)
-        Of the errors [unit^2 s].
-    """
-    record, share = part.record, found.settings.held_out
-    unknown = np.full(record.ny, np.nan)
-    if share == 0.0 or found.settings.edges == 'paper':  # whose parts are not at rest
-        return unknown, unknown
-    own = _own_delays(part, found.settings)
-    split = record.end - share * record.duration
-    lead = max(own.delays(record.nu), default=0.0)
-    first, last = (_share(record.between(start, end, lead=lead), own, share)
-                   for start, end, share in ((record.start, split, 1.0 - share),
-                                             (split, record.end, share)))
-    pair = Search(first, own).pair(own.order)
-    if pair is None:
-        return unknown, unknown
-    # Simulation judges: without process noise the gain of the first part's model is of no use.
-    model = most_likely(first, pair, own)[0] if found.process_noise else \
-        likeliest_simulation(first, pair, own)[0]
-    return unseen(last, model)
-
-
-def _share(record: Record, settings: Settings, share: float) -> Projection:
-    """Project a part of a record on a basis that reaches as far as that of the whole."""
-    parts = max(round(settings.parts * share), 1)
-    nmax = max(round(settings.nmax * settings.parts * share / parts), 8)
-    return project_record(record, settings.replace(parts=parts), nmax)
-
-
-def _judge(part: Usable, found: _Found) -> Estimate:
-    model = _to_statespace(part, found)
-    covariance = _covariance(part, found, model)
-    deviation = np.full(model.n, np.nan) if covariance is None else \
-        pole_deviation(covariance, model)
-    evidence = _evidence(part, found, model.poles, deviation)
-    status, verdict = judge(evidence)
-    if status is Status.OK and found.settings.refine:
-        # The test is for a model at the maximum of the likelihood.
-        evidence = replace(evidence, change=likeliest_change(
-            found.projection, found.matrices, found.settings))
-        status, verdict = judge(evidence)
-    change, worst = evidence.change, evidence.worst
-    corrupt, counts = part.corrupt()
-    notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[j]:.0f} %'
-             for j in part.y if worst[j] < EXPLAINED]
-    if status is Status.CHANGED:
-        notes.append(f'the likeliest time of the change is {change.share * 100:.0f} % of the '
-                     f'window, {change.share * part.record.duration:.2g} s after its start')
-    return Estimate(
-        status=status, settings=found.settings, model=model if status is Status.OK else None,
-        rejected_model=None if status is Status.OK else model,
-        pole_std=deviation, covariance=covariance, verdict=verdict,
-        fit=evidence.fit, held_out_fit=evidence.held_out,
-        singular_values=found.best.subspace.singular_values,
-        condition=found.best.subspace.condition, choices=found.choices,
-        notes=(*part.notes, *corrupt, *notes),
-        statistics={**counts, 'process_noise': float(found.process_noise),
-                    'change_p_value': change.p_value, 'change_size': change.size,
-                    'change_gain': change.gain, 'change_share': change.share})
-
-
-def _evidence(part: Usable, found: _Found, poles: NDArray[np.complex128],
-              deviation: Array) -> Evidence:
-    """Return what is known of a model, but for a change of the plant."""
-    whole, projection, m = part.whole, found.projection, found.matrices
-    fit, (held_out, density) = line_fit(projection, m), _held_out(part, found)
-    resolution = 2.0 * np.pi / part.record.duration
-    numbers = examine(projection, m, part.record, density, feedthrough=found.settings.feedthrough)
-    places = {name: _spread(getattr(numbers, name), part.y, whole.ny)
-              for name in ('missing', 'missing_p_value', 'whiteness', 'next_ratio')}
-    return Evidence(
-        input_names=whole.input_names, output_names=whole.output_names,
-        fixed_inputs=tuple(j for j in range(whole.nu) if j not in part.u),
-        fixed_outputs=tuple(i for i in range(whole.ny) if i not in part.y),
-        stuck=stuck_outputs(whole), fit=_spread(fit, part.y, whole.ny),
-        held_out=_spread(held_out, part.y, whole.ny), poles=poles, deviation=deviation,
-        resolution=resolution, change=Change(), duration=part.record.duration,
-        process_noise=found.process_noise,
-        numbers=replace(numbers, **places, pole_uncertainty=pole_uncertainty(
-            poles, deviation, resolution)))
-
-
-def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:
-    """Put the values of moving channels among all channels; NaN for the constant ones."""
-    out = np.full(count, np.nan)
-    out[list(places)] = values
-    return out
-
-
-def _covariance(part: Usable, found: _Found, model: StateSpace) -> Covariance | None:
-    """Return the covariance of the entries of the model of all channels; None if not finite."""
-    changes = entry_changes(found.projection, found.matrices, found.settings.feedthrough,
-                            process_noise=found.process_noise)
-    if not all(np.isfinite(block).all() for block in changes):
-        return None
-    return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model)
-
-
-def _to_statespace(part: Usable, found: _Found) -> StateSpace:
-    """Return the model of all channels: constant ones have zero rows and columns."""
-    m, whole = found.matrices, part.whole
-    n, nu, ny = len(m.A), whole.nu, whole.ny
-    u, y = list(part.u), list(part.y)
-    B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
-    B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
-    level = np.zeros(ny) if len(y) == ny else \
-        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = (m.y_trim[:, 0] if m.y_trim.size else 0.0) + part.y_level - m.D @ part.u_level
-    drift = (m.x_trim[:, 0] if m.x_trim.size else np.zeros(n)) - m.B @ part.u_level
-    error = as_real(prediction_errors(found.projection, m))
-    noise = np.zeros((ny, ny))
-    noise[np.ix_(y, y)] = found.projection.unit * (error @ error.T) / error.shape[1]
-    return StateSpace(
-        A=m.A, B=B, C=C, D=D, K=K, delay=found.settings.delays(nu),
-        x_trim=drift, y_trim=level, noise=noise,
-        input_names=whole.input_names, output_names=whole.output_names,
-        input_units=whole.input_units, output_units=whole.output_units)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.signals import Array, Record
-from ctsid_core.steadiness import Change
 from ctsid_core.stuck import Stuck
 from ctsid_core.verdict import Grade, Verdict
 
@@ -57,9 +56,8 @@ class Evidence:
         Standard deviations, in the same order [rad/s].
     resolution : float
         Slowest frequency that the window resolves [rad/s].
-    change : Change
-    duration : float
-        Of the window [s].
+    change : str
+        What to do about a change of the plant; empty if there was none.
     process_noise : bool
     numbers : Verdict
         With the numbers that have a place in it.
@@ -75,8 +73,7 @@ class Evidence:
     poles: NDArray[np.complex128]
     deviation: Array
     resolution: float
-    change: Change
-    duration: float
+    change: str
     process_noise: bool
     numbers: Verdict
 
@@ -98,6 +95,8 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
 def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
     if not (np.isfinite(e.poles).all() and np.isfinite(np.delete(e.fit, e.fixed_outputs)).all()):
         yield Status.UNRELIABLE, Status.UNRELIABLE.value
+    if e.change:
+        yield Status.CHANGED, e.change
     if e.fixed_outputs:
         yield Status.NO_RESPONSE, (
             f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor, its '
@@ -115,11 +114,6 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'Even the best known pole, {_number(e.poles[best])} rad/s, has a standard deviation '
             f'of {e.deviation[best]:.2g} rad/s; excite more frequencies, take a longer window, or '
             'lower the order.')
-    if e.change.matters:
-        yield Status.CHANGED, (
-            'The plant, or the offset of a signal, changed about '
-            f'{e.change.share * e.duration:.2g} s after the start of the window; take a window '
-            'before or after that, or wait until it has left the window.')
 
 
 def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:

@@ -72,7 +72,7 @@ def innovation_costs(projection: Projection, models: Sequence[Matrices]) -> Arra
                    + spread(projection, plant[good], closed[good])
                    + ends_cost(projection, closed[good], plant[good]))
     for i in np.flatnonzero(~sound):
-        costs[i] = innovation_cost(projection, models[i])
+        costs[i] = innovation_cost(projection, models[int(i)])
     return costs
 
 
@@ -99,7 +99,7 @@ def output_error_costs(projection: Projection, models: Sequence[Matrices]) -> Ar
     costs: Array = projection.count * np.log(
         np.maximum(power, least_power(projection))).sum(axis=1)
     for i in np.flatnonzero(~sound):
-        costs[i] = output_error_cost(projection, models[i])
+        costs[i] = output_error_cost(projection, models[int(i)])
     return costs
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError, SettingsError, StorageError
-from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.estimate import Choice, Estimate, RecordShare, Status
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
 from ctsid_core.verdict import UNJUDGED, Excitation, Grade, Verdict
@@ -39,6 +39,7 @@ EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
 TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 'start_ns', 'end_ns',
             'model', 'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
             'statistics', 'choices', 'notes', 'settings', 'metadata')
+RECORD_KEYS = ('number', 'start_ns', 'end_ns', 'x_trim', 'y_trim', 'fit', 'weight')  # of several
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
@@ -68,6 +69,9 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
         'choices': [{'name': c.name, 'value': c.value, 'why': c.why} for c in estimate.choices],
         'notes': estimate.notes, 'settings': estimate.settings.to_ros(),
         'metadata': dict(metadata or {})}
+    if estimate.records:
+        document['records'] = [{key: getattr(r, key) for key in RECORD_KEYS}
+                               for r in estimate.records]
     return _text(_plain(document)) + '\n'
 
 
@@ -115,7 +119,10 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
         notes=tuple(_word(w, f'notes[{i}]') for i, w in enumerate(_list(document, 'notes'))),
         start_ns=_integer(document, 'start_ns'), end_ns=_integer(document, 'end_ns'),
         statistics={k: _number(v, f'statistics.{k}', nan=True) for k, v in statistics.items()},
-        verdict=verdict), metadata
+        verdict=verdict,
+        records=tuple(_read_record(r, i) for i, r in enumerate(
+            _list(document, 'records') if 'records' in document else [])),
+    ), metadata
 
 
 def describe(verdict: Verdict) -> dict[str, object]:
@@ -190,7 +197,8 @@ def _document(text: str) -> dict[str, Any]:
     if version > VERSION:
         raise StorageError(f'written by a newer ctsid (`version` {version}; this one reads up to '
                            f'{VERSION}); upgrade ctsid')
-    _check_keys({'verdict': None, **document}, TOP_KEYS, '')
+    optional = tuple(key for key in ('records',) if key in document)
+    _check_keys({'verdict': None, **document}, (*TOP_KEYS, *optional), '')
     return document
 
 
@@ -350,6 +358,18 @@ def _read_choice(found: Any, index: int) -> Choice:
     _check_keys(found, ('name', 'value', 'why'), where)
     return Choice(_word(found['name'], f'{where}.name'), _tuples(found['value']),
                   _word(found['why'], f'{where}.why'))
+
+
+def _read_record(found: Any, index: int) -> RecordShare:
+    where = f'records[{index}]'
+    found = _object(found, where)
+    _check_keys(found, RECORD_KEYS, where)
+    whole = {key: _integer(found, key) for key in ('number', 'start_ns', 'end_ns')}
+    rows = {key: _numbers(found[key], f'{where}.{key}', nan=key == 'fit')
+            for key in ('x_trim', 'y_trim', 'fit')}
+    return RecordShare(whole['number'], whole['start_ns'], whole['end_ns'], rows['x_trim'],
+                       rows['y_trim'], rows['fit'],
+                       _number(found['weight'], f'{where}.weight', nan=False))
 
 
 def _tuples(value: Any) -> Any:

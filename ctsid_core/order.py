@@ -109,12 +109,11 @@ class Search:
     @property
     def _length(self) -> float:
         """Length of the record, or of one of its parts [s]."""
-        p = self.projection
-        return (p.end - p.start) / max(len(p.tail), 1)
+        return self.projection.length
 
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
-        top, settings = float(np.abs(self.projection.s[-1])), self.settings
+        top, settings = max(float(np.abs(p.s[-1])) for p in self.projection.records), self.settings
         slow = 10.0 / self._length
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
@@ -129,7 +128,8 @@ class Search:
 
     def _holds(self, p: int, n: int) -> bool:
         ny = len(self.projection.y)
-        rows = (p + 1) * (ny + len(self.projection.u) + len(self.projection.tail) + 1)
+        rows = (p + 1) * (ny + len(self.projection.u) + len(self.projection.tail)
+                          + max(len(self.projection.ones), 1))
         return p * ny > n and 2 * len(self.projection.s) >= 2 * rows
 
     def _regress(self, tuning: Tuning) -> Subspace:
@@ -169,27 +169,34 @@ class Search:
         p = self.projection
         ny, inputs = len(p.y), len(p.u) + len(p.tail)
         direct = ny * (len(p.u) * self.settings.feedthrough + len(p.ones))
-        return float((n * (inputs + 2 * ny) + direct) * self.charge)
+        return float((n * (inputs + 2 * ny) + direct) * self.charge) - self._discount(n)
 
     @property
     def charge(self) -> float:
         """What Schwarz's criterion charges for one parameter."""
         return float(np.log(len(self.projection.y) * 2.0 * len(self.projection.s)))
 
+    def _discount(self, n: int) -> float:
+        """Return what states and trim of a record, on which it alone bears, cost less than that."""
+        ny = len(self.projection.y)
+        return sum((n * len(p.tail) + ny * len(p.ones))
+                   * (self.charge - float(np.log(ny * 2.0 * len(p.s))))
+                   for p in self.projection.records)
+
     def trial(self, n: int) -> OrderTrial | None:
         """Return the best of order n, its poles at the output-error maximum."""
         pair = self.pair(n, thorough=False)
         if pair is None:
             return None
-        refined = pair.refined
-        simulation = refined.cost + refined.parameters * self.charge
+        refined, ny = pair.refined, len(self.projection.y)
+        simulation = refined.cost + refined.parameters * self.charge - self._discount(n * ny)
         residual, model = refined.residual, pair.simulating.matrices
         p, feed = self.projection, self.settings.feedthrough
         if several(self.projection):
-            ny, direct = len(p.y), len(p.ones) + len(p.u) * feed
+            direct = len(p.ones) + len(p.u) * feed
             count = n * (len(p.u) + len(p.tail) + ny) + ny * direct
             model, cost = pair.simulation
-            simulation = cost + count * self.charge
+            simulation = cost + count * self.charge - self._discount(n)
             residual = float(np.max((1.0 - 0.01 * line_fit(p, model)) ** 2))
         elif distinct(refined.poles):
             model = realise_poles(p, refined.poles, feed)

@@ -19,7 +19,7 @@ jointly, eq. 52 keeps the D of eq. 46.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg.lapack import dgelsy
@@ -64,8 +64,8 @@ class Matrices:
     K : ndarray, shape (n, ny)
     tail : ndarray, shape (n, 0 or parts)
         Effect of the virtual inputs.
-    x_trim, y_trim : ndarray, shapes (n, 0 or 1), (ny, 0 or 1)
-        Effect of the constant.
+    x_trim, y_trim : ndarray, shapes (n, 0 or records), (ny, 0 or records)
+        Effect of the constant over each record.
     """
 
     A: Array
@@ -76,6 +76,18 @@ class Matrices:
     tail: Array
     x_trim: Array
     y_trim: Array
+
+    def of_records(self, projection: Projection) -> tuple[Matrices, ...]:
+        """Return the model as it is in each record of a projection."""
+        if not projection.members:
+            return (self,)
+        found, tail, ones = [], 0, 0
+        for p in projection.members:
+            to, on = tail + len(p.tail), ones + len(p.ones)
+            found.append(replace(self, tail=self.tail[:, tail:to], x_trim=self.x_trim[:, ones:on],
+                                 y_trim=self.y_trim[:, ones:on]))
+            tail, ones = to, on
+        return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -74,11 +74,10 @@ class OutputError:
 
     def __init__(self, projection: Projection, feedthrough: bool) -> None:
         self.projection, self.feedthrough = projection, feedthrough
-        self._top = float(np.abs(projection.s[-1]))
+        self._top = max(float(np.abs(p.s[-1])) for p in projection.records)
         self._driven = len(projection.u) + len(projection.tail)  # ones: the same as y's trim
         self._s = projection.s / self._top
-        length = (projection.end - projection.start) / max(len(projection.tail), 1)
-        self._slow = _SLOW / length / self._top
+        self._slow = _SLOW / projection.length / self._top
         self._ones = _unit_rows(projection.ones)
         # Real numbers that the lines stand for: the one at frequency zero has no imaginary part.
         self._count = 2 * len(projection.s) - int(np.count_nonzero(projection.s == 0.0))
@@ -295,7 +294,8 @@ class OutputError:
             part = theta[:, first:first + count] @ rows[first:first + count]
             first += count
             if i == slow:
-                part = part + theta[:, -1:] @ rows[-1:]
+                levels = len(self._ones)
+                part = part + theta[:, -levels:] @ rows[-levels:]
             # What a factor explains, filtered once more, is its derivative.
             once = -part.view(np.complex128) * self._filter(factor)
             moves = [(1, once)] + [(0, once * self._s)] * bool(factor[2])

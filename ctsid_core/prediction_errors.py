@@ -328,7 +328,7 @@ def _beyond(y: Array, rows: list[Array]) -> Array:
 def _without(y: Array, ones: Array) -> Array:
     if not len(ones):
         return y
-    moving: Array = y - (y @ ones.T) / np.sum(ones ** 2) * ones
+    moving: Array = y - (y @ ones.T) / np.sum(ones ** 2, axis=1) @ ones
     return moving
 
 

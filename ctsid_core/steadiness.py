@@ -51,7 +51,7 @@ _LARGE = 0.03         # size: mild nonlinearities of real plants reach 0.02
 _LIKELY = 3e-4        # p-value that is enough
 _HUGE = 0.15          # if the size is this
 _TELLING = 0.1        # gain: what two plants leave unexplained, one plant need not explain either
-_GROWS = 3.0          # growth rate times duration of a plant that is not told from a stable one
+GROWS = 3.0           # growth rate times duration of a plant that is not told from a stable one
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class _Side:
+class Side:
     """
     What one side of an instant says of the tested directions, all that is free taken out.
 
@@ -126,10 +126,10 @@ def likeliest_change(projection: Projection, m: Matrices, settings: Settings) ->
     """
     poles, modes = np.linalg.eig(m.A - m.K @ m.C)
     stable = np.max(poles.real) < 0.0 and \
-        growth(m) * (projection.end - projection.start) < _GROWS
+        growth(m) * (projection.end - projection.start) < GROWS
     if not (stable and affordable(projection, len(m.A)) and np.linalg.cond(modes) < _DEFECTIVE):
         return Change()
-    whiten, error = whitener(projection, m)
+    whiten = whitener(projection, m)[0]
     rows, tested = _directions(projection, m, settings)
     t = instants(projection, settings.nmax)
     edges = np.linspace(t[0], t[-1], min(_BLOCKS, len(t) // _FEWEST) + 1)
@@ -137,11 +137,10 @@ def likeliest_change(projection: Projection, m: Matrices, settings: Settings) ->
     free = rows.shape[2] - 1 - tested
     sides = _sides(blocks, step, free)
     counts = len(m.C) * np.searchsorted(t, edges[1:-1])
-    colour = _colour(whiten @ error, settings.nmax)
-    response = float(np.linalg.norm(whiten @ _response(projection, m) / colour))
-    changes = [_compared(float((edge - projection.start) / (projection.end - projection.start)),
-                         _side(before, free + len(m.A), int(count)),
-                         _side(after, free + len(m.A), len(m.C) * len(t) - int(count)), response)
+    response = response_to_inputs(projection, m, settings.nmax)
+    changes = [compared(float((edge - projection.start) / (projection.end - projection.start)),
+                        _side(before, free + len(m.A), int(count)),
+                        _side(after, free + len(m.A), len(m.C) * len(t) - int(count)), response)
                for edge, count, (before, after) in zip(edges[1:-1], counts, sides, strict=True)]
     return min(changes, key=lambda c: (c.p_value, -c.size), default=Change())
 
@@ -152,19 +151,38 @@ def _directions(projection: Projection, m: Matrices, settings: Settings) -> tupl
 
     Nuisances are orthonormal. So are the tested directions without what nuisances explain.
     """
+    flat, error, entries = weighed(projection, m, settings, settings.nmax)
+    norm = np.linalg.norm(flat, axis=0)
+    plant = entries & (norm > 0.0)
+    other = ~entries & (norm > 0.0)
+    nuisances = orthonormal(flat[:, other] / norm[other])[0]
+    moving = flat[:, plant] / norm[plant]
+    turn = orthonormal(moving - nuisances @ (nuisances.T @ moving))[1]
+    joined = np.column_stack((nuisances, moving @ turn, error))
+    return joined.reshape(len(m.C), -1, joined.shape[1]), turn.shape[1]
+
+
+def weighed(projection: Projection, m: Matrices, settings: Settings,
+            nmax: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """
+    Return derivatives of -E (ny 2 L, entries) and E, made white, and which entries are the plant's.
+
+    Parameters
+    ----------
+    projection : Projection
+        Of one record.
+    m : Matrices
+    settings : Settings
+        Of which `feedthrough` matters here.
+    nmax : int
+    """
     whiten, error = whitener(projection, m)
-    colour = _colour(whiten @ error, settings.nmax)
+    colour = _colour(whiten @ error, nmax)
     columns = np.tensordot(whiten, _sensitivity(projection, m, settings.feedthrough), axes=1)
     columns /= colour[:, :, np.newaxis]
     flat = columns.reshape(-1, columns.shape[2])
-    norm = np.linalg.norm(flat, axis=0)
-    plant = _plant_entries(m, settings.feedthrough, flat.shape[1]) & (norm > 0.0)
-    other = ~plant & (norm > 0.0)
-    nuisances = _orthonormal(flat[:, other] / norm[other])[0]
-    moving = flat[:, plant] / norm[plant]
-    turn = _orthonormal(moving - nuisances @ (nuisances.T @ moving))[1]
-    joined = np.column_stack((nuisances, moving @ turn, (whiten @ error / colour).ravel()))
-    return joined.reshape(len(m.C), -1, joined.shape[1]), turn.shape[1]
+    return (flat, (whiten @ error / colour).ravel(),
+            _plant_entries(m, settings.feedthrough, flat.shape[1]))
 
 
 def _colour(error: Array, nmax: int) -> Array:
@@ -203,7 +221,7 @@ def _sensitivity(projection: Projection, m: Matrices, feedthrough: bool) -> Arra
     return seen.reshape(ny, width, entries)
 
 
-def _orthonormal(columns: Array) -> tuple[Array, Array]:
+def orthonormal(columns: Array) -> tuple[Array, Array]:
     """Return an orthonormal basis of columns, and the matrix that makes it of them."""
     if not columns.shape[1]:
         return columns, np.empty((0, 0))
@@ -287,12 +305,19 @@ def _sides(blocks: list[Array], step: Array, free: int) -> list[tuple[Array, Arr
     return list(zip(before[1:], after[:0:-1], strict=True))
 
 
-def _side(triangle: Array, free: int, count: int) -> _Side:
+def _side(triangle: Array, free: int, count: int) -> Side:
     """Return what a side says, from its triangle, once the columns that are free are taken out."""
     left = triangle[free:, free:]
     directions, errors = left[:, :-1], left[:, -1]
-    return _Side(directions.T @ directions, directions.T @ errors, float(errors @ errors),
-                 count - free)
+    return Side(directions.T @ directions, directions.T @ errors, float(errors @ errors),
+                count - free)
+
+
+def response_to_inputs(projection: Projection, m: Matrices, nmax: int) -> float:
+    """Return the norm of what the predictor makes of the inputs, in units of the errors."""
+    whiten, error = whitener(projection, m)
+    colour = _colour(whiten @ error, nmax)
+    return float(np.linalg.norm(whiten @ _response(projection, m) / colour))
 
 
 def _response(projection: Projection, m: Matrices) -> Array:
@@ -301,12 +326,18 @@ def _response(projection: Projection, m: Matrices) -> Array:
     driven = Matrices(A=m.A - m.K @ m.C, B=m.B - m.K @ m.D, C=m.C, D=m.D, K=nothing(m.K),
                       tail=nothing(m.tail), x_trim=nothing(m.x_trim), y_trim=nothing(m.y_trim))
     y, ones = as_real(simulate_lines(projection, driven)), as_real(projection.ones)
-    still: Array = (y @ ones.T) / np.sum(ones ** 2) * ones if len(ones) else 0.0 * y
+    still: Array = (y @ ones.T) / np.sum(ones ** 2, axis=1) @ ones if len(ones) else 0.0 * y
     return y - still
 
 
-def _compared(share: float, before: _Side, after: _Side, response: float) -> Change:
-    """Compare two sides; `response` is the norm of the response to the inputs."""
+def compared(share: float, before: Side, after: Side, response: float, *,
+             alone: bool = False) -> Change:
+    """
+    Compare two sides; `response` is the norm of the response to the inputs.
+
+    The gain is over all errors, or, if the first side `alone` is in question, over twice its own:
+    the same where the sides are alike.
+    """
     values, vectors = np.linalg.eigh(before.information + after.information)
     kept = values > _RANK
     turn = vectors[:, kept] / np.sqrt(values[kept])
@@ -325,6 +356,7 @@ def _compared(share: float, before: _Side, after: _Side, response: float) -> Cha
     moved, scatter = (first - second) ** 2, one + other
     excess = float(g * (1.0 - g) @ (moved - scatter)) / (share * (1.0 - share))
     explained = float(g * (1.0 - g) @ moved)
+    unexplained = min(left[0] + left[1], 2.0 * left[0]) if alone else left[0] + left[1]
     return Change(share, float(fdtrc(count, freedom, np.mean(moved / scatter))),
                   float(np.sqrt(max(excess, 0.0))) / max(response, 1e-300),
-                  explained / (explained + left[0] + left[1]))
+                  explained / (explained + unexplained))

@@ -132,9 +132,22 @@ class Usable:
         return notes, counts
 
 
-def usable(record: Record, settings: Settings) -> Usable | Status:
+def moving(record: Record) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the places of the inputs and of the outputs that move within a record."""
+    return _moving(record, record.inputs)[1], _moving(record, record.outputs)[1]
+
+
+def usable(record: Record, settings: Settings,
+           keep: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())) -> Usable | Status:
     """
     Return what of a record can be used, or the status that says why nothing can.
+
+    Parameters
+    ----------
+    record : Record
+    settings : Settings
+    keep : tuple of int, tuple of int
+        Places of inputs and outputs that are kept even if they do not move.
 
     Raises
     ------
@@ -149,8 +162,8 @@ def usable(record: Record, settings: Settings) -> Usable | Status:
         notes.append(f'the first {start - record.start:.3g} s were left out: an input has no '
                      'known value there, because of its dead time')
     shorter = replace(record, start=start) if start > record.start else record
-    inputs, u, fixed_u = _moving(shorter, shorter.inputs)
-    outputs, y, fixed_y = _moving(shorter, shorter.outputs)
+    inputs, u, fixed_u = _moving(shorter, shorter.inputs, keep[0])
+    outputs, y, fixed_y = _moving(shorter, shorter.outputs, keep[1])
     for kind, names, fixed in (('input', record.input_names, fixed_u),
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
@@ -243,7 +256,7 @@ def _count(signal: Signal, record: Record) -> int:
     return int(inside.stop) - int(inside.start)
 
 
-def _moving(record: Record, signals: tuple[Signal, ...],
+def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),
             ) -> tuple[list[Signal], tuple[int, ...], list[int]]:
     """Return the signals without constant channels, and the places of moving and constant ones."""
     kept_signals: list[Signal] = []
@@ -259,6 +272,7 @@ def _moving(record: Record, signals: tuple[Signal, ...],
             moves = high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high))
         else:
             moves = np.zeros(signal.width, dtype=bool)
+        moves |= np.isin(first + np.arange(signal.width), keep)
         kept += [first + int(j) for j in np.flatnonzero(moves)]
         fixed += [first + int(j) for j in np.flatnonzero(~moves)]
         first += signal.width

@@ -30,8 +30,12 @@ _Poles = NDArray[np.complex128]
 
 
 def line_distance(projection: Projection) -> float:
-    """Return how far the first lines are apart [rad/s]: what the window resolves."""
-    return float(np.abs(projection.s[1] - projection.s[0]))
+    """
+    Return how far the first lines are apart [rad/s]: what the window resolves.
+
+    Of several records, what the longest one does.
+    """
+    return min(float(np.abs(p.s[1] - p.s[0])) for p in projection.records)
 
 
 def ends_cost(projection: Projection, predictor: _Poles, plant: _Poles) -> Array:
@@ -46,10 +50,13 @@ def ends_cost(projection: Projection, predictor: _Poles, plant: _Poles) -> Array
     plant : ndarray, shape (..., n)
         Those of A.
     """
-    apart = line_distance(projection)
-    known = _gramian(predictor) - _gramian(_resolved(plant, apart))
-    known -= np.log(np.tanh(-np.pi * predictor.real / apart)).sum(axis=-1)
-    return np.asarray(len(projection.tail) * known)
+    cost, gramian = np.zeros(predictor.shape[:-1]), _gramian(predictor)
+    for record in projection.records:
+        apart = line_distance(record)
+        known = gramian - _gramian(_resolved(plant, apart))
+        known -= np.log(np.tanh(-np.pi * predictor.real / apart)).sum(axis=-1)
+        cost = cost + len(record.tail) * known
+    return np.asarray(cost)
 
 
 def ends_cost_of_simulation(projection: Projection, plant: _Poles) -> float:
@@ -75,13 +82,16 @@ def ends_slopes(projection: Projection, predictor: Resolvent,
     by_predictor, by_plant : ndarray, shape (n, n)
         S, where trace(S dA) is the change with the matrix A; zero where poles coincide.
     """
-    apart, count = line_distance(projection), len(projection.tail)
-    p, q = predictor.poles, _resolved(plant.poles, apart)
-    of_lines = 2.0 * np.pi / apart / np.sinh(np.minimum(-2.0 * np.pi * p.real / apart, 300.0))
-    slope = _gramian_slope(q)
-    slope = slope.real * plant.poles.real / q.real + 1j * slope.imag
-    return (count * _by_matrix(predictor, _gramian_slope(p) + of_lines),
-            -count * _by_matrix(plant, slope))
+    p = predictor.poles
+    by_predictor, by_plant = np.zeros(len(p)), np.zeros(len(p), dtype=complex)
+    for record in projection.records:
+        apart, count = line_distance(record), len(record.tail)
+        q = _resolved(plant.poles, apart)
+        by_predictor = by_predictor + count * (_gramian_slope(p) + 2.0 * np.pi / apart / np.sinh(
+            np.minimum(-2.0 * np.pi * p.real / apart, 300.0)))
+        slope = _gramian_slope(q)
+        by_plant -= count * (slope.real * plant.poles.real / q.real + 1j * slope.imag)
+    return _by_matrix(predictor, by_predictor), _by_matrix(plant, by_plant)
 
 
 def _gramian(p: _Poles) -> Array:

@@ -32,7 +32,30 @@ _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
 
 
-def channel_section(played: Played) -> Section:
+def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float]]) -> Section:
+    """
+    Return the records that were identified together: bag, from and to [s], and how they fit.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    records : sequence of (str, float, float)
+        Of each record: its bag, and start and end after the start of the bag [s].
+    """
+    shares, rows = {r.number: r for r in estimate.records}, []
+    for index, (bag, start, end) in enumerate(records, 1):
+        own = shares.get(index)
+        rows.append((str(index), bag, f'{start:.1f}', f'{end:.1f}',
+                     _fits(own.fit) if own else '-',
+                     number(1.0 / own.weight, 2) if own else 'left out'))
+    head = ('record', 'bag', 'from [s]', 'to [s]', 'fit [%]', 'noise')
+    words = [] if not shares else [
+        'One plant, of each record a trim and initial state of its own. The trim of the model is '
+        'that of the record that ends last. Noise: its amplitude relative to that of all.']
+    return Section('Records', (*words, Table(head, tuple(rows), ('bag',))))
+
+
+def channel_section(played: Played, title: str = 'Signals', *, brief: bool = True) -> Section:
     """Return which signals were used, and where their stamps came from."""
     rows = []
     for c in played.config.channels:
@@ -43,8 +66,8 @@ def channel_section(played: Played) -> Section:
     head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
     why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'
            for name, counts in played.counts.channels.items() if counts.why.endswith('no header')]
-    return Section('Signals', (Table(head, tuple(rows), head[:5] + head[6:7]),
-                               *([Bullets(tuple(why))] if why else [])))
+    return Section(title, (Table(head, tuple(rows), head[:5] + head[6:7]),
+                           *([Bullets(tuple(why))] if why else [])), brief=brief)
 
 
 def complaint_section(notes: Sequence[str]) -> Section:

@@ -100,11 +100,12 @@ def bag_name(bags: Sequence[str]) -> str:
     return _SUFFIXES.sub('', name) or name or 'bag'
 
 
-def origin(config: Config, bags: Sequence[str], interval: Mapping[str, object]
-           ) -> dict[str, object]:
-    """Return what a model file keeps of where the model comes from."""
+def origin(config: Config, bags: Sequence[str], interval: Mapping[str, object],
+           records: Sequence[Mapping[str, object]] = ()) -> dict[str, object]:
+    """Return what a model file keeps of where the model comes from; of several records, each."""
     return {'ctsid': package_version(), 'bag': [Path(b).name for b in bags],
             'sha256': _hash(bags), 'interval': dict(interval),
+            **({'records': [dict(r) for r in records]} if records else {}),
             'channels': described(config)}
 
 

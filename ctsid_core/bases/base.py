@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,14 +32,16 @@ class Projection:
     y : ndarray, shape (ny, L)
     tail : ndarray, shape (0 or parts, L)
         The virtual inputs that stand for the truncated part of the state's derivative, one for
-        each part of a divided record.
-    ones : ndarray, shape (0 or 1, L)
-        The constant 1: trim of states and outputs.
+        each part of a divided record, one record after the other.
+    ones : ndarray, shape (0 or records, L)
+        The constant 1 over each record: trim of states and outputs.
     unit : float
         Time that a coordinate unit stands for [s]: white noise of intensity R has variance
         R / unit in every real and imaginary part.
     start, end : float
-        The interval of the record [s].
+        The interval of the record [s]; of several, from 0 to the sum of their durations.
+    members : tuple of Projection
+        The records that were joined, if they are several: their lines as they are here.
     """
 
     s: Lines
@@ -49,6 +52,17 @@ class Projection:
     unit: float
     start: float
     end: float
+    members: tuple[Projection, ...] = ()
+
+    @property
+    def records(self) -> tuple[Projection, ...]:
+        """The records whose lines stand beside each other here."""
+        return self.members or (self,)
+
+    @property
+    def length(self) -> float:
+        """Length of the record, or of one of its parts; of several records the longest [s]."""
+        return max((p.end - p.start) / max(len(p.tail), 1) for p in self.records)
 
     @cached_property
     def signals(self) -> Lines:
@@ -64,6 +78,44 @@ class Projection:
     def count(self) -> float:
         """How many real numbers the lines stand for in all."""
         return float(self.weights.sum())
+
+
+def joined(records: Sequence[Projection], weights: Sequence[float]) -> Projection:
+    """
+    Put the lines of several records beside each other; of one record, return it as it is.
+
+    Parameters
+    ----------
+    records : sequence of Projection
+        Each with rows `ones` of its own.
+    weights : sequence of float
+        What lines are multiplied with beyond what brings them to the same `unit`, so that noise
+        is the same in all records.
+    """
+    if len(records) == 1:
+        return records[0]
+    unit = max(p.unit for p in records)
+    members = tuple(_scaled(p, float(w * np.sqrt(p.unit / unit)))
+                    for p, w in zip(records, weights, strict=True))
+    return Projection(
+        s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
+        y=np.hstack([p.y for p in members]), tail=_apart([p.tail for p in members]),
+        ones=_apart([p.ones for p in members]), unit=unit, start=0.0,
+        end=sum(p.end - p.start for p in members), members=members)
+
+
+def _scaled(p: Projection, factor: float) -> Projection:
+    return replace(p, u=factor * p.u, y=factor * p.y, tail=factor * p.tail, ones=factor * p.ones)
+
+
+def _apart(blocks: list[Lines]) -> Lines:
+    """Return a block-diagonal matrix."""
+    out = np.zeros((sum(len(b) for b in blocks), sum(b.shape[1] for b in blocks)), dtype=complex)
+    row = column = 0
+    for b in blocks:
+        out[row:row + len(b), column:column + b.shape[1]] = b
+        row, column = row + len(b), column + b.shape[1]
+    return out
 
 
 def as_real(lines: Lines) -> Array:

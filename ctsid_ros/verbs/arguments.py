@@ -53,11 +53,22 @@ def steps(text: str) -> int:
     return int(text)
 
 
-def add_bag(parser: argparse.ArgumentParser) -> None:
-    """Add the bag."""
-    parser.add_argument(
-        'bag', nargs='+', metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag file; '
-        'several are the parts of one recording')
+def add_bag(parser: argparse.ArgumentParser,
+            several: str = 'several are the parts of one recording') -> None:
+    """Add the bag, and what several of them mean."""
+    parser.add_argument('bag', nargs='+', metavar='BAG',
+                        help=f'rosbag2 folder, .mcap, .db3 or ROS 1 .bag file; {several}')
+
+
+def span(text: str) -> Interval:
+    """Parse START:END [s]."""
+    start, colon, end = text.partition(':')
+    first = seconds(start or '0')
+    last = seconds(end) if end else math.inf
+    if not colon or last <= first:
+        raise argparse.ArgumentTypeError(f'{text!r} is not START:END, two numbers of seconds, the '
+                                         'second the larger')
+    return Interval(first, last - first)
 
 
 def add_interval(parser: argparse.ArgumentParser) -> None:

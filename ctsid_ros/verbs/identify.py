@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ctsid identify`: one model of an interval of a bag."""
+"""`ctsid identify`: one model of an interval of a bag, or of several recordings."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.errors import BagError, SettingsError
 from ctsid_core.estimate import Estimate
 from ctsid_core.identify import identify
 from ctsid_core.signals import Record
@@ -20,10 +21,12 @@ from ctsid_core.statespace import StateSpace
 from ctsid_core.storage import load_model, save_series, to_json
 from ctsid_core.validation import Validation, residual_tests, simulation
 from ctsid_ros.bag import open_bag
+from ctsid_ros.channels import Config
 from ctsid_ros.document import Section, to_html, to_markdown, to_text
 from ctsid_ros.figures import output_figures
-from ctsid_ros.playback import Recorded, read_record
+from ctsid_ros.playback import Advance, Interval, Recorded, read_record
 from ctsid_ros.progress import progress
+from ctsid_ros.recordings import recordings
 from ctsid_ros.report import (
     advice_section,
     bode_section,
@@ -32,6 +35,7 @@ from ctsid_ros.report import (
     complaint_section,
     gain_section,
     model_section,
+    record_section,
     residual_section,
     response_section,
     truth_section,
@@ -59,24 +63,36 @@ from ctsid_ros.verbs.arguments import (
     config_for,
     interval_of,
     named,
+    read_params,
+    say,
     seconds,
+    span,
     tell,
     zero_ns,
 )
 
-HELP = 'identify one model from an interval of a bag'
+HELP = 'identify one model from one or several recordings'
 EPILOG = ('example: ctsid identify flight.mcap --params params.yaml --test-from 60\n'
-          '         (one model of the first 60 s, tested on all that follows)')
+          '         (one model of the first 60 s, tested on all that follows)\n'
+          'example: ctsid identify monday tuesday --params params.yaml\n'
+          '         (one model of two flights, each with a trim of its own)')
+_SEVERAL = ('several that overlap or follow each other within a second are the parts of one '
+            'recording; else each is a recording of its own, and one model of all is made, with a '
+            'trim for each')
+_MOST_DRAWN = 6  # records
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    add_bag(parser)
+    add_bag(parser, _SEVERAL)
     add_params(parser)
     add_interval(parser)
+    parser.add_argument('--interval', type=span, action='append', metavar='START:END',
+                        help='take this part of each recording [s after its first message]; may '
+                        'be given several times: one model of all parts, with a trim for each')
     parser.add_argument('--test-from', type=seconds, metavar='S',
                         help='do not learn from what comes later than this, but test the model '
-                        'on it [s after the first message of the bag]')
+                        'on it [s after the first message of each recording]')
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')
     add_results(parser)
@@ -84,125 +100,253 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(frozen=True)
+class Source:
+    """
+    Where a record comes from, and what of it is not learnt from.
+
+    Parameters
+    ----------
+    bags : tuple of str
+        The parts of its recording.
+    data : Recorded
+    offset : float
+        Of the record's times, after the start of the bag [s].
+    notes : tuple of str
+        On the bag and its messages.
+    """
+
+    bags: tuple[str, ...]
+    data: Recorded
+    offset: float
+    notes: tuple[str, ...]
+
+    @property
+    def learnt(self) -> Record:
+        """The part that the model is made from."""
+        record, split = self.data.record, self.data.split
+        return record if math.isnan(split) else record.between(record.start, split)
+
+    @property
+    def tested(self) -> Record | None:
+        """The part that it is tested on."""
+        record, split = self.data.record, self.data.split
+        if math.isnan(split):
+            return None
+        lead = max(self.data.config.settings.delays(record.nu))
+        return record.between(split, record.end, lead=lead)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end of what was learnt from, after the start of the bag [s]."""
+        record, split = self.data.record, self.data.split
+        end = record.end if math.isnan(split) else split
+        return record.start + self.offset, end + self.offset
+
+
+@dataclass(frozen=True)
+class Test:
+    """A test of the model on unseen data: with its own trim, and with one refitted to them."""
+
+    source: Source
+    record: Record
+    test: Validation
+    refitted: Validation
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What one identification gave."""
 
-    data: Recorded
+    sources: tuple[Source, ...]
     estimate: Estimate
-    offset: float  # of the record's times, after the start of the bag [s]
-    tested: Record | None  # unseen data
-    test: Validation | None  # on these, with the trim of the model
-    refitted: Validation | None  # and with a trim of their own
+    tests: tuple[Test, ...]
 
     @property
     def model(self) -> StateSpace | None:
         """The model, accepted or not."""
         return self.estimate.model or self.estimate.rejected_model
 
+    @property
+    def config(self) -> Config:
+        """Channels and settings."""
+        return self.sources[0].data.config
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is not as it should be with the data."""
+        several = len(self.sources) > 1
+        own = [f'record {i}: {note}' if several else note
+               for i, source in enumerate(self.sources, 1) for note in source.notes]
+        return (*own, *self.estimate.notes)
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """Of these what the messages of the channels gave reason for."""
+        return tuple(c for source in self.sources for c in source.data.complaints)
+
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, tell."""
     truth = load_model(args.truth) if args.truth else None
-    with open_bag(args.bag) as bag:
+    intervals = _intervals(args)
+    groups = recordings(args.bag, _topics(args))
+    with open_bag(groups[0]) as bag:
         config = config_for(args, bag)
-        with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
-            with progress('reading', quiet=args.quiet) as advance:
-                data = read_record(bag, config, interval_of(args), split=args.test_from,
-                                   advance=advance)
-            start = data.record.epoch_ns
-            outcome = _identify(data, (start - zero_ns(bag, start)) * 1e-9)
-            notes = (*bag.notes, *data.complaints, *outcome.estimate.notes)
-            _write(out, outcome, args, notes, truth)
+    if len(groups) > 1:
+        say(f'these are {len(groups)} recordings, apart in time: one model of all, with a trim of '
+            'each: ' + '; '.join(named(group) for group in groups))
+    with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
+        with progress('reading', quiet=args.quiet) as advance:
+            sources = [_read(group, config, interval, args.test_from, advance)
+                       for group in groups for interval in intervals]
+        outcome = _identify(tuple(sources), args.test_from)
+        _write(out, outcome, args, truth)
     if args.json:
-        tell(_document(outcome, args, notes, out))
+        tell(_document(outcome, args, out))
     else:
-        print(to_text(_sections(outcome, notes, truth)))
+        print(to_text(_sections(outcome, truth)))
         print(f'\nResults: {out}/ ({PAGE} has the plots)')
     return ACCEPTED if outcome.estimate.ok else NO_MODEL
 
 
-def _identify(data: Recorded, offset: float) -> Outcome:
-    record, settings = data.record, data.config.settings
-    part, tested = record, None
-    if not math.isnan(data.split):
-        lead = max(settings.delays(record.nu))
-        part = record.between(record.start, data.split)
-        tested = record.between(data.split, record.end, lead=lead)
-    estimate = identify(part, settings)
-    model = estimate.model or estimate.rejected_model
-    if model is None or tested is None:
-        return Outcome(data, estimate, offset, tested, None, None)
-    return Outcome(data, estimate, offset, tested, simulation(model, tested),
-                   simulation(model, tested, trim='refit'))
+def _intervals(args: argparse.Namespace) -> list[Interval]:
+    if not args.interval:
+        return [interval_of(args)]
+    if args.start or math.isfinite(args.duration) or args.test_from is not None:
+        raise SettingsError(['--interval says all; do not add --start, --duration or --test-from'])
+    return list(args.interval)
 
 
-def _sections(outcome: Outcome, notes: tuple[str, ...], truth: StateSpace | None
-              ) -> list[Section]:
-    estimate, model = outcome.estimate, outcome.model
-    fit = outcome.test.fit if outcome.test else np.empty(0)
-    record = outcome.data.record
-    end = record.end if math.isnan(outcome.data.split) else outcome.data.split
-    title = (f'Model of {record.start + outcome.offset:.1f} to {end + outcome.offset:.1f} s: '
-             + (estimate.status.value if estimate.ok else estimate.status.name))
-    sections = [channel_section(outcome.data), model_section(estimate, title)]
+def _topics(args: argparse.Namespace) -> set[str]:
+    return {c.topic for c in read_params(args.params).channels} if args.params else set()
+
+
+def _read(bags: tuple[str, ...], config: Config, interval: Interval, split: float | None,
+          advance: Advance) -> Source:
+    with open_bag(bags) as bag:
+        if split is not None and split >= (bag.end_ns - bag.start_ns) * 1e-9 > 0.0:
+            split = None  # all of a recording so short is learnt from
+        try:
+            data = read_record(bag, config, interval, split=split, advance=advance)
+        except BagError as error:
+            raise BagError(f'{named(bags)}: {error}') from None
+        start = data.record.epoch_ns
+        return Source(bags, data, (start - zero_ns(bag, start)) * 1e-9,
+                      (*bag.notes, *data.complaints))
+
+
+def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
+    if split is not None and all(math.isnan(s.data.split) for s in sources):
+        raise BagError(f'no recording is longer than {split:g} s; choose another time to split at')
+    estimate = identify([s.learnt for s in sources], sources[0].data.config.settings)
+    model, tests = estimate.model or estimate.rejected_model, []
+    for number, source in enumerate(sources, 1):
+        tested = source.tested
+        if model is not None and tested is not None:
+            own = estimate.trimmed(model, number)
+            tests.append(Test(source, tested, simulation(own, tested),
+                              simulation(own, tested, trim='refit')))
+    return Outcome(sources, estimate, tuple(tests))
+
+
+def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
+    estimate, model, sources = outcome.estimate, outcome.model, outcome.sources
+    fits = [t.test.fit for t in outcome.tests]
+    fit = np.min(fits, axis=0) if fits else np.empty(0)
+    start, end = sources[0].span
+    what = f'{start:.1f} to {end:.1f} s' if len(sources) == 1 else f'{len(sources)} records'
+    title = f'Model of {what}: ' + (estimate.status.value if estimate.ok else
+                                    estimate.status.name)
+    sections = [channel_section(sources[0].data)]
+    if len(sources) > 1:
+        sections = [record_section(estimate, [(named(s.bags), *s.span) for s in sources]),
+                    *(channel_section(s.data, f'Signals of record {i}', brief=i == 1)
+                      for i, s in enumerate(sources, 1))]
+    sections.append(model_section(estimate, title))
     if model:
-        sections += [_test_section(outcome, model), gain_section(model)]
+        sections += [*(_test_section(t, model, outcome) for t in outcome.tests),
+                     gain_section(model)]
         sections += [truth_section(estimate, (), truth)] if truth else []
-    return [*sections, choice_section(estimate, brief=True), complaint_section(notes),
-            advice_section(estimate, fit, outcome.data.complaints)]
+    return [*sections, choice_section(estimate, brief=True), complaint_section(outcome.notes),
+            advice_section(estimate, fit, outcome.complaints)]
 
 
-def _test_section(outcome: Outcome, model: StateSpace) -> Section:
-    if outcome.test is None or outcome.refitted is None or outcome.tested is None:
-        return Section('', ())
-    rows = tuple((name, percent(outcome.test.fit[i]), percent(outcome.refitted.fit[i]))
+def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
+    rows = tuple((name, percent(test.test.fit[i]), percent(test.refitted.fit[i]))
                  for i, name in enumerate(model.output_names))
-    first, last = (t + outcome.offset for t in (outcome.tested.start, outcome.tested.end))
-    return Section(f'Test on data the model has not seen, {first:.1f} to {last:.1f} s', (Table(
-        ('output', 'simulation fit [%]', 'with trim refitted [%]'), rows, ('output',)),))
+    first, last = (t + test.source.offset for t in (test.record.start, test.record.end))
+    whose = f' of record {outcome.sources.index(test.source) + 1}' \
+        if len(outcome.sources) > 1 else ''
+    return Section(f'Test on data{whose} the model has not seen, {first:.1f} to {last:.1f} s', (
+        Table(('output', 'simulation fit [%]', 'with trim refitted [%]'), rows, ('output',)),))
 
 
-def _write(out: Path, outcome: Outcome, args: argparse.Namespace, notes: tuple[str, ...],
+def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
            truth: StateSpace | None) -> None:
     estimate, title = outcome.estimate, f'One model of {bag_name(args.bag)}'
-    sections = _sections(outcome, notes, truth)
+    if len(outcome.sources) > 1:
+        title = f'One model of {len(outcome.sources)} records'
+    sections = _sections(outcome, truth)
     if outcome.model:
-        tested = outcome.tested or outcome.data.record
-        sections.append(residual_section(residual_tests(outcome.model, tested), outcome.model))
+        for number, record in _shown(outcome):
+            own = estimate.trimmed(outcome.model, number)
+            sections.append(residual_section(residual_tests(own, record), own))
         sections.append(bode_section(outcome.model))
-    metadata = origin(outcome.data.config, args.bag, _interval(args))
     write_results(out, {
-        MODEL: to_json(estimate, metadata),
+        MODEL: to_json(estimate, _origin(outcome, args)),
         REPORT: to_markdown(title, sections),
         PAGE: to_html(title, [*sections[:2], *_figures(outcome, truth), *sections[2:]])})
     for name in (SERIES, TABLE):
         save_series(out / name, [estimate], force=True)
 
 
+def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
+    """Return the numbers of the first records, and of each what was not learnt from, or all."""
+    return [(i, s.tested or s.data.record)
+            for i, s in enumerate(outcome.sources[:_MOST_DRAWN], 1)]
+
+
 def _figures(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
-    model = outcome.model
+    model, sections = outcome.model, []
     if model is None:
         return []
-    found = outcome.test or simulation(model, outcome.data.record)
-    what = 'Data the model has not seen' if outcome.test else 'The data it was identified from'
-    return [Section('Measured and simulated',
-                    tuple(output_figures(model, found, outcome.offset, what))),
-            response_section(model, found, truth)]
+    found = None
+    for number, record in _shown(outcome):
+        source = outcome.sources[number - 1]
+        own = outcome.estimate.trimmed(model, number)
+        seen = simulation(own, record)
+        found = found or seen
+        what = 'The data it was identified from' if source.tested is None else \
+            'Data the model has not seen'
+        title = 'Measured and simulated' + (
+            f', record {number}' if len(outcome.sources) > 1 else '')
+        sections.append(Section(title, tuple(output_figures(own, seen, source.offset, what))))
+    return [*sections, *([response_section(model, found, truth)] if found else [])]
+
+
+def _origin(outcome: Outcome, args: argparse.Namespace) -> dict[str, object]:
+    records = [{'bag': [Path(b).name for b in s.bags], 'start': s.span[0], 'end': s.span[1]}
+               for s in outcome.sources] if len(outcome.sources) > 1 else []
+    return origin(outcome.config, args.bag, _interval(args), records)
 
 
 def _interval(args: argparse.Namespace) -> dict[str, object]:
-    return {'start': args.start, 'duration': args.duration, 'test_from': args.test_from}
+    several = {'intervals': [[i.start, i.start + i.duration] for i in args.interval]} \
+        if args.interval else {}
+    return {'start': args.start, 'duration': args.duration, 'test_from': args.test_from, **several}
 
 
-def _document(outcome: Outcome, args: argparse.Namespace, notes: tuple[str, ...], out: Path
-              ) -> Mapping[str, Any]:
+def _document(outcome: Outcome, args: argparse.Namespace, out: Path) -> Mapping[str, Any]:
     estimate = outcome.estimate
-    test = None
-    if outcome.test and outcome.refitted and outcome.tested:
-        test = {'from': outcome.tested.start + outcome.offset,
-                'to': outcome.tested.end + outcome.offset, 'fit': outcome.test.fit,
-                'fit_trim_refitted': outcome.refitted.fit, 'vaf': outcome.test.vaf}
+    tests = [{'from': t.record.start + t.source.offset, 'to': t.record.end + t.source.offset,
+              'fit': t.test.fit, 'fit_trim_refitted': t.refitted.fit, 'vaf': t.test.vaf}
+             for t in outcome.tests]
+    several: dict[str, Any] = {} if len(outcome.sources) == 1 else {
+        'records': [{'bag': s.bags, 'from': s.span[0], 'to': s.span[1]} for s in outcome.sources],
+        'tests': [t | {'record': outcome.sources.index(found.source) + 1}
+                  for t, found in zip(tests, outcome.tests, strict=True)]}
     return {'verb': 'identify', 'bag': named(args.bag), 'results': out,
-            'status': estimate.status.name, 'accepted': estimate.ok, 'test': test,
-            'notes': notes, 'estimate': json.loads(to_json(
-                estimate, origin(outcome.data.config, args.bag, _interval(args))))}
+            'status': estimate.status.name, 'accepted': estimate.ok,
+            'test': tests[0] if tests and not several else None, **several,
+            'notes': outcome.notes,
+            'estimate': json.loads(to_json(estimate, _origin(outcome, args)))}

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model of the moving channels, before it is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ctsid_core.bases.base import Projection
+from ctsid_core.candidates import Candidate
+from ctsid_core.estimate import Choice
+from ctsid_core.joint import Layout
+from ctsid_core.pbsid import Matrices
+from ctsid_core.settings import Settings
+from ctsid_core.usable import Usable
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """
+    A model of the moving channels, and how it was found.
+
+    Parameters
+    ----------
+    settings : Settings
+        As used: automatic values filled in.
+    projection : Projection
+        Of the records.
+    matrices : Matrices
+    best : Candidate
+        The subspace model that it began from.
+    process_noise : bool
+        Whether it was found with its K, or by a simulation.
+    choices : tuple of Choice
+    layout : Layout
+        How the records were projected.
+    """
+
+    settings: Settings
+    projection: Projection
+    matrices: Matrices
+    best: Candidate
+    process_noise: bool
+    choices: tuple[Choice, ...]
+    layout: Layout
+
+
+def own_delays(part: Usable, settings: Settings) -> Settings:
+    """Return the settings with the dead times of the moving inputs only."""
+    delays = settings.delays(part.whole.nu)
+    if len(set(delays)) == 1:
+        return settings
+    return settings.replace(delay=tuple(delays[j] for j in part.u))

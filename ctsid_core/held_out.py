@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a model of the first part of every record does on the last part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctsid_core.found import Found, own_delays
+from ctsid_core.joint import Joint
+from ctsid_core.order import Search
+from ctsid_core.prediction_errors import unseen
+from ctsid_core.selection import likeliest_simulation, most_likely
+from ctsid_core.signals import Array
+
+
+def held_out(part: Joint, found: Found) -> tuple[Array, Array]:
+    """
+    Return how a model of the first part of every record does on the last part.
+
+    Parameters
+    ----------
+    part : Joint
+    found : Found
+        Of the whole records: its order and tuning are used.
+
+    Returns
+    -------
+    fit : ndarray, shape (number of moving outputs,)
+        [%]; NaN if nothing was held out.
+    density : ndarray, shape (number of moving outputs,)
+        Of the errors [unit^2 s].
+    """
+    unknown = np.full(len(found.matrices.C), np.nan)
+    if found.settings.held_out == 0.0 or found.settings.edges == 'paper':  # parts are not at rest
+        return unknown, unknown
+    own = own_delays(part.parts[0], found.settings)
+    first, last = part.divided(own, found.layout)
+    pair = Search(first, own).pair(own.order)
+    if pair is None:
+        return unknown, unknown
+    # Simulation judges: without process noise the gain of the first part's model is of no use.
+    model = most_likely(first, pair, own)[0] if found.process_noise else \
+        likeliest_simulation(first, pair, own)[0]
+    return unseen(last, model)

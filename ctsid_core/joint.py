@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Several records of one plant, side by side.
+
+The equations hold line by line, so that lines of several records stand beside each other as those
+of one do. Each record has a trim, states at its ends, a basis and corrupt samples of its own, and
+all share the plant. Lines of different records are made equally noisy: by the time that a line
+stands for, which is known, and by the level of the noise, which is found with a first model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctsid_core.bandwidth import choose_nmax, output_band
+from ctsid_core.bases.base import Projection, as_real, joined
+from ctsid_core.bases.hermite import project_record
+from ctsid_core.errors import DataError
+from ctsid_core.estimate import Estimate, Status
+from ctsid_core.judgement import without_model
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import prediction_errors
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Array, Record
+from ctsid_core.statespace import StateSpace
+from ctsid_core.usable import Usable, moving, usable
+from ctsid_core.verdict import UNJUDGED, Grade
+
+_UNEVEN = 1.15        # ratio of noise amplitudes of two records from which on it is worth weights
+_MOST = 1e3           # ratio of weights
+_LEAST_NMAX = 8
+
+
+@dataclass(frozen=True)
+class Layout:
+    """
+    How records are projected.
+
+    Parameters
+    ----------
+    sizes : tuple of (int, int)
+        nmax and the number of parts of each record.
+    weights : tuple of float
+        What the lines of each record are multiplied with.
+    """
+
+    sizes: tuple[tuple[int, int], ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """
+    What can be used of the records.
+
+    Parameters
+    ----------
+    parts : tuple of Usable
+        Not empty; the same channels of each record.
+    numbers : tuple of int
+        Which of the given records these are, counted from 1.
+    remarks : tuple of str
+        What the user should know beyond the notes of the parts.
+    """
+
+    parts: tuple[Usable, ...]
+    numbers: tuple[int, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several."""
+        return len(self.parts) > 1
+
+    @property
+    def last(self) -> int:
+        """Place of the record that ends last: a model's trim is that of this one."""
+        ends = [p.whole.epoch_ns + round(p.whole.end * 1e9) for p in self.parts]
+        return max(range(len(ends)), key=lambda i: (ends[i], i))
+
+    @property
+    def length(self) -> float:
+        """Length of the longest record [s]."""
+        return max(p.record.duration for p in self.parts)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know, with the numbers of the records if not of all alike."""
+        return (*self.remarks, *self.numbered([p.notes for p in self.parts]))
+
+    def numbered(self, notes: Sequence[Sequence[str]]) -> tuple[str, ...]:
+        """Join the notes on each record; those on some records only get their numbers."""
+        common = set.intersection(*map(set, notes))
+        found = [note if note in common else f'record {number}: {note}'
+                 for number, own in zip(self.numbers, notes, strict=True) for note in own]
+        return tuple(dict.fromkeys(found))
+
+    def corrupt(self) -> tuple[list[str], dict[str, float]]:
+        """Return a sentence per channel with corrupt samples, and their numbers by name."""
+        found = [p.corrupt() for p in self.parts]
+        counts: dict[str, float] = {}
+        for _, own in found:
+            for name, count in own.items():
+                counts[name] = counts.get(name, 0.0) + count
+        return list(self.numbered([notes for notes, _ in found])), counts
+
+    def doubtful(self, densities: Sequence[Array]) -> bool:
+        """Return whether a model may show corrupt samples; see `Usable.doubtful`."""
+        return any(p.doubtful(d) for p, d in zip(self.parts, densities, strict=True))
+
+    def cleaned(self, models: Sequence[StateSpace]) -> tuple[Joint, float]:
+        """
+        Return this without the samples that models, one per record, show to be corrupt.
+
+        And the largest gain; itself if nothing changes. See `Usable.cleaned`.
+        """
+        found = [p.cleaned(model) for p, model in zip(self.parts, models, strict=True)]
+        parts, gains = zip(*found, strict=True)
+        if all(new is old for new, old in zip(parts, self.parts, strict=True)):
+            return self, max(gains)
+        return replace(self, parts=tuple(parts)), max(gains)
+
+    def layout(self, settings: Settings) -> tuple[Layout, str]:
+        """Return the bases that records get, and why; '' if the settings say which."""
+        count = len(self.parts)
+        even = (1.0,) * count
+        if settings.nmax:
+            return Layout(((settings.nmax, settings.parts or 1),) * count, even), ''
+        band = max(output_band(p.record) for p in self.parts) if self.several else 0.0
+        chosen = [choose_nmax(p.record, band) for p in self.parts]
+        reasons = [why for _, _, why in chosen]
+        why = '; '.join(f'record {number}, {nmax} in each of {parts}: {why}' if self.several else why
+                        for number, (nmax, parts, why) in zip(self.numbers, chosen, strict=True)
+                        ) if len(set(reasons)) > 1 or not self.several else \
+            f'for each record, {reasons[0]}'
+        return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen), even), why
+
+    def project(self, settings: Settings, layout: Layout) -> Projection:
+        """Project the records on bases of their own, side by side."""
+        return joined([project_record(p.record, settings.replace(parts=parts), nmax)
+                       for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)],
+                      layout.weights)
+
+    def divided(self, settings: Settings, layout: Layout) -> tuple[Projection, Projection]:
+        """
+        Return the first parts of all records, and the last ones, `held_out` long.
+
+        On bases that reach as far as those of the whole records.
+        """
+        share, first, last = settings.held_out, [], []
+        for p, size in zip(self.parts, layout.sizes, strict=True):
+            record = p.record
+            split = record.end - share * record.duration
+            lead = max(settings.delays(record.nu), default=0.0)
+            for into, start, end, own in ((first, record.start, split, 1.0 - share),
+                                          (last, split, record.end, share)):
+                into.append(_share(record.between(start, end, lead=lead), settings, size, own))
+        return joined(first, layout.weights), joined(last, layout.weights)
+
+
+def _share(record: Record, settings: Settings, size: tuple[int, int], share: float) -> Projection:
+    """Project a part of a record on a basis that reaches as far as that of the whole."""
+    parts = max(round(size[1] * share), 1)
+    nmax = max(round(size[0] * size[1] * share / parts), _LEAST_NMAX)
+    return project_record(record, settings.replace(parts=parts), nmax)
+
+
+def join_records(records: Sequence[Record], settings: Settings) -> Joint | Estimate:
+    """
+    Return what can be used of records, or the estimate that says why nothing can.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of the same channels, see `check_alike`. A channel moves if it moves in any of them. A
+        record that is too short, or full of gaps, is left out and noted.
+    settings : Settings
+
+    Raises
+    ------
+    SettingsError
+        If `settings.delay` does not fit the number of inputs.
+    """
+    if len(records) == 1:
+        part = usable(records[0], settings)
+        return nothing_of(part, records[0], settings) if isinstance(part, Status) else \
+            Joint((part,), (1,))
+    moves = [moving(record) for record in records]
+    keep = tuple(tuple(sorted(set().union(*(own[i] for own in moves)))) for i in (0, 1))
+    parts, numbers, remarks, left = [], [], [], []
+    for number, (record, own) in enumerate(zip(records, moves, strict=True), 1):
+        part = usable(record, settings, (keep[0], keep[1]))
+        if isinstance(part, Status):
+            left.append(part)
+            remarks.append(f'record {number} was left out: {part.value}')
+            continue
+        parts.append(part)
+        numbers.append(number)
+        remarks += [f'record {number}: {kind} {names[j]} does not move in it'
+                    for i, (kind, names) in enumerate((('input', record.input_names),
+                                                       ('output', record.output_names)))
+                    for j in keep[i] if j not in own[i]]
+    if not parts:
+        return replace(nothing_of(left[0], records[0], settings), notes=tuple(remarks))
+    return Joint(tuple(parts), tuple(numbers), tuple(remarks))
+
+
+def nothing_of(status: Status, record: Record, settings: Settings) -> Estimate:
+    """Return the estimate that says why nothing of a record can be used."""
+    return Estimate(status=status, settings=settings, verdict=replace(
+        UNJUDGED, grade=Grade.REJECT, reason=without_model(status, record)))
+
+
+def check_alike(records: Sequence[Record]) -> None:
+    """
+    Check that records can be of one plant.
+
+    Raises
+    ------
+    DataError
+        If there is none, one is given twice, or channels differ in number, names or units.
+    """
+    if not records:
+        raise DataError('no record was given; `identify` wants one, or a list of them')
+    first = records[0]
+    for number, record in enumerate(records, 1):
+        if not isinstance(record, Record):
+            raise DataError(f'record {number} is of type {type(record).__name__}; a Record is '
+                            'wanted: make one with Record.from_arrays or Record.from_signals')
+        if any(record is other for other in records[:number - 1]):
+            raise DataError(f'record {number} was given twice, and would count as twice the data; '
+                            'give each record once')
+        for what, own, wanted in (
+                ('input', record.input_names, first.input_names),
+                ('output', record.output_names, first.output_names)):
+            if len(own) != len(wanted):
+                raise DataError(f'record {number} has {len(own)} {what}s, record 1 has '
+                                f'{len(wanted)}; records of one plant have the same channels')
+            if own != wanted:
+                raise DataError(f'record {number} has the {what}s {", ".join(own)}, record 1 has '
+                                f'{", ".join(wanted)}; give the same channels in the same order')
+        for what, own, wanted, names in (
+                ('input', record.input_units, first.input_units, first.input_names),
+                ('output', record.output_units, first.output_units, first.output_names)):
+            for name, unit, other in zip(names, own, wanted, strict=True):
+                if unit != other:
+                    raise DataError(f'{what} {name} is in {unit!r} in record {number}, but in '
+                                    f'{other!r} in record 1; convert one of them')
+
+
+def balanced(projection: Projection, m: Matrices, layout: Layout) -> Layout:
+    """
+    Return the layout with weights that make the noise of all records alike.
+
+    Parameters
+    ----------
+    projection : Projection
+        By the layout.
+    m : Matrices
+        Whose prediction errors tell the noise: its geometric mean over the outputs.
+    layout : Layout
+
+    Returns
+    -------
+    Layout
+        Itself if noise is alike enough that weights gain nothing.
+    """
+    level = []
+    for record, own in zip(projection.records, m.of_records(projection), strict=True):
+        error = as_real(prediction_errors(record, own))
+        level.append(0.5 * np.mean(np.log(np.mean(error ** 2, axis=1) + 1e-300)))
+    off = np.exp(np.clip(np.mean(level) - np.array(level), -np.log(_MOST), np.log(_MOST)))
+    if not (np.isfinite(off).all() and np.max(off) > _UNEVEN * np.min(off)):
+        return layout
+    return replace(layout, weights=tuple(float(w) for w in np.array(layout.weights) * off))

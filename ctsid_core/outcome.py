@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a model of the moving channels to the estimate of all, judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.bases.base import as_real
+from ctsid_core.covariance import Covariance, pole_deviation, spread
+from ctsid_core.deviation import entry_changes
+from ctsid_core.estimate import Estimate, RecordShare, Status
+from ctsid_core.examination import examine
+from ctsid_core.found import Found
+from ctsid_core.held_out import held_out
+from ctsid_core.joint import Joint
+from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import line_fit, prediction_errors
+from ctsid_core.sameness import Differing, likeliest_difference
+from ctsid_core.signals import Array
+from ctsid_core.statespace import StateSpace
+from ctsid_core.stuck import stuck_outputs
+from ctsid_core.usable import Usable
+
+
+def conclude(part: Joint, found: Found) -> Estimate:
+    """
+    Return the estimate: the model of all channels, what is known of it, and the verdict.
+
+    Parameters
+    ----------
+    part : Joint
+        The records.
+    found : Found
+        Made of them.
+    """
+    model = _to_statespace(part, found)
+    covariance = _covariance(part, found, model)
+    deviation = np.full(model.n, np.nan) if covariance is None else \
+        pole_deviation(covariance, model)
+    evidence = _evidence(part, found, model.poles, deviation)
+    status, verdict = judge(evidence)
+    # The test is for a model at the maximum of the likelihood.
+    tested = found.settings.refine and (status is Status.OK or part.several)
+    differing = likeliest_difference(
+        found.projection, found.matrices, found.settings, found.layout) \
+        if tested and np.isfinite(found.matrices.A).all() else Differing()
+    change, notes = differing.change, part.notes
+    if change.matters:
+        reason, note = _changed(part, differing)
+        status, verdict = judge(replace(evidence, change=reason))
+        notes = (*notes, note)
+    corrupt, counts = part.corrupt()
+    return Estimate(
+        status=status, settings=found.settings, model=model if status is Status.OK else None,
+        rejected_model=None if status is Status.OK else model,
+        pole_std=deviation, covariance=covariance, verdict=verdict,
+        fit=evidence.fit, held_out_fit=evidence.held_out,
+        singular_values=found.best.subspace.singular_values,
+        condition=found.best.subspace.condition, choices=found.choices,
+        notes=(*notes, *corrupt, *_remarks(part, evidence)),
+        statistics={**counts, 'process_noise': float(found.process_noise),
+                    'change_p_value': change.p_value, 'change_size': change.size,
+                    'change_gain': change.gain, 'change_share': change.share},
+        records=_shares(part, found) if part.several else ())
+
+
+def _remarks(part: Joint, evidence: Evidence) -> list[str]:
+    """Return a sentence on each output that is not explained."""
+    names, worst = evidence.output_names, evidence.worst
+    return [f'output {names[j]} is not explained: fit {worst[j]:.0f} %'
+            for j in part.parts[0].y if worst[j] < EXPLAINED]
+
+
+def _evidence(part: Joint, found: Found, poles: NDArray[np.complex128],
+              deviation: Array) -> Evidence:
+    """Return what is known of a model, but for a change of the plant."""
+    last, projection, m = part.parts[part.last], found.projection, found.matrices
+    whole, (unseen_fit, density) = last.whole, held_out(part, found)
+    resolution = 2.0 * np.pi / part.length
+    numbers = examine(projection, m, last.record, density, feedthrough=found.settings.feedthrough)
+
+    def everywhere(values: Array) -> Array:
+        return _spread(values, last.y, whole.ny)
+
+    return Evidence(
+        input_names=whole.input_names, output_names=whole.output_names,
+        fixed_inputs=tuple(j for j in range(whole.nu) if j not in last.u),
+        fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
+        stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
+        fit=everywhere(line_fit(projection, m)), held_out=everywhere(unseen_fit),
+        poles=poles, deviation=deviation, resolution=resolution, change='',
+        process_noise=found.process_noise,
+        numbers=replace(
+            numbers, missing=everywhere(numbers.missing),
+            missing_p_value=everywhere(numbers.missing_p_value),
+            whiteness=everywhere(numbers.whiteness), next_ratio=everywhere(numbers.next_ratio),
+            pole_uncertainty=pole_uncertainty(poles, deviation, resolution)))
+
+
+def _changed(part: Joint, differing: Differing) -> tuple[str, str]:
+    """Return a sentence on a change of the plant that says what to do, and a note."""
+    change, place = differing.change, differing.place
+    if not differing.within:
+        numbers = part.numbers
+        who = f'records {numbers[0]} and {numbers[1]} show different plants' \
+            if len(numbers) == 2 else \
+            f'record {numbers[place]} shows another plant than the other records'
+        cure = 'each' if len(numbers) == 2 else 'it'
+        note = (f'{who}: the responses to the inputs differ by {100 * change.size:.0f} %; '
+                f'identify {cure} by itself')
+        return f'{note[0].upper()}{note[1:]}.', note
+    at = f'{change.share * part.parts[place].record.duration:.2g} s after'
+    where = f'record {part.numbers[place]}' if part.several else 'the window'
+    prefix = f'{where}: ' if part.several else ''
+    return (f'The plant, or the offset of a signal, changed about {at} the start of {where}; take '
+            'a window before or after that, or wait until it has left the window.',
+            f'{prefix}the likeliest time of the change is {change.share * 100:.0f} % of the '
+            f'window, {at} its start')
+
+
+def _shares(part: Joint, found: Found) -> tuple[RecordShare, ...]:
+    """Return what is each record's own."""
+    matrices, projection, shares = found.matrices, found.projection, []
+    for i, (usable, p, m) in enumerate(zip(part.parts, projection.records,
+                                           matrices.of_records(projection), strict=True)):
+        whole, epoch = usable.whole, usable.whole.epoch_ns
+        x_trim, y_trim = _trim(usable, m)
+        shares.append(RecordShare(
+            part.numbers[i], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
+            x_trim, y_trim, _spread(line_fit(p, m), usable.y, whole.ny), found.layout.weights[i]))
+    return tuple(shares)
+
+
+def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:
+    """Put the values of moving channels among all channels; NaN for the constant ones."""
+    out = np.full(count, np.nan)
+    out[list(places)] = values
+    return out
+
+
+def _covariance(joint: Joint, found: Found, model: StateSpace) -> Covariance | None:
+    """Return the covariance of the entries of the model of all channels; None if not finite."""
+    changes = entry_changes(found.projection, found.matrices, found.settings.feedthrough,
+                            process_noise=found.process_noise)
+    if not all(np.isfinite(block).all() for block in changes):
+        return None
+    part = joint.parts[0]
+    return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model)
+
+
+def _trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
+    """Return the trim of the states and of all outputs of a record, given its own model."""
+    whole, y = part.whole, list(part.y)
+    level = np.zeros(whole.ny) if len(y) == whole.ny else \
+        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
+    level[y] = (m.y_trim[:, 0] if m.y_trim.size else 0.0) + part.y_level - m.D @ part.u_level
+    drift = (m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A))) - m.B @ part.u_level
+    return drift, level
+
+
+def _to_statespace(joint: Joint, found: Found) -> StateSpace:
+    """Return the model of all channels: constant ones have zero rows and columns."""
+    part = joint.parts[joint.last]
+    m, whole = found.matrices.of_records(found.projection)[joint.last], part.whole
+    n, nu, ny = len(m.A), whole.nu, whole.ny
+    u, y = list(part.u), list(part.y)
+    B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
+    B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
+    drift, level = _trim(part, m)
+    error = as_real(prediction_errors(found.projection, found.matrices))
+    noise, weight = np.zeros((ny, ny)), found.layout.weights[joint.last]
+    noise[np.ix_(y, y)] = found.projection.unit * (error @ error.T) / error.shape[1] / weight ** 2
+    return StateSpace(
+        A=m.A, B=B, C=C, D=D, K=K, delay=found.settings.delays(nu),
+        x_trim=drift, y_trim=level, noise=noise,
+        input_names=whole.input_names, output_names=whole.output_names,
+        input_units=whole.input_units, output_units=whole.output_units)
