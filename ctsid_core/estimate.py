@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -88,6 +88,34 @@ class RecordShare:
     weight: float = 1.0
 
 
+@dataclass(frozen=True)
+class OrderTried:
+    """
+    One order that the search tried.
+
+    Parameters
+    ----------
+    order : int
+    criterion : float
+        Schwarz's criterion, above that of the likeliest order.
+    fit : float
+        Simulation fit of the output that is explained least, on the window itself [%].
+    held_out_fit : float
+        The same on the part kept from a second model, if it was needed to decide [%]; else NaN.
+    """
+
+    order: int
+    criterion: float
+    fit: float
+    held_out_fit: float = float('nan')
+
+
+def with_fit(orders: tuple[OrderTried, ...], fits: Mapping[int, Array]) -> tuple[OrderTried, ...]:
+    """Return a table of orders with the fits that were found on data held out, by order."""
+    return tuple(replace(one, held_out_fit=float(np.min(fits[one.order])))
+                 if one.order in fits else one for one in orders)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """
@@ -120,6 +148,8 @@ class Estimate:
         Condition number of the regression.
     choices : tuple of Choice
         What was chosen automatically, and why.
+    orders : tuple of OrderTried
+        The orders among which was chosen, lowest first; empty if the order was given.
     notes : tuple of str
         What else the user should know (gaps, constant channels, removed inputs).
     start_ns, end_ns : int
@@ -150,6 +180,7 @@ class Estimate:
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
     choices: tuple[Choice, ...] = ()
+    orders: tuple[OrderTried, ...] = ()
     notes: tuple[str, ...] = ()
     start_ns: int = 0
     end_ns: int = 0

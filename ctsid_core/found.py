@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ctsid_core.bases.base import Projection
 from ctsid_core.candidates import Candidate
-from ctsid_core.estimate import Choice
+from ctsid_core.estimate import Choice, OrderTried
 from ctsid_core.joint import Layout
 from ctsid_core.pbsid import Matrices
 from ctsid_core.settings import Settings
@@ -33,6 +33,8 @@ class Found:
     choices : tuple of Choice
     layout : Layout
         How the records were projected.
+    orders : tuple of OrderTried
+        Empty if the order was given.
     """
 
     settings: Settings
@@ -42,6 +44,7 @@ class Found:
     process_noise: bool
     choices: tuple[Choice, ...]
     layout: Layout
+    orders: tuple[OrderTried, ...] = ()
 
 
 def own_delays(part: Usable, settings: Settings) -> Settings:

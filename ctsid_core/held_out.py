@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ctsid_core.found import Found, own_delays
@@ -13,7 +15,29 @@ from ctsid_core.selection import likeliest_simulation, most_likely
 from ctsid_core.signals import Array
 
 
-def held_out(part: Joint, found: Found) -> tuple[Array, Array]:
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """
+    How a model of the first parts does on the last parts; NaN if nothing was held out.
+
+    Parameters
+    ----------
+    fit : ndarray, shape (number of moving outputs,)
+        [%]
+    density : ndarray, shape (number of moving outputs,)
+        Of the errors [unit^2 s].
+    """
+
+    fit: Array
+    density: Array
+
+    @property
+    def left(self) -> float:
+        """What is left unexplained, geometric mean over the outputs [%]."""
+        return float(np.exp(np.mean(np.log(np.maximum(100.0 - self.fit, 1e-9)))))
+
+
+def held_out(part: Joint, found: Found) -> HeldOut:
     """
     Return how a model of the first part of every record does on the last part.
 
@@ -22,23 +46,16 @@ def held_out(part: Joint, found: Found) -> tuple[Array, Array]:
     part : Joint
     found : Found
         Of the whole records: its order and tuning are used.
-
-    Returns
-    -------
-    fit : ndarray, shape (number of moving outputs,)
-        [%]; NaN if nothing was held out.
-    density : ndarray, shape (number of moving outputs,)
-        Of the errors [unit^2 s].
     """
     unknown = np.full(len(found.matrices.C), np.nan)
     if found.settings.held_out == 0.0 or found.settings.edges == 'paper':  # parts are not at rest
-        return unknown, unknown
+        return HeldOut(unknown, unknown)
     own = own_delays(part.parts[0], found.settings)
     first, last = part.divided(own, found.layout)
     pair = Search(first, own).pair(own.order)
     if pair is None:
-        return unknown, unknown
+        return HeldOut(unknown, unknown)
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
-    return unseen(last, model)
+    return HeldOut(*unseen(last, model))

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError, SettingsError, StorageError
-from ctsid_core.estimate import Choice, Estimate, RecordShare, Status
+from ctsid_core.estimate import Choice, Estimate, OrderTried, RecordShare, Status
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
 from ctsid_core.verdict import UNJUDGED, Excitation, Grade, Verdict
@@ -40,6 +40,7 @@ TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 's
             'model', 'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
             'statistics', 'choices', 'notes', 'settings', 'metadata')
 RECORD_KEYS = ('number', 'start_ns', 'end_ns', 'x_trim', 'y_trim', 'fit', 'weight')  # of several
+ORDER_KEYS = ('order', 'criterion', 'fit', 'held_out_fit')  # if the order was chosen
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
@@ -72,6 +73,9 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
     if estimate.records:
         document['records'] = [{key: getattr(r, key) for key in RECORD_KEYS}
                                for r in estimate.records]
+    if estimate.orders:
+        document['orders'] = [{key: getattr(o, key) for key in ORDER_KEYS}
+                              for o in estimate.orders]
     return _text(_plain(document)) + '\n'
 
 
@@ -122,6 +126,8 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
         verdict=verdict,
         records=tuple(_read_record(r, i) for i, r in enumerate(
             _list(document, 'records') if 'records' in document else [])),
+        orders=tuple(_read_order(o, i) for i, o in enumerate(
+            _list(document, 'orders') if 'orders' in document else [])),
     ), metadata
 
 
@@ -197,7 +203,7 @@ def _document(text: str) -> dict[str, Any]:
     if version > VERSION:
         raise StorageError(f'written by a newer ctsid (`version` {version}; this one reads up to '
                            f'{VERSION}); upgrade ctsid')
-    optional = tuple(key for key in ('records',) if key in document)
+    optional = tuple(key for key in ('records', 'orders') if key in document)
     _check_keys({'verdict': None, **document}, (*TOP_KEYS, *optional), '')
     return document
 
@@ -370,6 +376,14 @@ def _read_record(found: Any, index: int) -> RecordShare:
     return RecordShare(whole['number'], whole['start_ns'], whole['end_ns'], rows['x_trim'],
                        rows['y_trim'], rows['fit'],
                        _number(found['weight'], f'{where}.weight', nan=False))
+
+
+def _read_order(found: Any, index: int) -> OrderTried:
+    where = f'orders[{index}]'
+    found = _object(found, where)
+    _check_keys(found, ORDER_KEYS, where)
+    return OrderTried(_integer(found, 'order'), *(
+        _number(found[key], f'{where}.{key}', nan=True) for key in ORDER_KEYS[1:]))
 
 
 def _tuples(value: Any) -> Any:

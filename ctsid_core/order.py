@@ -35,7 +35,7 @@ _PASTS = (2, 3, 4, 6, 8, 12)
 _LENGTHS = 4                  # values of p tried: the shortest that can hold the order
 _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
-_FIRST = 2                    # order that the search begins with
+FIRST = 2                    # order that the search begins with
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
 _WHITE = 1e-2                 # chance above which errors count as white
 _COLOURED, _LOUD = 1e-12, 3.0  # chance and ratio of a peak beyond which a mode is missing
@@ -219,7 +219,7 @@ class Search:
             return None, found[1]
         return min(found, (other, innovation_cost(self.projection, other)), key=lambda x: x[1])
 
-    def orders(self, first: int = _FIRST) -> list[OrderTrial]:
+    def orders(self, first: int = FIRST) -> list[OrderTrial]:
         """
         Try orders upwards from the first one, then downwards, as long as they may be better.
 

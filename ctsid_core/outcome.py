@@ -14,7 +14,7 @@ from ctsid_core.deviation import entry_changes
 from ctsid_core.estimate import Estimate, RecordShare, Status
 from ctsid_core.examination import examine
 from ctsid_core.found import Found
-from ctsid_core.held_out import held_out
+from ctsid_core.held_out import HeldOut
 from ctsid_core.joint import Joint
 from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty
 from ctsid_core.pbsid import Matrices
@@ -26,7 +26,7 @@ from ctsid_core.stuck import stuck_outputs
 from ctsid_core.usable import Usable
 
 
-def conclude(part: Joint, found: Found) -> Estimate:
+def conclude(part: Joint, found: Found, tested: HeldOut) -> Estimate:
     """
     Return the estimate: the model of all channels, what is known of it, and the verdict.
 
@@ -36,18 +36,20 @@ def conclude(part: Joint, found: Found) -> Estimate:
         The records.
     found : Found
         Made of them.
+    tested : HeldOut
+        How a model of their first parts does on the last.
     """
     model = _to_statespace(part, found)
     covariance = _covariance(part, found, model)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
-    evidence = _evidence(part, found, model.poles, deviation)
+    evidence = _evidence(part, found, tested, model.poles, deviation)
     status, verdict = judge(evidence)
     # The test is for a model at the maximum of the likelihood.
-    tested = found.settings.refine and (status is Status.OK or part.several)
+    steady = found.settings.refine and (status is Status.OK or part.several)
     differing = likeliest_difference(
         found.projection, found.matrices, found.settings, found.layout) \
-        if tested and np.isfinite(found.matrices.A).all() else Differing()
+        if steady and np.isfinite(found.matrices.A).all() else Differing()
     change, notes = differing.change, part.notes
     if change.matters:
         reason, note = _changed(part, differing)
@@ -60,7 +62,7 @@ def conclude(part: Joint, found: Found) -> Estimate:
         pole_std=deviation, covariance=covariance, verdict=verdict,
         fit=evidence.fit, held_out_fit=evidence.held_out,
         singular_values=found.best.subspace.singular_values,
-        condition=found.best.subspace.condition, choices=found.choices,
+        condition=found.best.subspace.condition, choices=found.choices, orders=found.orders,
         notes=(*notes, *corrupt, *_remarks(part, evidence)),
         statistics={**counts, 'process_noise': float(found.process_noise),
                     'change_p_value': change.p_value, 'change_size': change.size,
@@ -75,13 +77,13 @@ def _remarks(part: Joint, evidence: Evidence) -> list[str]:
             for j in part.parts[0].y if worst[j] < EXPLAINED]
 
 
-def _evidence(part: Joint, found: Found, poles: NDArray[np.complex128],
+def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.complex128],
               deviation: Array) -> Evidence:
     """Return what is known of a model, but for a change of the plant."""
     last, projection, m = part.parts[part.last], found.projection, found.matrices
-    whole, (unseen_fit, density) = last.whole, held_out(part, found)
-    resolution = 2.0 * np.pi / part.length
-    numbers = examine(projection, m, last.record, density, feedthrough=found.settings.feedthrough)
+    whole, resolution = last.whole, 2.0 * np.pi / part.length
+    numbers = examine(projection, m, last.record, tested.density,
+                      feedthrough=found.settings.feedthrough)
 
     def everywhere(values: Array) -> Array:
         return _spread(values, last.y, whole.ny)
@@ -91,7 +93,7 @@ def _evidence(part: Joint, found: Found, poles: NDArray[np.complex128],
         fixed_inputs=tuple(j for j in range(whole.nu) if j not in last.u),
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
-        fit=everywhere(line_fit(projection, m)), held_out=everywhere(unseen_fit),
+        fit=everywhere(line_fit(projection, m)), held_out=everywhere(tested.fit),
         poles=poles, deviation=deviation, resolution=resolution, change='',
         process_noise=found.process_noise,
         numbers=replace(

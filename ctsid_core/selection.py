@@ -10,6 +10,7 @@ from scipy.linalg import solve_continuous_are
 
 from ctsid_core.bases.base import Array, Projection, as_real
 from ctsid_core.candidates import Pair
+from ctsid_core.estimate import OrderTried
 from ctsid_core.order import OrderTrial, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import simulate_lines
@@ -30,14 +31,13 @@ class Chosen:
     Parameters
     ----------
     trial : OrderTrial
-    criterion : dict of int to float
-        Schwarz's criterion of each order that was tried, above the smallest.
+    tried : tuple of OrderTried
     noisy : Matrices or None
         The innovation form that decided, near its maximum.
     """
 
     trial: OrderTrial
-    criterion: dict[int, float]
+    tried: tuple[OrderTried, ...]
     noisy: Matrices | None
 
 
@@ -67,7 +67,9 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
                                                  trial.refined.cost):
             chosen, least, noisy = trial, value, model
             criterion[trial.order] = value
-    return Chosen(chosen, {n: value - least for n, value in criterion.items()}, noisy)
+    return Chosen(chosen, tuple(OrderTried(
+        t.order, criterion[t.order] - least, 100.0 * (1.0 - float(np.sqrt(t.residual))))
+        for t in trials), noisy)
 
 
 def _innovation_form(search: Search, trial: OrderTrial,

@@ -122,7 +122,7 @@ class Tracker:
         """
         past = self._past
         test = _fresh(past, record)
-        estimate = self._doubted(identify(record, self.settings))
+        estimate = self._doubted(identify(record, self.settings, like=past.model))
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate))
         if estimate.model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of orders, what next data say of it, and the warm start of the search."""
+
+from dataclasses import replace
+
+import numpy as np
+from plants import PLANTS, random_plant, running
+import pytest
+
+from ctsid_core import Record, Settings, identify
+from ctsid_core.estimate import OrderTried, with_fit
+from ctsid_core.model_json import from_json, to_json
+
+QUICK = Settings(held_out=0.0)
+
+
+@pytest.fixture(scope='module')
+def estimate():
+    return identify(running(np.random.default_rng(0), PLANTS['hd52'], 20, rate=200.0), QUICK)
+
+
+def test_the_table_of_orders_is_in_the_estimate(estimate):
+    assert [o.order for o in estimate.orders] == list(
+        range(estimate.orders[0].order, estimate.orders[-1].order + 1))
+    assert min(estimate.orders, key=lambda o: o.criterion).order == estimate.model.n == 3
+    assert min(o.criterion for o in estimate.orders) == 0.0
+    third = next(o for o in estimate.orders if o.order == 3)
+    assert third.fit == pytest.approx(estimate.fit.min(), abs=0.5)
+    assert third.fit > estimate.orders[0].fit + 5.0        # two states cannot
+    given = identify(running(np.random.default_rng(0), PLANTS['hd52'], 20, rate=200.0),
+                     QUICK.replace(order=3))
+    assert given.orders == ()
+
+
+def test_the_table_is_stored(estimate):
+    tested = replace(estimate, orders=with_fit(estimate.orders, {3: np.array([80.0, 70.0])}))
+    again = from_json(to_json(tested))
+    assert again.orders[:1] == tested.orders[:1] or np.isnan(tested.orders[0].held_out_fit)
+    assert [(o.order, o.criterion, o.fit) for o in again.orders] == [
+        (o.order, o.criterion, o.fit) for o in tested.orders]
+    assert {o.order: o.held_out_fit for o in again.orders}[3] == 70.0
+    assert OrderTried(3, 0.0, 90.0, 70.0).held_out_fit == 70.0
+
+
+def windows():
+    for name, snr in (('hd51', 20), ('hd52', 20), ('hd52', 6)):
+        for seed in range(3):
+            yield running(np.random.default_rng(seed), PLANTS[name], snr, rate=200.0)
+    for n in (2, 4, 5):
+        yield running(np.random.default_rng(n), random_plant(np.random.default_rng(n), n, 2, 2),
+                      15, rate=200.0)
+
+
+def test_a_warm_start_gives_the_same_bits():
+    """From the right order, from one too low and one too high, as after a change of the plant."""
+    for record in windows():
+        cold = identify(record, QUICK)
+        assert cold.ok
+        for n in (cold.model.n, max(cold.model.n - 1, 1), cold.model.n + 1):
+            like = random_plant(np.random.default_rng(0), n, 1, 1)
+            warm = identify(record, QUICK, like=_model(like))
+            assert warm.model == cold.model
+
+
+def _model(plant):
+    from ctsid_core import StateSpace
+    return StateSpace(plant.A, plant.B, plant.C)
+
+
+def test_next_data_decide_between_orders_about_as_likely(data_folder):
+    """
+    A flexible arm, a quarter of its samples lost: three states and process noise are as likely.
+
+    They simulate far worse; the criterion by itself took them.
+    """
+    u, y = np.loadtxt(data_folder / 'daisy' / 'robot_arm.dat').T[:2]
+    t, half, rng = np.arange(len(u)) * 0.01, len(u) // 2, np.random.default_rng(0)
+    t_y = t + 0.01 * rng.uniform(-0.05, 0.05, len(t))
+    kept = rng.uniform(size=len(t)) > 0.25
+    part = slice(0, half)
+    record = Record.from_arrays(t[part], u[part], t_y[part][kept[part]], y[part][kept[part]],
+                                input_hold='zoh')
+    found = identify(record)
+    assert found.model.n >= 4
+    assert found.fit[0] > 90.0
+    table = {o.order: o for o in found.orders}
+    assert table[3].criterion == 0.0
+    assert table[found.model.n].held_out_fit > table[3].held_out_fit + 5.0
+    assert any(c.name == 'order' and 'held out' in c.why for c in found.choices)
