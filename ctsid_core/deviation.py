@@ -124,7 +124,9 @@ def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) 
     basis = (flat / norm) @ right.T / s
     spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))
     power = (error ** 2 / spared).reshape(len(m.C), -1, 2).mean(axis=2)
-    size = np.repeat(np.sqrt(_smoothed(power)).ravel(), 2)
+    ends = np.cumsum([len(record.s) for record in projection.records])[:-1]
+    smooth = np.hstack([_smoothed(own) for own in np.split(power, ends, axis=1)])
+    size = np.repeat(np.sqrt(smooth).ravel(), 2)
     few = np.linalg.qr(size[:, np.newaxis] * basis, mode='r')
     root: Array = few @ (right / s[:, np.newaxis] / norm)
     return root

@@ -131,11 +131,9 @@ class Joint:
             return Layout(((settings.nmax, settings.parts or 1),) * count, even), ''
         band = max(output_band(p.record) for p in self.parts) if self.several else 0.0
         chosen = [choose_nmax(p.record, band) for p in self.parts]
-        reasons = [why for _, _, why in chosen]
-        why = '; '.join(f'record {number}, {nmax} in each of {parts}: {why}' if self.several else why
-                        for number, (nmax, parts, why) in zip(self.numbers, chosen, strict=True)
-                        ) if len(set(reasons)) > 1 or not self.several else \
-            f'for each record, {reasons[0]}'
+        why = '; '.join(dict.fromkeys(self.numbered([[why] for _, _, why in chosen])))
+        if len({nmax for nmax, _, _ in chosen}) > 1:
+            why += '; of the records in turn ' + ', '.join(str(nmax) for nmax, _, _ in chosen)
         return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen), even), why
 
     def project(self, settings: Settings, layout: Layout) -> Projection:
@@ -150,7 +148,9 @@ class Joint:
 
         On bases that reach as far as those of the whole records.
         """
-        share, first, last = settings.held_out, [], []
+        share = settings.held_out
+        first: list[Projection] = []
+        last: list[Projection] = []
         for p, size in zip(self.parts, layout.sizes, strict=True):
             record = p.record
             split = record.end - share * record.duration

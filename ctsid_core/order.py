@@ -177,7 +177,7 @@ class Search:
         return float(np.log(len(self.projection.y) * 2.0 * len(self.projection.s)))
 
     def _discount(self, n: int) -> float:
-        """Return what states and trim of a record, on which it alone bears, cost less than that."""
+        """Return by how much states and trim of records, each told by one alone, cost less."""
         ny = len(self.projection.y)
         return sum((n * len(p.tail) + ny * len(p.ones))
                    * (self.charge - float(np.log(ny * 2.0 * len(p.s))))

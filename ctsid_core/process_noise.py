@@ -58,7 +58,7 @@ def with_process_noise(projection: Projection, m: Matrices,
     causes = _causes(m)
     shapes = np.stack([np.full(len(power), float(len(size))),
                        *(_power_through(gain, Q) for Q in causes)])
-    weights = _shares(shapes, power)
+    weights = _shares(shapes, power, [len(record.s) for record in projection.records])
     if _surplus(power, weights @ shapes, projection.weights) < _WORTH * m.K.size * np.log(
             projection.count * len(size)):
         return None
@@ -96,13 +96,22 @@ def _power_through(gain: Lines, Q: Array) -> Array:
     return power
 
 
-def _shares(shapes: Array, power: Array) -> Array:
-    """Return the weights >= 0 with which shapes (k, L) explain the power (L,) of noise best."""
+def _smoothed(power: Array) -> Array:
+    half = _SMOOTHING // 2
+    padded = np.pad(power, half, mode='reflect' if len(power) > half else 'edge')
+    return np.convolve(padded, np.full(_SMOOTHING, 1.0 / _SMOOTHING), 'valid')
+
+
+def _shares(shapes: Array, power: Array, lengths: list[int]) -> Array:
+    """
+    Return the weights >= 0 with which shapes (k, L) explain the power (L,) of noise best.
+
+    The lines of each record, `lengths` many, are neighbours.
+    """
     scale = shapes.mean(axis=1) + 1e-300
     shapes = shapes / scale[:, np.newaxis]
-    half = _SMOOTHING // 2
-    level = np.convolve(np.pad(power, half, mode='reflect' if len(power) > half else 'edge'),
-                        np.full(_SMOOTHING, 1.0 / _SMOOTHING), 'valid')
+    level = np.concatenate([_smoothed(own) for own in
+                            np.split(power, np.cumsum(lengths)[:-1])])
     found = np.zeros(len(shapes))
     for _ in range(_ROUNDS):            # the deviation of a line's power is in proportion to it
         try:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Did the plant change within a record, or between records?
+The same plant all the time: did it change within a record, or between records.
 
 Within: the test of `steadiness.py` on each record by itself. Between: the same score test, each
 record on one side and all others on the other. Records have nothing in common but the plant, so

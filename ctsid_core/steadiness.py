@@ -165,7 +165,7 @@ def _directions(projection: Projection, m: Matrices, settings: Settings) -> tupl
 def weighed(projection: Projection, m: Matrices, settings: Settings,
             nmax: int) -> tuple[Array, Array, NDArray[np.bool_]]:
     """
-    Return derivatives of -E (ny 2 L, entries) and E, made white, and which entries are the plant's.
+    Return derivatives of -E (ny 2 L, entries) and E, white, and which entries are the plant's.
 
     Parameters
     ----------

@@ -83,11 +83,11 @@ def ends_slopes(projection: Projection, predictor: Resolvent,
         S, where trace(S dA) is the change with the matrix A; zero where poles coincide.
     """
     p = predictor.poles
-    by_predictor, by_plant = np.zeros(len(p)), np.zeros(len(p), dtype=complex)
+    by_predictor, by_plant = np.zeros(len(p), dtype=complex), np.zeros(len(p), dtype=complex)
     for record in projection.records:
         apart, count = line_distance(record), len(record.tail)
         q = _resolved(plant.poles, apart)
-        by_predictor = by_predictor + count * (_gramian_slope(p) + 2.0 * np.pi / apart / np.sinh(
+        by_predictor += count * (_gramian_slope(p) + 2.0 * np.pi / apart / np.sinh(
             np.minimum(-2.0 * np.pi * p.real / apart, 300.0)))
         slope = _gramian_slope(q)
         by_plant -= count * (slope.real * plant.poles.real / q.real + 1j * slope.imag)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from plants import Multisine, Plant
-from scipy.linalg import expm
 
 _RANK = 1e-9          # relative singular value below which a direction only turns the states
 
@@ -52,21 +51,18 @@ def pole_bound(p: Plant, experiments: Sequence[Experiment]) -> np.ndarray:
 
 def _derivatives(p: Plant, e: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives (ny N, ...) by A, B, C, D, and by start and trim, over sigma."""
-    n, nu = p.B.shape
-    ny, x, columns = len(p.C), e.u.states(p).at(e.t), []
+    n, ny, x = len(p.A), len(p.C), e.u.states(p)
     systems = 1j * e.u.omega[:, np.newaxis, np.newaxis] * np.eye(n) - p.A
-    gain = np.linalg.solve(systems, np.broadcast_to(np.eye(n), systems.shape))     # (W, n, n)
-    drives = [*e.u.states(p).amplitude, *e.u.amplitude]
-    for i in range(n):
-        for drive in drives:
-            amplitude = np.einsum('yk,wk->yw', p.C, gain[:, :, i]) * drive
-            columns.append((i, Multisine(e.u.omega, amplitude).at(e.t)))
-    by_A = [c for k, (i, c) in enumerate(columns) if k % (n + nu) < n]
-    by_B = [c for k, (i, c) in enumerate(columns) if k % (n + nu) >= n]
-    direct = np.hstack((x, e.u.at(e.t)))
-    by_C = [np.outer(z, row) for row in np.eye(ny) for z in direct.T]
-    free = np.array([p.C @ expm(p.A * (t - e.t[0])) for t in e.t])                   # (N, ny, n)
-    start = [free[:, :, i] for i in range(n)]
+    gain = p.C @ np.linalg.solve(systems, np.broadcast_to(np.eye(n), systems.shape))  # (W, ny, n)
+    amplitudes = [gain[:, :, i].T * drive for drives in (x.amplitude, e.u.amplitude)
+                  for i in range(n) for drive in drives]
+    stacked = Multisine(e.u.omega, np.vstack((*amplitudes, x.amplitude, e.u.amplitude))).at(e.t)
+    driven, direct = np.split(stacked, [ny * len(amplitudes)], axis=1)
+    by_AB = np.swapaxes(driven.reshape(len(e.t), -1, ny), 0, 1)
+    by_CD = [np.outer(z, row) for row in np.eye(ny) for z in direct.T]
+    poles, modes = np.linalg.eig(p.A)
+    decay = np.exp(np.outer(e.t - e.t[0], poles))
+    free = np.einsum('yi,ti,ij->jty', p.C @ modes, decay, np.linalg.inv(modes)).real
     trim = [np.broadcast_to(row, (len(e.t), ny)) for row in np.eye(ny)]
-    return (np.stack([(c / e.sigma).ravel() for c in (*by_A, *by_B, *by_C)], axis=1),
-            np.stack([(c / e.sigma).ravel() for c in (*start, *trim)], axis=1))
+    return (np.stack([(c / e.sigma).ravel() for c in (*by_AB, *by_CD)], axis=1),
+            np.stack([(c / e.sigma).ravel() for c in (*free, *trim)], axis=1))

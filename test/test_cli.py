@@ -299,6 +299,119 @@ def test_parts_of_a_split_bag_are_one(ctsid, shared, tmp_path):
     assert load_estimate('split/model.json').model == load_estimate('whole/model.json').model
 
 
+def moved(sent: list[Sent], seconds: float, rate: float = 0.0) -> list[Sent]:
+    """Return a flight at another time, its output at another trim."""
+    shift = round(seconds * S)
+    return [replace(at(s, stamp_of(s) + shift, s.message.angular_velocity.x + rate)
+                    if s.topic == '/imu' else s, log_ns=s.log_ns + shift) for s in sent]
+
+
+@pytest.fixture(scope='module')
+def days(tmp_path_factory) -> list[Path]:
+    """Two flights on different days, the second in two parts, and its parts."""
+    folder = tmp_path_factory.mktemp('days')
+    second = moved(flight(8.0, seed=3), 86_400.0, rate=5.0)
+    half = second[len(second) // 2].log_ns
+    return [write_mcap(folder / 'monday.mcap', flight(10.0, seed=2)),
+            write_mcap(folder / 'tuesday_0.mcap', [s for s in second if s.log_ns < half]),
+            write_mcap(folder / 'tuesday_1.mcap', [s for s in second if s.log_ns >= half])]
+
+
+def test_recordings_apart_in_time_are_several_records(ctsid, shared, days):
+    code, out, err = ctsid('identify', *days[::-1], '--params', shared / 'params.yaml', '--out',
+                           'res', '--truth', shared / 'truth.json', '--quiet')
+    assert code == 0, err
+    assert 'these are 2 recordings, apart in time' in err
+    assert 'Model of 2 records' in out
+    assert sorted(p.name for p in Path('res').iterdir()) == FILES
+    estimate = load_estimate('res/model.json')
+    assert close(estimate.model.poles, 0.15)
+    first, second = estimate.records
+    assert abs(estimate.start_ns - START) < 0.1 * S
+    assert abs(estimate.end_ns - START - 86_408 * S) < 0.1 * S
+    assert second.end_ns == estimate.end_ns
+    level = [(m.y_trim - m.C @ np.linalg.solve(m.A, m.x_trim))[0] for m in (
+        estimate.trimmed(estimate.model, r.number) for r in (first, second))]
+    assert level[1] - level[0] == pytest.approx(5.0, abs=0.05)
+    origin = load_metadata('res/model.json')
+    assert origin['bag'] == [d.name for d in days[::-1]]
+    assert [r['bag'] for r in origin['records']] == [
+        ['monday.mcap'], ['tuesday_1.mcap', 'tuesday_0.mcap']]
+    page = Path('res/report.html').read_text()
+    assert 'Measured and simulated, record 2' in page
+    assert re.search(r'(?m)^\s+2\s+\S*tuesday_1.mcap and 1 more\s+0.0\s+8.0', out)
+
+
+def test_several_records_as_json_with_a_test_of_each(ctsid, shared, days):
+    code, out, err = ctsid('identify', *days, '--params', shared / 'params.yaml', '--json',
+                           '--test-from', 6, '--quiet')
+    assert code == 0, err
+    found = json.loads(out)
+    assert [t['record'] for t in found['tests']] == [1, 2]
+    assert [round(t['from'], 1) for t in found['tests']] == [6.0, 6.0]
+    assert min(t['fit'][0] for t in found['tests']) > 85
+    assert [(round(r['from'], 1), round(r['to'], 1)) for r in found['records']] == [
+        (0.0, 6.0), (0.0, 6.0)]
+    assert len(found['estimate']['records']) == 2
+
+
+def test_a_record_too_short_to_be_tested_is_learnt_from(ctsid, shared, days, refusal):
+    code, out, err = ctsid('identify', *days, '--params', shared / 'params.yaml', '--json',
+                           '--test-from', 9, '--quiet')
+    assert code == 0, err
+    found = json.loads(out)
+    assert [t['record'] for t in found['tests']] == [1]
+    assert [round(r['to'], 1) for r in found['records']] == [9.0, 8.0]
+    assert 'no recording is longer than 12 s' in refusal(
+        'identify', *days, '--params', shared / 'params.yaml', '--test-from', 12)
+
+
+def test_parts_of_one_bag_without_what_is_between(ctsid, shared, refusal):
+    words = ('identify', shared / 'bag', '--params', shared / 'params.yaml', '--interval', '1:7',
+             '--interval', '11:')
+    code, out, err = ctsid(*words, '--out', 'res', '--quiet')
+    assert code == 0, err
+    estimate = load_estimate('res/model.json')
+    assert close(estimate.model.poles, 0.15)
+    spans = [((r.start_ns - START) / S, (r.end_ns - START) / S) for r in estimate.records]
+    np.testing.assert_allclose(spans, [(1, 7), (11, 20)], atol=0.1)
+    assert load_metadata('res/model.json')['interval']['intervals'][0] == [1.0, 7.0]
+    assert '--interval says all' in refusal(*words, '--start', 2)
+    assert ctsid('identify', 'bag', '--interval', '7:3')[0] == 2
+
+
+def test_flights_of_different_plants_are_not_joined(ctsid, shared, tmp_path, days):
+    weak = [replace(s, message=imu(stamp_of(s), 0.4 + 0.5 * (s.message.angular_velocity.x - 0.4)))
+            if s.topic == '/imu' else s for s in flight(10.0, seed=4)]
+    other = write_mcap(tmp_path / 'other.mcap', moved(weak, 3_600.0))
+    code, out, _ = ctsid('identify', days[0], other, '--params', shared / 'params.yaml', '--quiet')
+    assert code == 3
+    assert 'records 1 and 2 show different plants' in ' '.join(out.split())
+
+
+def test_the_same_recording_twice_is_refused(refusal, shared, tmp_path, days):
+    copy = tmp_path / 'copy.mcap'
+    copy.write_bytes(days[0].read_bytes())
+    message = refusal('identify', days[0], copy, '--params', shared / 'params.yaml')
+    assert 'hold the same topics (/cmd, /imu) at the same time' in message
+
+
+def test_topics_recorded_apart_at_the_same_time_are_one_recording(ctsid, shared, tmp_path):
+    sent = flight()
+    bags = [write_mcap(tmp_path / f'{topic[1:]}.mcap', [s for s in sent if s.topic == topic])
+            for topic in ('/cmd', '/imu')]
+    code, _, err = ctsid('identify', *bags, '--params', shared / 'params.yaml', '--out', 'res')
+    assert (code, 'recordings' in err) == (0, False)
+    assert load_estimate('res/model.json').records == ()
+
+
+def test_a_recording_without_a_channel_is_named(refusal, shared, tmp_path, days):
+    bare = write_mcap(tmp_path / 'bare.mcap', [
+        s for s in moved(flight(5.0), 7_200.0) if s.topic == '/cmd'])
+    assert f'{bare}: `rate`: no topic' in refusal(
+        'identify', days[0], bare, '--params', shared / 'params.yaml')
+
+
 def test_report_is_one_file_without_scripts(ctsid, shared):
     ctsid('replay', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res')
     page = Path('res/report.html').read_text()

@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several records of one plant: compared with the truth, with the bound, and with one record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bounds import Experiment, pole_bound
+import numpy as np
+from plants import PLANTS, held, match, plant, random_signal, running
+import pytest
+
+from ctsid_core import DataError, Record, Settings, Status, identify
+from ctsid_core.storage import load_estimate, save_model
+
+QUICK = Settings(held_out=0.0)
+MATRICES = ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'noise')
+
+
+def shifted(record: Record, u: float, y: float, epoch_ns: int = 0) -> Record:
+    """Return a record at another trim: constants added to inputs and outputs."""
+    return replace(
+        record, epoch_ns=epoch_ns,
+        inputs=tuple(replace(s, values=s.values + u) for s in record.inputs),
+        outputs=tuple(replace(s, values=s.values + y) for s in record.outputs))
+
+
+def trimmed(rng, p, durations, rates, snr) -> tuple[list[Record], list[Experiment]]:
+    """Return records of a plant that has been running since long, each at a trim of its own."""
+    records, experiments = [], []
+    for duration, rate, db in zip(durations, rates, snr, strict=True):
+        u = random_signal(rng, p.B.shape[1])
+        t = np.arange(round(duration * rate) + 1) / rate
+        y = u.output(p).at(t)
+        sigma = np.sqrt(np.mean(y ** 2, axis=0) * 10 ** (-db / 10))
+        y = y + sigma * rng.standard_normal(y.shape) + rng.uniform(-20, 20, y.shape[1])
+        records.append(Record.from_arrays(t, u.at(t) + rng.uniform(-5, 5, p.B.shape[1]), t, y,
+                                          input_hold='smooth'))
+        experiments.append(Experiment(t, u, sigma))
+    return records, experiments
+
+
+@pytest.fixture(scope='module')
+def whole() -> Record:
+    return running(np.random.default_rng(5), PLANTS['hd52'], 20, rate=200.0, duration=16.0)
+
+
+@pytest.fixture(scope='module')
+def halves(whole) -> list[Record]:
+    return [whole.between(0.0, 8.0), whole.between(8.0, 16.0)]
+
+
+@pytest.fixture(scope='module')
+def both(halves):
+    return identify(halves)
+
+
+# Laws.
+
+
+@pytest.mark.parametrize('kind', [list, tuple])
+def test_a_list_of_one_record_is_that_record(whole, kind):
+    one, other = identify(whole), identify(kind([whole]))
+    for name in MATRICES:
+        assert getattr(one.model, name).tobytes() == getattr(other.model, name).tobytes()
+    assert one.pole_std.tobytes() == other.pole_std.tobytes()
+    assert (one.fit.tobytes(), one.notes, one.choices) == (
+        other.fit.tobytes(), other.notes, other.choices)
+    assert other.records == ()
+
+
+def test_two_halves_tell_nearly_as_much_as_the_whole(whole, both):
+    one = identify(whole)
+    assert both.ok
+    assert both.model.n == one.model.n == 3
+    np.testing.assert_allclose(match(both.model.poles, one.model.poles), one.model.poles,
+                               atol=2.0 * one.pole_std.max())
+    ratio = np.sort(both.pole_std) / np.sort(one.pole_std)
+    assert (ratio > 0.95).all()
+    assert (ratio < 1.2).all()
+
+
+def test_the_order_of_records_does_not_matter(halves, both):
+    other = identify(halves[::-1])
+    np.testing.assert_allclose(match(other.model.poles, both.model.poles), both.model.poles,
+                               rtol=1e-3)
+    np.testing.assert_allclose(np.sort(other.pole_std), np.sort(both.pole_std), rtol=1e-3)
+
+
+def test_the_same_records_give_the_same_bits(halves, both):
+    again = identify(halves)
+    assert again.model == both.model
+
+
+def test_trims_far_apart_do_not_matter(halves, both):
+    """They only cost digits."""
+    other = identify([shifted(halves[0], 30.0, -400.0), shifted(halves[1], -8.0, 900.0)])
+    assert other.ok
+    np.testing.assert_allclose(match(other.model.poles, both.model.poles), both.model.poles,
+                               rtol=1e-6)
+    np.testing.assert_allclose(other.fit, both.fit, atol=1e-6)
+
+
+def test_the_trim_of_the_model_is_that_of_the_record_that_ends_last(halves):
+    p, second = PLANTS['hd52'], 10 ** 9
+    gain = p.D - p.C @ np.linalg.solve(p.A, p.B)
+    late, early = shifted(halves[0], 2.0, 50.0, 900 * second), shifted(halves[1], 0.0, -7.0, 0)
+    for records in ([late, early], [early, late]):
+        found = identify(records, QUICK)
+        assert (found.start_ns, found.end_ns) == (8 * second, 908 * second)
+        levels = [m.y_trim - m.C @ np.linalg.solve(m.A, m.x_trim) for m in
+                  (found.model, *(found.trimmed(found.model, r.number) for r in found.records))]
+        expected = [50.0 - (gain * 2.0)[:, 0] if r is late else np.full(4, -7.0) for r in records]
+        size = np.sqrt(np.mean(halves[0].outputs[0].values ** 2, axis=0))
+        for level, wanted in zip(levels, [expected[records.index(late)], *expected], strict=True):
+            np.testing.assert_allclose(level / size, wanted / size, atol=0.1)
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_noise_free_records_give_the_plant(seed):
+    rng = np.random.default_rng(seed)
+    p = PLANTS['hd52']
+    records = [shifted(running(rng, p, rate=200.0, duration=t), a, b)
+               for t, a, b in ((6.0, 1.0, 5.0), (3.0, -2.0, 0.0), (4.0, 0.0, -90.0))]
+    model = identify(records).model
+    np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=1e-4)
+    omega = np.geomspace(0.5, 30.0, 9)
+    true = [p.C @ np.linalg.solve(1j * w * np.eye(3) - p.A, p.B) + p.D for w in omega]
+    np.testing.assert_allclose(model.frequency_response(omega), true, rtol=1e-3, atol=1e-3)
+
+
+def test_held_inputs_of_other_rates_without_noise():
+    rng = np.random.default_rng(3)
+    p = plant([[-3.0, 2.0], [-2.0, -3.0]], [[1.0], [2.0]], [[1.0, 1.0]])
+    records = [held(rng, p, rate_u, rate_y, duration=t)
+               for rate_u, rate_y, t in ((20.0, 200.0, 8.0), (50.0, 120.0, 4.0))]
+    model = identify(records).model
+    np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=2e-3)
+
+
+# What is each record's own.
+
+
+def test_an_input_that_does_not_move_in_one_record():
+    rng = np.random.default_rng(2)
+    p = plant([[-1.0, 3.0, 0.0], [-3.0, -1.0, 0.0], [0.0, 0.0, -5.0]],
+              [[1.0, 0.0], [0.0, 1.0], [2.0, 1.0]], [[1.0, 0.0, 1.0]])
+    records = []
+    for dead in (0, 1):
+        u = random_signal(rng, 2)
+        u.amplitude[dead] = 0.0
+        t = np.arange(1601) / 200.0
+        y = u.output(p).at(t)
+        records.append(Record.from_arrays(t, u.at(t) + 4.0, t, y + 0.02 * rng.standard_normal(
+            y.shape), input_names=('a', 'b'), input_hold='smooth'))
+    found = identify(records)
+    assert found.ok
+    np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=0.2)
+    assert (np.abs(found.model.B).max(axis=0) > 0.0).all()
+    assert any(n == 'record 1: input a does not move in it' for n in found.notes)
+    assert any(n == 'record 2: input b does not move in it' for n in found.notes)
+
+
+def test_a_record_at_rest_tells_of_free_motion():
+    """No input moves in it: by itself it is nothing, beside another it is data."""
+    p = plant([[-0.5, 4.0], [-4.0, -0.5]], [[1.0], [0.0]], [[1.0, 0.0]])
+    rng = np.random.default_rng(0)
+    t = np.arange(1201) / 200.0
+    y = np.real(np.exp((-0.5 + 4j) * t)) + 0.01 * rng.standard_normal(len(t))
+    still = Record.from_arrays(t, np.full(len(t), 7.0), t, y)
+    driven = running(rng, p, 10, rate=200.0, duration=6.0)
+    assert identify(still).status is Status.NO_EXCITATION
+    found, alone = identify([driven, still]), identify(driven)
+    assert found.ok
+    assert found.pole_std.max() < 0.3 * alone.pole_std.max()
+    np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=0.03)
+
+
+def test_records_too_short_are_left_out_and_noted(halves, both):
+    short = halves[0].between(0.0, 0.05)
+    found = identify([*halves, replace(short, outputs=tuple(
+        replace(s, time=s.time[:12], values=s.values[:12]) for s in short.outputs))])
+    assert found.ok
+    assert [r.number for r in found.records] == [1, 2]
+    assert found.notes[0].startswith('record 3 was left out: The window holds too few')
+    assert found.model.A.tobytes() == both.model.A.tobytes()
+
+
+def test_corrupt_samples_are_told_with_their_record(halves):
+    values = halves[1].outputs[0].values.copy()
+    values[1200, 2] += 40.0 * values[:, 2].std()
+    bad = replace(halves[1], outputs=(replace(halves[1].outputs[0], values=values),))
+    found = identify([halves[0], bad], QUICK)
+    assert found.ok
+    assert found.statistics['corrupt_samples'] == 1.0
+    assert any(n.startswith('record 2: output y3: 1 of') for n in found.notes)
+
+
+def test_noise_of_each_record_is_found():
+    records, _ = trimmed(np.random.default_rng(4), PLANTS['hd51'], [6, 6], [100.0, 100.0], [30, 5])
+    found = identify(records, QUICK)
+    quiet, loud = (r.weight for r in found.records)
+    assert 10 < quiet / loud < 30                                      # 25 dB: 17.8
+    assert [c.name for c in found.choices if c.name == 'weights']
+
+
+def test_short_records_that_are_nothing_by_themselves():
+    """A pole at -0.5 rad/s, records of 2 s."""
+    p = plant([[-0.5]], [[0.5]], [[1.0]])
+    rng = np.random.default_rng(1)
+    records, experiments = trimmed(rng, p, [2.0] * 10, [100.0] * 10, [20] * 10)
+    found = identify(records)
+    assert found.ok
+    assert found.model.n == 1
+    assert abs(found.model.poles[0] + 0.5) < 3.0 * pole_bound(p, experiments)[0]
+
+
+def test_records_are_kept_in_the_file(both, tmp_path):
+    save_model(tmp_path / 'model.json', both)
+    again = load_estimate(tmp_path / 'model.json')
+    assert len(again.records) == 2
+    for mine, other in zip(both.records, again.records, strict=True):
+        assert (mine.number, mine.start_ns, mine.end_ns, mine.weight) == (
+            other.number, other.start_ns, other.end_ns, other.weight)
+        for name in ('x_trim', 'y_trim', 'fit'):
+            assert getattr(mine, name).tobytes() == getattr(other, name).tobytes()
+
+
+# Not one plant.
+
+
+@pytest.mark.parametrize(('change', 'place'), [((1.3, 1.0), 0), ((1.0, 1.5), 2), ((1.0, -1.0), 1)])
+def test_a_record_of_another_plant_is_named(change, place):
+    p, rng = PLANTS['hd51'], np.random.default_rng(8)
+    other = plant(change[0] * p.A, change[0] * change[1] * p.B, p.C)
+    records = [trimmed(rng, other if i == place else p, [8.0], [100.0], [20])[0][0]
+               for i in range(3)]
+    found = identify(records, Settings(order=2))
+    assert found.status is Status.CHANGED
+    assert found.model is None
+    assert found.notes[-1].startswith(f'record {place + 1} shows another plant than the other')
+
+
+def test_two_records_of_different_plants_are_not_accepted():
+    rng = np.random.default_rng(9)
+    first, second = (trimmed(rng, p, [8.0], [100.0], [20])[0][0] for p in
+                     (PLANTS['hd51'], plant([[-1.0, 6.0], [-6.0, -1.0]], [[3.0], [1.0]],
+                                            np.eye(2))))
+    found = identify([first, second])
+    assert found.model is None
+    assert found.notes[-1].startswith('records 1 and 2 show different plants: the responses to ')
+
+
+def test_a_plant_that_changes_within_one_record_is_told():
+    p, rng = PLANTS['hd51'], np.random.default_rng(8)
+    records = [trimmed(rng, p, [8.0], [100.0], [20])[0][0] for _ in range(3)]
+    values = records[1].outputs[0].values.copy()
+    half = len(values) // 2
+    values[half:] = values[half:].mean(axis=0) + 0.5 * (values[half:] - values[half:].mean(axis=0))
+    records[1] = replace(records[1], outputs=(replace(records[1].outputs[0], values=values),))
+    found = identify(records, Settings(order=2))
+    assert found.status is Status.CHANGED
+    assert 'record 2' in found.notes[-1]
+
+
+# Misuse.
+
+
+def test_misuse(halves):
+    first, second = halves
+    other = replace(second, outputs=(replace(second.outputs[0], names=('a', 'b', 'c', 'd')),))
+    fewer = replace(second, outputs=(replace(
+        second.outputs[0], values=second.outputs[0].values[:, :3]),))
+    unit = replace(second, inputs=(replace(second.inputs[0], units=('N',)),))
+    for records, words in (
+            ([], 'no record was given'),
+            ([first, 7], 'record 2 is of type int'),
+            ([first, second, first], 'record 3 was given twice'),
+            ([first, other], 'record 2 has the outputs a, b, c, d, record 1 has y1, y2, y3, y4'),
+            ([first, fewer], 'record 2 has 3 outputs, record 1 has 4'),
+            ([first, unit], "input u1 is in 'N' in record 2, but in '' in record 1")):
+        with pytest.raises(DataError, match=words):
+            identify(records)
+
+
+# Efficiency: against the bound of the joined data.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('durations', 'rates', 'snr', 'limit'), [
+    ([10.0] * 2, [100.0] * 2, [20] * 2, 1.2),
+    ([4.0] * 5, [100.0] * 5, [20] * 5, 1.25),
+    ([10.0, 5.0, 2.0], [100.0, 400.0, 50.0], [20] * 3, 1.25),
+    ([10.0, 5.0], [100.0, 100.0], [30, 0], 1.25),
+])
+def test_records_are_worth_what_they_tell(durations, rates, snr, limit):
+    p, errors = PLANTS['hd51'], []
+    for seed in range(60):
+        rng = np.random.default_rng(1000 + seed)
+        records, experiments = trimmed(rng, p, durations, rates, snr)
+        found = identify(records, QUICK)
+        assert found.model.n == 2
+        errors.append(np.abs(match(found.model.poles, p.poles) - p.poles)
+                      / pole_bound(p, experiments))
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0))
+    print(durations, rates, snr, ratio)
+    assert (ratio < limit).all()
