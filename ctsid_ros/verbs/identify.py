@@ -146,7 +146,7 @@ def _sections(outcome: Outcome, notes: tuple[str, ...], truth: StateSpace | None
              + (estimate.status.value if estimate.ok else estimate.status.name))
     sections = [channel_section(outcome.data), model_section(estimate, title)]
     if model:
-        sections += [_test_section(outcome, model), gain_section(model)]
+        sections += [_test_section(outcome, model), gain_section(model, estimate.covariance)]
         sections += [truth_section(estimate, (), truth)] if truth else []
     return [*sections, choice_section(estimate, brief=True), complaint_section(notes),
             advice_section(estimate, fit, outcome.data.complaints)]
@@ -169,7 +169,8 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace, notes: tuple[s
     if outcome.model:
         tested = outcome.tested or outcome.data.record
         sections.append(residual_section(residual_tests(outcome.model, tested), outcome.model))
-        sections.append(bode_section(outcome.model))
+        sections.append(bode_section(outcome.model,
+                                     covariance=estimate.covariance))
     metadata = origin(outcome.data.config, args.bag, _interval(args))
     write_results(out, {
         MODEL: to_json(estimate, metadata),
@@ -187,7 +188,7 @@ def _figures(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     what = 'Data the model has not seen' if outcome.test else 'The data it was identified from'
     return [Section('Measured and simulated',
                     tuple(output_figures(model, found, outcome.offset, what))),
-            response_section(model, found, truth)]
+            response_section(model, found, truth, outcome.estimate.covariance)]
 
 
 def _interval(args: argparse.Namespace) -> dict[str, object]:
