@@ -176,9 +176,9 @@ class Covariance:
         values, right = np.linalg.eig(model.A)
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
-        found: ComplexArray = np.einsum('ia,rab,bi->ri', left, self.entries.A, right,
-                                        optimize=True).astype(complex)
-        return found
+        found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
+        moved: ComplexArray = np.where(model.poles.imag == 0.0, found.real, found).astype(complex)
+        return moved
 
     def response_changes(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """Return what they change of G(j omega) (2), over exp(-j omega delay): (r, M, ny, nu)."""
