@@ -78,21 +78,27 @@ def align(model: StateSpace, reference: StateSpace) -> StateSpace | None:
     Inputs and outputs that are constant in either (a column of B or row of C is zero) do not
     count. K, D, trim and dead time do not count either.
     """
+    T = aligning(model, reference)
+    return None if T is None else model.transform(T)
+
+
+def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
+    """Return T of the states z = T x of `align`; the same arguments, None and errors."""
     reference.check_width('input', model.nu, reference.nu)
     reference.check_width('output', model.ny, reference.ny)
     if model.n != reference.n:
         return None
     if not model.n:
-        return model
+        return np.empty((0, 0))
     inputs = _weights(reference.B, model.B)
     outputs = _weights(reference.C.T, model.C.T)
     shift = _shift(reference, model)
     target, system = (_weighted(m, shift, inputs, outputs) for m in (reference, model))
     try:
         T = _nearest(system, target, shift)
-        return None if T is None else model.transform(T)
-    except (DataError, np.linalg.LinAlgError):  # T is singular
+    except (DataError, np.linalg.LinAlgError):
         return None
+    return T if T is not None and realisation.regular(T) else None
 
 
 def reference_form(model: StateSpace) -> StateSpace:
@@ -103,20 +109,27 @@ def reference_form(model: StateSpace) -> StateSpace:
     exp(-s t) for plants that are not stable. If a state is not driven or not seen, the modal form;
     the states as they are, if poles coincide too closely for that as well.
     """
+    return referring(model)[0]
+
+
+def referring(model: StateSpace) -> tuple[StateSpace, Array]:
+    """Return `reference_form` and T of its states z = T x."""
+    T = np.eye(model.n)
     if not model.n:
-        return model
+        return model, T
     found, shift = model, _shift(model, model)
     try:
         for _ in range(3):  # the units depend on the states a little
-            found = found.transform(realisation.balancing(*_weighted(
-                found, shift, _weights(found.B, found.B), _weights(found.C.T, found.C.T))))
-        return found
+            step = realisation.balancing(*_weighted(
+                found, shift, _weights(found.B, found.B), _weights(found.C.T, found.C.T)))
+            found, T = found.transform(step), step @ T
+        return found, T
     except (DataError, np.linalg.LinAlgError):
         pass
     try:
-        return model.modal()
+        return model.modal(), realisation.modal(model.A, model.C)[0]
     except DataError:
-        return model
+        return model, np.eye(model.n)
 
 
 def _weights(reference: Array, model: Array) -> Array:

@@ -68,7 +68,7 @@ class ResponseDeviation(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Covariance:
     """
-    The covariance of a model's entries.
+    The covariance of a model's entries; equal (==) if all numbers are.
 
     Parameters
     ----------
@@ -97,12 +97,30 @@ class Covariance:
 
     def __post_init__(self) -> None:
         root = np.array(self.root, dtype=float)
-        if root.ndim != 2 or root.shape[1] != sum(self._sizes) or not np.isfinite(root).all():
+        count = self.entry_count(self.n, self.nu, self.ny)
+        if root.ndim != 2 or root.shape[1] != count or not np.isfinite(root).all():
             raise DataError(f'`root` has shape {root.shape}; for {self.n} states, {self.nu} '
-                            f'inputs and {self.ny} outputs wanted are rows of {sum(self._sizes)} '
-                            'finite numbers')
+                            f'inputs and {self.ny} outputs wanted are rows of {count} finite '
+                            'numbers')
         root.setflags(write=False)
         object.__setattr__(self, 'root', root)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Covariance):
+            return NotImplemented
+        return self._key == other._key and np.array_equal(self.root, other.root)
+
+    def __hash__(self) -> int:
+        return hash((self._key, (self.root + 0.0).tobytes()))
+
+    @property
+    def _key(self) -> tuple[int, ...]:
+        return self.n, self.nu, self.ny, len(self.root)
+
+    @staticmethod
+    def entry_count(n: int, nu: int, ny: int) -> int:
+        """Return how many entries a model has: the length p of a row."""
+        return n * n + n * nu + ny * n + ny * nu + nu
 
     @property
     def _sizes(self) -> tuple[int, ...]:
@@ -158,9 +176,9 @@ class Covariance:
         values, right = np.linalg.eig(model.A)
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
-        found: ComplexArray = np.einsum('ia,rab,bi->ri', left, self.entries.A, right,
-                                        optimize=True).astype(complex)
-        return found
+        found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
+        moved: ComplexArray = np.where(model.poles.imag == 0.0, found.real, found).astype(complex)
+        return moved
 
     def response_changes(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """Return what they change of G(j omega) (2), over exp(-j omega delay): (r, M, ny, nu)."""

@@ -4,7 +4,9 @@ Estimates as JSON text, format 'ctsid-model', version 1.
 
 Strict JSON that describes itself: matrices are lists of rows, numbers keep all of their bits, NaN
 is null, infinities are the words "Infinity" and "-Infinity" (JSON has neither). `equations`,
-`message` and each model's `poles` are for other readers; from_json() computes them itself.
+`message`, each model's `poles` and `deviations` are for other readers; from_json() computes them
+itself. `covariance` is that of the entries of A, B, C, D (row by row) and the dead times: root^T
+root.
 
 A reader refuses what it does not know: another format, a newer version, missing and unknown keys.
 Only parameters of identification that are missing take their defaults, so that files outlive the
@@ -23,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.covariance import Covariance
 from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.estimate import Choice, Estimate, OrderTried, RecordShare, Status
 from ctsid_core.settings import Settings
@@ -37,13 +40,16 @@ EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
              'y = C x + D u(t - delay) + y_trim + e;  time in s, poles in rad/s')
 
 TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 'start_ns', 'end_ns',
-            'model', 'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
-            'statistics', 'choices', 'notes', 'settings', 'metadata')
+            'model', 'rejected_model', 'pole_std', 'deviations', 'covariance', 'fit',
+            'held_out_fit', 'singular_values', 'condition', 'statistics', 'choices', 'notes',
+            'settings', 'metadata')
 RECORD_KEYS = ('number', 'start_ns', 'end_ns', 'x_trim', 'y_trim', 'fit', 'weight')  # of several
 ORDER_KEYS = ('order', 'criterion', 'fit', 'held_out_fit')  # if the order was chosen
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
+DEVIATIONS = ('natural_frequency_std', 'damping_std', 'dc_gain_std', 'delay_std')
+COVARIANCE_KEYS = ('n', 'nu', 'ny', 'root')
 MODEL_KEYS = ('n', 'nu', 'ny', *WORDS, *MATRICES, 'noise', 'poles')
 POLE_KEYS = ('re', 'im', 'natural_frequency', 'damping')
 
@@ -64,7 +70,9 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
         'verdict': describe(estimate.verdict),
         'start_ns': int(estimate.start_ns), 'end_ns': int(estimate.end_ns),
         'model': _model(estimate.model), 'rejected_model': _model(estimate.rejected_model),
-        'pole_std': estimate.pole_std, 'fit': estimate.fit,
+        'pole_std': estimate.pole_std,
+        'deviations': {key: getattr(estimate, key) for key in DEVIATIONS},
+        'covariance': _covariance(estimate.covariance), 'fit': estimate.fit,
         'held_out_fit': estimate.held_out_fit, 'singular_values': estimate.singular_values,
         'condition': estimate.condition, 'statistics': estimate.statistics,
         'choices': [{'name': c.name, 'value': c.value, 'why': c.why} for c in estimate.choices],
@@ -113,11 +121,13 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
             if len(vectors[key]) not in (0, count):
                 raise StorageError(f'`{key}` has {len(vectors[key])} numbers, but the model '
                                    f'wants {count}')
+    rejected = _read_model(document['rejected_model'], 'rejected_model')
+    covariance = _read_covariance(document['covariance'], model or rejected)
     statistics = _object(document['statistics'], 'statistics')
     metadata = _object(document['metadata'], 'metadata')
     return Estimate(
         status=status, settings=_read_settings(document['settings']), model=model,
-        rejected_model=_read_model(document['rejected_model'], 'rejected_model'), **vectors,
+        rejected_model=rejected, covariance=covariance, **vectors,
         condition=_number(document['condition'], 'condition', nan=True),
         choices=tuple(_read_choice(c, i) for i, c in enumerate(_list(document, 'choices'))),
         notes=tuple(_word(w, f'notes[{i}]') for i, w in enumerate(_list(document, 'notes'))),
@@ -149,6 +159,12 @@ def _model(model: StateSpace | None) -> dict[str, object] | None:
     return {'n': model.n, 'nu': model.nu, 'ny': model.ny,
             **{key: getattr(model, key) for key in (*WORDS, *MATRICES, 'noise')},
             'poles': [dict(zip(POLE_KEYS, pole, strict=True)) for pole in poles]}
+
+
+def _covariance(covariance: Covariance | None) -> dict[str, object] | None:
+    if covariance is None:
+        return None
+    return {key: getattr(covariance, key) for key in COVARIANCE_KEYS}
 
 
 def _plain(value: Any) -> Any:
@@ -309,6 +325,22 @@ def _read_model(found: Any, where: str) -> StateSpace | None:
         return StateSpace(**given)
     except DataError as error:
         raise StorageError(f'`{where}`: {error}') from error
+
+
+def _read_covariance(found: Any, model: StateSpace | None) -> Covariance | None:
+    if found is None:
+        return None
+    found = _object(found, 'covariance')
+    _check_keys(found, COVARIANCE_KEYS, 'covariance')
+    size = {key: _integer(found, key) for key in ('n', 'nu', 'ny')}
+    if model is None or size != {'n': model.n, 'nu': model.nu, 'ny': model.ny}:
+        raise StorageError(f'`covariance` is of {size}, and that is not the model; write the file '
+                           'again')
+    rows, entries = _list(found, 'root'), Covariance.entry_count(**size)
+    try:
+        return Covariance(_numbers(rows, 'covariance.root', (len(rows), entries)), **size)
+    except DataError as error:
+        raise StorageError(f'`covariance`: {error}') from error
 
 
 def _status(name: Any) -> Status:

@@ -114,9 +114,10 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
     Parameters
     ----------
     path : path-like
-        '.csv': one row per window: window, status, verdict, order, poles with standard deviation, natural
-        frequency and damping, fits. '.npz': the same and the matrices as arrays with one entry
-        per window, padded with NaN to the largest order, and each whole estimate as JSON.
+        '.csv': one row per window: window, status, verdict, order, poles with standard deviation,
+        natural frequency and damping (with theirs), fits. '.npz': the same and the matrices as
+        arrays with one entry per window, padded with NaN to the largest order, and each whole
+        estimate as JSON.
     estimates : sequence of Estimate
     columns : mapping, optional
         Further numbers, by name with unit: one per estimate.
@@ -182,7 +183,8 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
     head = ['start_ns', 'end_ns', 'status', 'verdict', 'reason', 'order']
     for k in range(1, max(orders, default=0) + 1):
         head += [f'pole{k}_re [rad/s]', f'pole{k}_im [rad/s]', f'pole{k}_std [rad/s]',
-                 f'pole{k}_natural_frequency [rad/s]', f'pole{k}_damping']
+                 f'pole{k}_natural_frequency [rad/s]', f'pole{k}_natural_frequency_std [rad/s]',
+                 f'pole{k}_damping', f'pole{k}_damping_std']
     names = _named(estimates, ny)
     head += [f'fit_{name} [%]' for name in names] + [f'held_out_fit_{name} [%]' for name in names]
     head += columns
@@ -202,9 +204,11 @@ def _csv_row(estimate: Estimate, order: int, ny: int, more: Sequence[float]) -> 
     cells: list[float] = []
     if estimate.model:
         model, std = estimate.model, _padded(estimate.pole_std, (estimate.model.n,))
+        radial, damping = estimate.natural_frequency_std, estimate.damping_std
         for k, pole in enumerate(model.poles):
-            cells += [pole.real, pole.imag, std[k], model.natural_frequency[k], model.damping[k]]
-    cells += [np.nan] * (5 * order - len(cells))
+            cells += [pole.real, pole.imag, std[k], model.natural_frequency[k], radial[k],
+                      model.damping[k], damping[k]]
+    cells += [np.nan] * (7 * order - len(cells))
     cells += [*_padded(estimate.fit, (ny,)), *_padded(estimate.held_out_fit, (ny,)), *more]
     return row + ['' if np.isnan(x) else repr(float(x)) for x in cells]
 
@@ -226,7 +230,8 @@ def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
         'order': np.array([e.model.n if e.model else 0 for e in estimates], dtype=np.int64),
         'condition': np.array([e.condition for e in estimates], dtype=float),
         'json': np.array([to_json(e).encode() for e in estimates], dtype=bytes)}
-    for name in ('pole_std', 'fit', 'held_out_fit', 'singular_values'):
+    for name in ('pole_std', 'natural_frequency_std', 'damping_std', 'fit', 'held_out_fit',
+                 'singular_values'):
         arrays[name] = _stacked([getattr(e, name) for e in estimates])
     models = [e.model for e in estimates]
     for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'poles',

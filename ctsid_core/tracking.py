@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ctsid_core.alignment import align, reference_form
+from ctsid_core.alignment import aligning, referring
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.identify import identify
 from ctsid_core.judgement import in_sequence
@@ -176,12 +176,15 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
                ) -> tuple[Estimate, _Past]:
     """Return an estimate in the states of those before it, and what to keep for the next."""
     reference, realisation = past.reference, past.realisation
-    aligned = align(model, reference) if reference else None
-    if reference is None or aligned is None:
-        reference = aligned = reference_form(model)
-        realisation += 1
+    T = aligning(model, reference) if reference else None
+    if reference is None or T is None:
+        reference, T = referring(model)
+        aligned, realisation = reference, realisation + 1
+    else:
+        aligned = model.transform(T)
     rows = follow(past.rows, aligned.poles, resolution, past.next_mode)
-    estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned))
+    estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned),
+                       covariance=estimate.covariance and estimate.covariance.transform(T))
     return estimate, _Past(realisation, reference, aligned, estimate.pole_std, estimate.end_ns,
                            rows,
                            max((past.next_mode, *(1 + mode for mode in rows.identities))))

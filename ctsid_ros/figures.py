@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.covariance import Covariance, response_deviation
 from ctsid_core.estimate import Estimate
 from ctsid_core.statespace import StateSpace
 from ctsid_core.validation import Validation
@@ -19,6 +20,7 @@ from ctsid_ros.tracks import Mode, Track, modes, tracks
 
 Array = NDArray[np.float64]
 _MOST_OUTPUTS, _MOST_PAIRS, _MOST_TRACKS = 6, 9, 12
+_MOST_DB, _MOST_DEG = 20.0, 90.0  # half the width of a band
 _COLORS = 6
 _MOST_DOTS = 400
 _LASTING = 3  # windows: what shows up in fewer is drawn in grey
@@ -119,14 +121,21 @@ def track_curve(track: Track, times: Array, number: int, *, frequency: bool) -> 
     at = times[list(track.windows)]
     chosen = [m if frequency or m.pole.imag > 0 else Mode(complex(math.nan)) for m in track.modes]
     values = np.array([m.frequency if frequency else m.damping for m in chosen])
-    # The deviation of a pair has two directions alike: along its radius, and across.
-    std = np.array([m.std / (math.sqrt(2) if m.pole.imag else 1.0) for m in chosen])
-    if not frequency:
-        std = std / np.array([abs(m.pole) for m in chosen])
+    std = np.array([_known_std(m, frequency=frequency) for m in chosen])
     low = np.maximum(values - 2 * std, values / 10) if frequency else values - 2 * std
     high = np.minimum(values + 2 * std, 10 * values) if frequency else values + 2 * std
     color = 1 + number % _COLORS if len(track.modes) >= _LASTING else 0
     return Curve(at, values, '', color, 'both' if len(at) <= _MOST_DOTS else 'line', low, high)
+
+
+def _known_std(mode: Mode, *, frequency: bool) -> float:
+    """Return the deviation of natural frequency or damping, made from the pole's if it must be."""
+    known = mode.frequency_std if frequency else mode.damping_std
+    if not math.isnan(known):
+        return known
+    # As if that of a pair had two directions alike: along its radius, and across.
+    along = mode.std / (math.sqrt(2) if mode.pole.imag else 1.0)
+    return along if frequency else along / abs(mode.pole)
 
 
 def frequencies(model: StateSpace, band: tuple[float, float] | None = None, count: int = 300
@@ -138,9 +147,15 @@ def frequencies(model: StateSpace, band: tuple[float, float] | None = None, coun
 
 
 def bode_figures(model: StateSpace, band: tuple[float, float] | None,
-                 truth: StateSpace | None = None) -> list[Figure]:
-    """Draw magnitude and phase of each input to each output, up to nine pairs of them."""
+                 truth: StateSpace | None = None, covariance: Covariance | None = None
+                 ) -> list[Figure]:
+    """
+    Draw magnitude and phase of each input to each output, up to nine pairs of them.
+
+    With a covariance, each with a band of two standard deviations.
+    """
     omega = frequencies(model, band)
+    std = response_std(model, omega, covariance)
     figures: list[Figure] = []
     pairs = [(i, j) for i in range(model.ny) for j in range(model.nu)]
     for i, j in pairs[:_MOST_PAIRS]:
@@ -148,14 +163,33 @@ def bode_figures(model: StateSpace, band: tuple[float, float] | None,
         if truth and (truth.ny, truth.nu) == (model.ny, model.nu):
             curves.append((response_of(truth, omega, i, j), 'true', 2, True))
         title = f'{model.input_names[j]} → {model.output_names[i]}'
-        gain = Axes([Curve(omega, g[0], text, c, 'dashed' if d else 'line')
-                     for g, text, c, d in curves], f'{title}: magnitude [dB]', 'rad/s',
-                    x_log=True, shade=band, height=220.0)
-        phase = Axes([Curve(omega, g[1], text, c, 'dashed' if d else 'line')
-                      for g, text, c, d in curves], f'{title}: phase [deg]', 'rad/s',
-                     x_log=True, shade=band, height=200.0)
-        figures += [Figure(draw(gain), ''), Figure(draw(phase), '')]
+        figures += [Figure(draw(Axes(
+            [Curve(omega, g[k], text, c, 'dashed' if dashed else 'line',
+                   *(_around_curve(g[k], std[k][:, i, j], widest) if c == 1 else ()))
+             for g, text, c, dashed in curves], f'{title}: {what}', 'rad/s', x_log=True,
+            shade=band, height=height)), '')
+            for k, widest, what, height in ((0, _MOST_DB, 'magnitude [dB]', 220.0),
+                                            (1, _MOST_DEG, 'phase [deg]', 200.0))]
     return figures
+
+
+def _around_curve(values: Array, std: Array, widest: float
+                  ) -> tuple[Array, Array] | tuple[None, None]:
+    """Return the ends of a band of two deviations, not wider than makes a picture."""
+    if np.isnan(std).all():
+        return None, None
+    half = np.minimum(2.0 * std, widest)
+    return values - half, values + half
+
+
+def response_std(model: StateSpace, omega: Array, covariance: Covariance | None
+                 ) -> tuple[Array, Array]:
+    """Return the standard deviations of magnitude [dB] and phase [deg]; NaN where unknown."""
+    if covariance is None:
+        nothing = np.full((len(omega), model.ny, model.nu), np.nan)
+        return nothing, nothing
+    found = response_deviation(covariance, model, omega)
+    return 20.0 / math.log(10.0) * found.magnitude, np.degrees(found.phase)
 
 
 def response_of(model: StateSpace, omega: Array, i: int, j: int) -> tuple[Array, Array]:

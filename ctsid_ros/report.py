@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.covariance import Covariance, gain_deviation
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.statespace import StateSpace
 from ctsid_core.validation import ResidualTests, Validation
@@ -19,11 +20,12 @@ from ctsid_ros.figures import (
     frequencies,
     label,
     response_of,
+    response_std,
     supported_band,
 )
 from ctsid_ros.playback import Played
 from ctsid_ros.replay import Result
-from ctsid_ros.tables import Table, join, number, percent, pole_text, thinned
+from ctsid_ros.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.tracks import Mode, match, modes, modes_of
 
 Array = NDArray[np.float64]
@@ -88,8 +90,8 @@ def _value(value: object) -> str:
 
 def mode_table(found: Sequence[Mode]) -> Table:
     """Return poles with all that engineers ask of them."""
-    rows = tuple((pole_text(m.pole), number(m.std, 2), number(m.frequency),
-                  number(m.frequency / (2 * math.pi), 3), number(m.damping, 3),
+    rows = tuple((pole_text(m.pole), number(m.std, 2), plus_minus(m.frequency, m.frequency_std),
+                  number(m.frequency / (2 * math.pi), 3), plus_minus(m.damping, m.damping_std, 3),
                   number(1 / abs(m.pole.real), 3) if m.pole.real else '-')
                  for m in found)
     return Table(('pole [rad/s]', 'std', 'natural freq. [rad/s]', '[Hz]', 'damping',
@@ -143,40 +145,56 @@ def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
     return Table(('output', *columns), rows, ('output',))
 
 
-def gain_section(model: StateSpace) -> Section:
-    """Return the steady gains, where they mean something."""
+def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Section:
+    """Return the steady gains, where they mean something, with their standard deviations."""
     if not (model.poles.real < 0).all():
         return Section('', ())
     gain = model.dc_gain
+    std = np.full_like(gain, np.nan) if covariance is None else gain_deviation(covariance, model)
     rows = tuple((label(y, model.output_units[i]),
-                  *(number(gain[i, j]) for j in range(model.nu)))
+                  *(plus_minus(gain[i, j], std[i, j]) for j in range(model.nu)))
                  for i, y in enumerate(model.output_names))
     heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
     return Section('Steady gain: output per input', (Table(('output', *heads), rows,
                                                            ('output',)),))
 
 
-def bode_section(model: StateSpace, points: int = 13) -> Section:
-    """Return the frequency response as a table."""
+def bode_section(model: StateSpace, points: int = 13,
+                 covariance: Covariance | None = None) -> Section:
+    """Return the frequency response as a table, with its standard deviations."""
     omega = frequencies(model, count=points)
-    columns: dict[str, Array] = {}
+    std = response_std(model, omega, covariance)
+    columns: dict[str, list[str]] = {}
     for i, y in enumerate(model.output_names):
         for j, u in enumerate(model.input_names):
             gain, phase = response_of(model, omega, i, j)
-            columns[f'{u} → {y} [dB]'], columns[f'[deg]{" " * len(columns)}'] = gain, phase
+            columns[f'{u} → {y} [dB]'] = _with_std(gain, std[0][:, i, j])
+            columns[f'[deg]{" " * len(columns)}'] = _with_std(phase, std[1][:, i, j])
     head = ('frequency [rad/s]', '[Hz]', *columns)
     rows = tuple((number(w), number(w / (2 * math.pi), 3),
-                  *(f'{v[k]:.1f}' if math.isfinite(v[k]) else '-' for v in columns.values()))
-                 for k, w in enumerate(omega))
+                  *(v[k] for v in columns.values())) for k, w in enumerate(omega))
     return Section('Frequency response in numbers', (Table(head, rows),))
 
 
-def response_section(model: StateSpace, found: Validation, truth: StateSpace | None) -> Section:
+def _with_std(values: Array, std: Array) -> list[str]:
+    """Return values with one decimal, and their deviations with two digits."""
+    return ['-' if not math.isfinite(v) else f'{v:.1f}' if math.isnan(s) else
+            f'{v:.{_decimals(s)}f} ± {number(s, 2)}' for v, s in zip(values, std, strict=True)]
+
+
+def _decimals(std: float) -> int:
+    """Return how many decimals belong beside a deviation of two digits."""
+    return min(max(1 - math.floor(math.log10(std)), 1), 4) if 0 < std < math.inf else 1
+
+
+def response_section(model: StateSpace, found: Validation, truth: StateSpace | None,
+                     covariance: Covariance | None = None) -> Section:
     """Return the Bode diagrams; shaded where the data of a simulation support the model."""
     band = supported_band(found)
     words = ['Shaded: there the model explains more than half of the power of an output. Beyond, '
              'it is extrapolation.'] if band else []
-    return Section('Frequency response', (*words, *bode_figures(model, band, truth)))
+    words += ['The bands around the curves are two standard deviations.'] if covariance else []
+    return Section('Frequency response', (*words, *bode_figures(model, band, truth, covariance)))
 
 
 def residual_section(tests: ResidualTests, model: StateSpace) -> Section:

@@ -82,6 +82,12 @@ def number(value: float, digits: int = 4) -> str:
     return f'{value:.{max(digits - 1 - int(shown.partition("e")[2]), 0)}f}'
 
 
+def plus_minus(value: float, std: float, digits: int = 4) -> str:
+    """Return a number and its standard deviation: 12.35 ± 0.04; the number alone if that is 0."""
+    shown = number(value, digits)
+    return shown if math.isnan(std) or std == 0 else f'{shown} ± {number(std, 2)}'
+
+
 def percent(value: float) -> str:
     """Return a fit [%] with one decimal; '-' for NaN, '< -999' for a diverged one."""
     return '-' if math.isnan(value) else '< -999' if value < -999 else f'{value:.1f}'

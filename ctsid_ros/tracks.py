@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -28,10 +28,16 @@ class Mode:
         [rad/s]
     std : float
         Standard deviation of |estimate - truth| [rad/s]; NaN if not known.
+    frequency_std : float
+        Of the natural frequency [rad/s]; NaN if not known.
+    damping_std : float
+        Of the damping ratio; NaN if not known.
     """
 
     pole: complex
     std: float = math.nan
+    frequency_std: float = math.nan
+    damping_std: float = math.nan
 
     @property
     def frequency(self) -> float:
@@ -55,7 +61,14 @@ def modes(model: StateSpace | None, std: Array | None = None) -> list[Mode]:
 
 def modes_of(estimate: Estimate) -> list[Mode]:
     """Return the modes of an estimate's model, accepted or not."""
-    return modes(estimate.model or estimate.rejected_model, estimate.pole_std)
+    found = modes(estimate.model or estimate.rejected_model, estimate.pole_std)
+    if estimate.covariance is None:
+        return found
+    model = estimate.model or estimate.rejected_model
+    upper = [] if model is None else np.flatnonzero(model.poles.imag >= 0).tolist()
+    radial, damping = estimate.natural_frequency_std, estimate.damping_std
+    return [replace(m, frequency_std=float(radial[k]), damping_std=float(damping[k]))
+            for m, k in zip(found, upper, strict=True)]
 
 
 def match(left: Sequence[complex], right: Sequence[complex]) -> dict[int, int]:
@@ -98,7 +111,7 @@ def tracks(estimates: Sequence[Estimate]) -> list[Track]:
     open_tracks: list[Track] = []
     done: list[Track] = []
     for number, estimate in enumerate(estimates):
-        found = modes(estimate.model, estimate.pole_std)
+        found = modes_of(estimate) if estimate.ok else []
         pairs = paired([t.modes[-1].pole for t in open_tracks], [m.pole for m in found])
         following: list[Track] = []
         for i, track in enumerate(open_tracks):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import storage
+from ctsid_core.covariance import Covariance
 from ctsid_core.errors import StorageError
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.settings import Settings
@@ -39,6 +40,14 @@ def model(seed=0, n=3, nu=2, ny=2, **more):
                          'output_units': ('\u00b0/s',) * ny, **more})
 
 
+def covariance(seed=0, n=3, nu=2, ny=2, rows=4):
+    rng = np.random.default_rng(seed)
+    shape = rows, Covariance.entry_count(n, nu, ny)
+    root = rng.standard_normal(shape) * 10.0 ** rng.integers(-12, 12, shape)
+    root[:, -nu:] = -0.0
+    return Covariance(root, n, nu, ny)
+
+
 def estimate(seed=0, **more):
     whole = {
         'status': Status.OK, 'model': model(seed), 'rejected_model': model(seed + 100, n=1),
@@ -59,7 +68,7 @@ def same(a, b):
         return x.tobytes() + str(x.shape).encode() if isinstance(x, np.ndarray) else repr(x)
     for f in fields(Estimate):
         x, y = getattr(a, f.name), getattr(b, f.name)
-        if isinstance(x, StateSpace):
+        if isinstance(x, StateSpace | Covariance) and type(x) is type(y):
             if any(bits(getattr(x, g.name)) != bits(getattr(y, g.name)) for g in fields(x)):
                 return False
         elif bits(x) != bits(y):
@@ -79,18 +88,23 @@ def test_the_comparison_of_this_test_sees_single_bits():
     assert same(whole, replace(whole))
     moved = replace(whole.model, A=np.nextafter(whole.model.A, 10))
     for other in (replace(whole, model=moved), replace(whole, held_out_fit=np.zeros(2)),
-                  replace(whole, notes=()), replace(whole, condition=1.0),
+                  replace(whole, notes=()), replace(whole, covariance=covariance()),
+                  replace(whole, condition=1.0),
                   replace(whole, model=replace(whole.model, delay=(0.0, 0.0)))):
         assert not same(whole, other)
 
 
 @pytest.mark.parametrize('whole', [
-    estimate(), Estimate(status=Status.NO_EXCITATION, settings=Settings()),
+    estimate(), estimate(covariance=covariance()),
+    estimate(status=Status.CHANGED, model=None, rejected_model=model(), covariance=covariance()),
+    estimate(covariance=covariance(rows=0)),
+    Estimate(status=Status.NO_EXCITATION, settings=Settings()),
     estimate(status=Status.UNRELIABLE, model=None),
     estimate(model=model(1, n=0, nu=0, ny=1), pole_std=np.empty(0), fit=np.empty(0),
              held_out_fit=np.empty(0)),
     estimate(model=model(1, noise=None))],
-    ids=['all', 'none', 'rejected', 'no states', 'no noise'])
+    ids=['all', 'covariance', 'of a rejected', 'no rows', 'none', 'rejected', 'no states',
+         'no noise'])
 def test_round_trip_to_the_last_bit(whole, tmp_path):
     assert same(from_json(to_json(whole)), whole)
     save_model(tmp_path / 'model.json', whole)
@@ -262,6 +276,12 @@ def put(value, *where):
     (put('x', 'statistics', 'nan'), '`statistics.nan`'), (put([], 'metadata'), '`metadata`'),
     (put([{}], 'choices'), r'`choices\[0\]`.*missing: name, value, why'),
     (put([3], 'choices'), r'`choices\[0\]` is 3'), (put(3, 'settings'), '`settings` is 3'),
+    (put([], 'covariance'), r'`covariance` is \[\], but an object'),
+    (put({'n': 3}, 'covariance'), 'in `covariance`.*missing: nu, ny, root'),
+    (put({'n': 2, 'nu': 2, 'ny': 2, 'root': []}, 'covariance'), 'that is not the model'),
+    (put({'n': 3, 'nu': 2, 'ny': 2, 'root': [[1.0]]}, 'covariance'),
+     r'`covariance.root\[0\]` has 1 entries, but 27 numbers'),
+    (put({'n': 3, 'nu': 2, 'ny': 2, 'root': [[None] * 27]}, 'covariance'), 'finite number'),
     (put(3, 'settings', 'ordre'), '`ordre` is not a parameter; did you mean order'),
     (put(-3, 'settings', 'order'), '`order` is -3'),
 ])
@@ -276,8 +296,9 @@ def test_parameters_that_a_file_does_not_know_yet_take_their_defaults():
 
 
 def series():
-    return [estimate(0), estimate(1, status=Status.GAPS, model=None),
-            estimate(2, model=model(3, n=2), pole_std=np.array([0.5, 0.25])),
+    return [estimate(0, covariance=covariance()), estimate(1, status=Status.GAPS, model=None),
+            estimate(2, model=model(3, n=2), covariance=covariance(n=2),
+                     pole_std=np.array([0.5, 0.25])),
             Estimate(status=Status.TOO_SHORT, settings=Settings())]
 
 
@@ -295,6 +316,7 @@ def test_npz_series_round_trip_and_arrays(tmp_path):
         assert np.isnan(found['A'][1]).all()
         assert found['D'].shape == (4, 2, 2)
         assert found['pole_std'][2].tolist()[:2] == [0.5, 0.25]
+        assert np.array_equal(found['damping_std'][0], series()[0].damping_std)
     save_series(tmp_path / 'none.npz', [])
     assert load_series(tmp_path / 'none.npz') == ()
 
@@ -315,6 +337,9 @@ def test_csv_series(tmp_path):
         assert float(rows[2][f'{cell}_std [rad/s]']) == series()[2].pole_std[k]
         assert float(rows[2][f'{cell}_natural_frequency [rad/s]']) == abs(first.poles[k])
         assert float(rows[2][f'{cell}_damping']) == first.damping[k]
+        for name, unit in (('natural_frequency', ' [rad/s]'), ('damping', '')):
+            std = getattr(series()[2], f'{name}_std')[k]
+            assert float(rows[2][f'{cell}_{name}_std{unit}']) == std
     assert rows[2]['pole3_re [rad/s]'] == rows[1]['pole1_re [rad/s]'] == ''
     assert rows[0]['fit_y1 [%]'] == '99.9'
     assert rows[0]['held_out_fit_y1 [%]'] == ''

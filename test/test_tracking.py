@@ -78,7 +78,7 @@ def test_estimates_are_those_of_identify_in_other_states(steady, tracked):
     for record, found in zip(steady, tracked, strict=True):
         plain = identify(record, SETTINGS)
         for f in fields(Estimate):
-            if f.name not in ('model', 'pole_std', 'verdict'):
+            if f.name not in ('model', 'pole_std', 'verdict', 'covariance'):
                 assert same_value(getattr(found.estimate, f.name), getattr(plain, f.name)), f.name
         for f in fields(Verdict):
             if f.name not in ('fresh_ratio', 'moved'):
@@ -87,6 +87,17 @@ def test_estimates_are_those_of_identify_in_other_states(steady, tracked):
         again = align(plain.model, tracked[0].estimate.model)
         np.testing.assert_allclose(found.estimate.model.A, again.A, atol=1e-9)
         np.testing.assert_allclose(found.estimate.pole_std, plain.pole_std, rtol=1e-9)
+
+
+def test_the_covariance_follows_the_states(steady, tracked):
+    for record, found in zip(steady, tracked, strict=True):
+        plain, moved = identify(record, SETTINGS), found.estimate
+        for name in ('natural_frequency_std', 'damping_std', 'dc_gain_std', 'pole_covariance'):
+            np.testing.assert_allclose(getattr(moved, name), getattr(plain, name), rtol=1e-7,
+                                       atol=1e-12)
+        for a, b in zip(moved.frequency_response_std([0.3, 2.0, 9.0]),
+                        plain.frequency_response_std([0.3, 2.0, 9.0]), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-7)
 
 
 def test_matrices_move_no_more_than_their_uncertainty(tracked):

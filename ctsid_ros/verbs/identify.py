@@ -265,7 +265,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     sections.append(model_section(estimate, title))
     if model:
         sections += [*(_test_section(t, model, outcome) for t in outcome.tests),
-                     gain_section(model)]
+                     gain_section(model, estimate.covariance)]
         sections += [truth_section(estimate, (), truth)] if truth else []
     return [*sections, choice_section(estimate, brief=True), complaint_section(outcome.notes),
             advice_section(estimate, fit, outcome.complaints)]
@@ -291,7 +291,7 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
         for number, record in _shown(outcome):
             own = estimate.trimmed(outcome.model, number)
             sections.append(residual_section(residual_tests(own, record), own))
-        sections.append(bode_section(outcome.model))
+        sections.append(bode_section(outcome.model, covariance=estimate.covariance))
     write_results(out, {
         MODEL: to_json(estimate, _origin(outcome, args)),
         REPORT: to_markdown(title, sections),
@@ -321,7 +321,9 @@ def _figures(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
         title = 'Measured and simulated' + (
             f', record {number}' if len(outcome.sources) > 1 else '')
         sections.append(Section(title, tuple(output_figures(own, seen, source.offset, what))))
-    return [*sections, *([response_section(model, found, truth)] if found else [])]
+    if found:
+        sections.append(response_section(model, found, truth, outcome.estimate.covariance))
+    return sections
 
 
 def _origin(outcome: Outcome, args: argparse.Namespace) -> dict[str, object]:

@@ -161,7 +161,7 @@ class _Report:
             'start': self.args.start, 'duration': self.args.duration, 'window': self.number})
         sections = self.sections()
         if self.model:
-            sections.append(bode_section(self.model))
+            sections.append(bode_section(self.model, covariance=self.best.estimate.covariance))
         title = f'Models along {bag_name(self.args.bag)}'
         write_results(out, {MODEL: to_json(self.best.estimate, metadata),
                             REPORT: to_markdown(title, sections),
@@ -195,7 +195,8 @@ class _Report:
             sections += [
                 Section('Measured and simulated', tuple(output_figures(
                     self.model, found, offset, f'Window {self.number}, which the model is of'))),
-                response_section(self.model, found, self.truth)]
+                response_section(self.model, found, self.truth,
+                                 self.best.estimate.covariance)]
         return sections
 
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:

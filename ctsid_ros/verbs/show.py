@@ -57,8 +57,8 @@ def _sections(path: str, estimate: Estimate, metadata: Mapping[str, object]
     yield Section(path, (*parts, *tables))
     yield model_section(estimate, 'Model')
     if model:
-        yield gain_section(model)
-        yield bode_section(model)
+        yield gain_section(model, estimate.covariance)
+        yield bode_section(model, covariance=estimate.covariance)
 
 
 def _channels(channels: list[Any]) -> Table:
