@@ -29,7 +29,7 @@ _MISSING = 0.02         # of the response
 _SURE = 1e-5            # p-value
 _COLOURED = 1e-6        # p-value
 _NEXT = 4.0             # power of the errors on data not seen over that on the model's own
-_FRESH = 2.0            # the same of the model before, rms
+_FRESH = 1.5            # the same of the model before, rms
 _MATTERS = 90.0         # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations
 
@@ -120,10 +120,14 @@ def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
     tested = e.held_out[np.isfinite(e.held_out)]
     best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
     if best < EXPLAINED:
+        own, best = float(np.nanmax(e.fit)), max(best, -999.0)
+        what = f'The model fits its own data ({own:.0f} %), but not the part of the window that ' \
+            f'was held out ({best:.0f} %)' if own >= EXPLAINED else \
+            f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} ' \
+            f'(the best fit is {best:.0f} %)'
         yield Status.UNEXPLAINED, (
-            f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} (the '
-            f'best fit is {max(best, -999.0):.0f} %); check the choice of inputs and outputs, the '
-            'dead time and the order, or the plant is not linear over this window.')
+            f'{what}; check that these are the right signals, that nothing else drives the plant '
+            'and that it is linear over the window, or take a longer window with more excitation.')
     # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
     erring = (e.fit < EXPLAINED) | (e.numbers.next_ratio > _NEXT)
     dead = np.flatnonzero((e.worst < _DEAD) & erring)
@@ -222,8 +226,8 @@ def without_model(status: Status, record: Record) -> str:
     return status.value
 
 
-def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float
-                ) -> Estimate:
+def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
+                before: int = 0) -> Estimate:
     """
     Return an estimate whose verdict knows the model before it.
 
@@ -234,6 +238,8 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         How the model before does on the data that are new; NaN if not known.
     moved : float
         See `Verdict.moved`.
+    before : int
+        Order of the model before; 0 if there was none.
     """
     verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
     model = estimate.model
@@ -243,20 +249,26 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the model '
                           'before this one foretold the data that are new in it.')
     if verdict.grade is Grade.GOOD:
-        for reason in _disagreements(model.output_names, fresh_fit, fresh_ratio, moved):
-            verdict = replace(verdict, grade=Grade.WEAK, reason=reason)
-            break
+        reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
+                   *_moves(model.n, before, moved)]
+        if reasons:
+            verdict = replace(verdict, grade=Grade.WEAK, reason=reasons[0])
     return replace(estimate, verdict=verdict)
 
 
-def _disagreements(names: tuple[str, ...], fit: Array, ratio: Array, moved: float
-                   ) -> Iterator[str]:
+def _collapses(names: tuple[str, ...], fit: Array, ratio: Array) -> Iterator[str]:
     collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH) & (fit < _MATTERS),
                          fit < EXPLAINED)
     for i in np.flatnonzero(collapsed):
         yield (f'The model before this one foretells the newest data of output {names[i]} badly '
                f'(fit {max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
                'models agree again.')
+
+
+def _moves(order: int, before: int, moved: float) -> Iterator[str]:
+    if before not in (0, order):
+        yield (f'The order has changed from {before} to {order} since the last accepted model; '
+               'wait until models agree again, or set `order`.')
     if moved > _MOVED:
         yield (f'A pole has moved by {moved:.2g} standard deviations since the window before; wait '
                'until models agree again, or set `order`.')

@@ -123,7 +123,8 @@ class Tracker:
         past = self._past
         test = _fresh(past, record)
         estimate = self._doubted(identify(record, self.settings, like=past.model))
-        estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate))
+        estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
+                               past.model.n if past.model else 0)
         if estimate.model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
