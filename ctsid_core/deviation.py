@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The standard deviation of the poles.
+The standard deviation of the poles, and of dead times that were estimated.
 
 Errors of an innovation form are white if the model is right, and the covariance is the
 Cramer-Rao bound. Residuals of a simulation need not be: whatever gusts leave is coloured. Their
@@ -16,10 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.base import Array, Projection
+from ctsid_core.delay_columns import delay_columns
 from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices
 from ctsid_core.process_noise import driven
-from ctsid_core.refine import whitened
+from ctsid_core.refine import whitened, whitener
 from ctsid_core.window_ends import line_distance
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
@@ -47,6 +48,29 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
     ndarray, shape (n,)
         Square root of the expected |error|^2 [rad/s]; a plain subspace estimate scatters more.
     """
+    return deviations(projection, m, feedthrough, process_noise=process_noise)[0]
+
+
+def deviations(projection: Projection, m: Matrices, feedthrough: bool, *,
+               process_noise: bool | None = None) -> tuple[Array, Array]:
+    """
+    Return the asymptotic standard deviations of the poles and of the dead times.
+
+    Parameters
+    ----------
+    projection : Projection
+        With `slopes` if dead times were estimated: what is not known of them makes poles less
+        certain, too.
+    m, feedthrough, process_noise
+        As for `pole_deviation`.
+
+    Returns
+    -------
+    poles : ndarray, shape (n,)
+        As `pole_deviation`.
+    delays : ndarray, shape (nu,)
+        [s]; 0 where a dead time is known.
+    """
     noisy = bool(np.any(m.K)) if process_noise is None else process_noise
     change = _pole_change(m)
     if noisy:
@@ -57,8 +81,20 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
             for _ in range(_PASSES):
                 m = driven(projection, m, feedthrough)
         root = _root_of_simulation(projection, m, feedthrough)
-    deviation: Array = np.linalg.norm(change @ root[:, :change.shape[1]].T, axis=1)
-    return deviation
+    late = np.zeros(m.B.shape[1])
+    if projection.slopes is not None:
+        late = np.linalg.norm(root[:, -len(late):], axis=0)
+    return np.linalg.norm(change @ root[:, :change.shape[1]].T, axis=1), late
+
+
+def _columns(projection: Projection, m: Matrices, feedthrough: bool, *,
+             with_noise: bool) -> tuple[Array, Array]:
+    """Return the whitened Jacobian, last the columns of the dead times, and the errors."""
+    flat, error = whitened(projection, m, feedthrough, with_noise=with_noise)
+    if projection.slopes is not None:
+        late = delay_columns(projection, m, whitener(projection, m)[0])
+        flat = np.hstack((flat, late))
+    return flat, error
 
 
 def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
@@ -68,7 +104,7 @@ def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> 
     A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
     narrower than lines can tell, the lines in it would seem to say more than they do.
     """
-    flat, error = whitened(projection, m, feedthrough, with_noise=True)
+    flat, error = _columns(projection, m, feedthrough, with_noise=True)
     flat *= np.tile(np.repeat(_trust(projection, m), 2), len(m.C))[:, np.newaxis]
     s, right, norm = _directions(flat.T)
     spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
@@ -87,7 +123,7 @@ def _trust(projection: Projection, m: Matrices) -> Array:
 
 def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
     """Return a root of the sandwich covariance of a simulation's parameters."""
-    flat, error = whitened(projection, m, feedthrough, with_noise=False)
+    flat, error = _columns(projection, m, feedthrough, with_noise=False)
     s, right, norm = _directions(flat.T)
     basis = (flat / norm) @ right.T / s
     spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))

@@ -64,6 +64,8 @@ class Estimate:
     pole_std : ndarray, shape (n,)
         Standard deviation of each pole [rad/s], in the order of `model.poles`: the square root
         of the expected squared distance |estimate - truth| in the complex plane; NaN if unknown.
+    delay_std : ndarray, shape (nu,)
+        Standard deviation of each dead time [s]; 0 where it was given, or where none was found.
     fit : ndarray, shape (ny,)
         Simulation fit (NRMSE) of each output on the window itself [%].
     held_out_fit : ndarray, shape (ny,)
@@ -88,6 +90,7 @@ class Estimate:
     model: StateSpace | None = None
     rejected_model: StateSpace | None = None
     pole_std: Array = field(default_factory=lambda: np.empty(0))
+    delay_std: Array = field(default_factory=lambda: np.empty(0))
     fit: Array = field(default_factory=lambda: np.empty(0))
     held_out_fit: Array = field(default_factory=lambda: np.empty(0))
     singular_values: Array = field(default_factory=lambda: np.empty(0))

@@ -10,14 +10,21 @@ from numpy.typing import NDArray
 
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.bases.hermite import project_record
-from ctsid_core.deviation import pole_deviation
+from ctsid_core.bases.hermite import input_slopes, project_inputs, project_record
+from ctsid_core.dead_time import LONGEST, MARGIN, DeadTimeSearch, LateFit
+from ctsid_core.deviation import deviations
 from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.joint_climb import climb_jointly
 from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
-from ctsid_core.refine import affordable
-from ctsid_core.selection import choose_order, likeliest_simulation, most_likely
+from ctsid_core.refine import affordable, refine_innovation
+from ctsid_core.selection import (
+    choose_order,
+    likeliest_simulation,
+    model_criterion,
+    most_likely,
+)
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace
@@ -78,14 +85,16 @@ def identify(record: Record, settings: Settings | None = None) -> Estimate:
 
 
 def _identify(record: Record, settings: Settings) -> Estimate:
-    part = usable(record, settings)
+    known = settings.with_known_delays()
+    part = usable(record, known)
     if isinstance(part, Status):
         return Estimate(status=part, settings=settings)
     try:
-        found = _estimate(part, settings)
+        found = _estimate(part, known)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-        return _judge(*_without_outliers(part, found, settings))
+        part, found = _without_outliers(part, found, known)
+        return _judge(*_with_dead_time(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return Estimate(status=Status.UNRELIABLE, settings=settings,
                         notes=(*part.notes, f'the arithmetic failed: {error}'))
@@ -97,6 +106,7 @@ class _Found:
 
     settings: Settings
     projection: Projection
+    search: Search
     matrices: Matrices
     best: Candidate
     process_noise: bool
@@ -131,7 +141,7 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
             'the likelier of process noise (innovation form) and measurement noise alone'))
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
-    return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices))
+    return _Found(used, projection, search, matrices, pair.best, process_noise, tuple(choices))
 
 
 def _without_outliers(part: Usable, found: _Found,
@@ -163,6 +173,73 @@ def _without_outliers(part: Usable, found: _Found,
         if not large:
             break
     return part, found
+
+
+def _with_dead_time(part: Usable, found: _Found, settings: Settings) -> tuple[Usable, _Found]:
+    """Return record and model with the dead times that the data show; the same if none."""
+    late = np.array(settings.unknown_delays(part.whole.nu))[list(part.u)]
+    order = len(found.matrices.A)
+    if not (late.any() and settings.refine and settings.edges == 'exact'
+            and affordable(found.projection, order)):
+        return part, found
+    hunt = DeadTimeSearch(part.record, found.search, found.settings.nmax, late)
+    rough = hunt.best(order, alone=bool(settings.order),
+                      poles=np.linalg.eigvals(found.matrices.A).astype(complex))
+    if rough is None or not _likelier(hunt, rough, found):
+        return part, found
+    known = _known(part, settings, rough.delays)
+    shorter = usable(part.whole, known)
+    if isinstance(shorter, Status):
+        return part, found
+    other = _estimate(shorter, known)
+    if other is None:
+        return part, found
+    shorter, other = _without_outliers(shorter, other, known)
+    return shorter, _climbed(shorter, other, rough.late, (
+        f'with {len(other.matrices.A)} states and dead time, Schwarz\'s criterion is '
+        f'{-rough.gain:.0f} less than with {order} and none'))
+
+
+def _likelier(hunt: DeadTimeSearch, rough: LateFit, found: _Found) -> bool:
+    """Return whether dead times are likelier than none if the errors are not white, too."""
+    if not found.process_noise:
+        return True
+    projection, settings = hunt.projection(rough.delays), found.settings
+    search = Search(projection, settings.replace(beta=0.0, gamma=0.0, past=0, future=0))
+    pair = search.pair(len(rough.poles))
+    if pair is None:
+        return False
+    late = most_likely(projection, pair, settings)
+    worth = model_criterion(search, *late) + float(rough.late.sum()) * search.charge
+    return worth < model_criterion(found.search, found.matrices, True) - MARGIN
+
+
+def _known(part: Usable, settings: Settings, delays: Array) -> Settings:
+    """Return the settings with the dead times of the moving inputs filled in."""
+    each = list(settings.delays(part.whole.nu))
+    for j, delay in zip(part.u, delays.tolist(), strict=True):
+        each[j] = delay
+    return settings.replace(delay=each[0] if len(each) == 1 else tuple(each))
+
+
+def _climbed(part: Usable, found: _Found, late: NDArray[np.bool_], why: str) -> _Found:
+    """Return a model at the joint maximum over its entries and its dead times."""
+    record, own, nmax = part.record, _own_delays(part, found.settings), found.settings.nmax
+
+    def at(delays: Array) -> Projection:
+        return replace(found.projection, u=project_inputs(record, own, nmax, delays.tolist()),
+                       slopes=input_slopes(record, own, nmax, delays.tolist(), late))
+
+    feed = found.settings.feedthrough
+    joint = climb_jointly(at, found.matrices, np.array(own.delays(record.nu)), feedthrough=feed,
+                          process_noise=found.process_noise, longest=LONGEST * record.duration)
+    projection, matrices = at(joint.delays), joint.matrices
+    if not found.process_noise and np.any(found.matrices.K):
+        matrices = refine_innovation(projection, replace(matrices, K=found.matrices.K), feed,
+                                     plant=False, steps=8)[0]
+    choice = Choice('delay', tuple(float(d) for d in joint.delays), why)
+    return replace(found, settings=_known(part, found.settings, joint.delays),
+                   projection=projection, matrices=matrices, choices=(*found.choices, choice))
 
 
 def _own_delays(part: Usable, settings: Settings) -> Settings:
@@ -214,8 +291,10 @@ def _share(record: Record, settings: Settings, share: float) -> Projection:
 def _judge(part: Usable, found: _Found) -> Estimate:
     model = _to_statespace(part, found)
     fit, held_out = line_fit(found.projection, found.matrices), _held_out(part, found)
-    deviation = pole_deviation(found.projection, found.matrices, found.settings.feedthrough,
-                               process_noise=found.process_noise)
+    deviation, late = deviations(found.projection, found.matrices, found.settings.feedthrough,
+                                 process_noise=found.process_noise)
+    delay_std = np.zeros(part.whole.nu)
+    delay_std[list(part.u)] = late
     poles = np.linalg.eigvals(found.matrices.A).astype(complex)
     status = _status(found, fit, held_out)
     if status is Status.OK and _vague(part, poles, deviation):
@@ -237,7 +316,7 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         status=status, settings=found.settings, model=model if status is Status.OK else None,
         rejected_model=None if status is Status.OK else model,
         pole_std=np.array([deviation[np.argmin(np.abs(poles - p))] for p in model.poles]),
-        fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
+        delay_std=delay_std, fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
         notes=(*part.notes, *corrupt, *notes),

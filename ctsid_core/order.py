@@ -212,6 +212,7 @@ class Search:
         self.settings = settings
         self._subspace = lru_cache(maxsize=None)(self._regress)
         self._levels = lru_cache(maxsize=None)(self._stack)
+        self.trial = lru_cache(maxsize=None)(self._trial)
 
     @cached_property
     def output_error(self) -> OutputError:
@@ -332,7 +333,7 @@ class Search:
         """What Schwarz's criterion charges for one parameter."""
         return float(np.log(len(self.projection.y) * 2.0 * len(self.projection.s)))
 
-    def trial(self, n: int) -> OrderTrial | None:
+    def _trial(self, n: int) -> OrderTrial | None:
         """Return the best of order n, its poles at the output-error maximum."""
         pair = self.pair(n, thorough=False)
         if pair is None:

@@ -34,9 +34,9 @@ LEVELS = {
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
-        ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
-        ['refine'], ['steadiness', 'process_noise'], ['deviation'],
-        ['order'], ['selection'],
+        ['pole_fit', 'prediction_errors', 'delay_columns'], ['levenberg_marquardt'],
+        ['refine'], ['steadiness', 'process_noise', 'joint_climb'], ['deviation'],
+        ['order'], ['selection', 'dead_time'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],

@@ -39,6 +39,9 @@ class Projection:
         R / unit in every real and imaginary part.
     start, end : float
         The interval of the record [s].
+    slopes : ndarray, shape (nu, L), or None
+        Derivatives of u by the dead times that were estimated [1/s], zero for those that are
+        known; None if all are.
     """
 
     s: Lines
@@ -49,6 +52,7 @@ class Projection:
     unit: float
     start: float
     end: float
+    slopes: Lines | None = None
 
     @cached_property
     def signals(self) -> Lines:
