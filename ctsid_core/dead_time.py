@@ -41,7 +41,6 @@ _LEAST_GAIN = 0.02    # -2 log likelihood: smaller gains are not worth another s
 _STARTS = 12          # at most, apart by what a climb reaches across
 _SINGLE = 4           # inputs up to which each is tried alone
 _UNCLEAR = 0.5        # part of an output's power unexplained from which all starts are tried
-_SURE = 2.5           # standard deviations: a dead time of several that is nearer to 0 is 0
 
 _Poles = NDArray[np.complex128]
 _Mask = NDArray[np.bool_]
@@ -62,6 +61,8 @@ class LateFit:
         [s]
     late : ndarray, shape (nu,)
         Which of them were looked for.
+    direct : bool
+        Whether D is free.
     cost : float
         -2 log likelihood.
     gain : float
@@ -72,6 +73,7 @@ class LateFit:
     poles: _Poles
     delays: Array
     late: _Mask
+    direct: bool
     cost: float
     gain: float = 0.0
 
@@ -90,13 +92,19 @@ class DeadTimeSearch:
         Of its projection.
     late : ndarray, shape (nu,)
         The inputs whose dead time is not known.
+
+    Notes
+    -----
+    Where D = 0 a small change of dead time is one of B and D: -s G = -C B - C A (s I - A)^-1 B. So
+    D is free only where the data show that it is needed beside dead time.
     """
 
     def __init__(self, record: Record, search: Search, nmax: int, late: _Mask) -> None:
         self._record, self._search, self._nmax, self._late = record, search, nmax, late
         self._known = np.array(search.settings.delays(record.nu))
         self._longest = LONGEST * record.duration
-        self._starts = np.empty(0)
+        self._plain = search.output_error if not search.settings.feedthrough else \
+            OutputError(search.projection, feedthrough=False)
 
     def best(self, n0: int, alone: bool, poles: _Poles) -> LateFit | None:
         """
@@ -111,39 +119,42 @@ class DeadTimeSearch:
         poles : ndarray, shape (n0,)
             Of the model without dead time [rad/s].
         """
-        still = self._still(n0, alone, poles)
-        reference = min(fit.criterion for fit in still.values())
-        first = min(still.values(), key=lambda fit: fit.criterion)
-        unclear = self._search.output_error.fit(first.poles).residual > _UNCLEAR
-        looked = [self._climbed(fit, self._late, _GLANCE, reference)
-                  for n, fit in still.items() if n0 - _ORDERS <= n <= n0]
-        if not unclear and min(fit.criterion for fit in looked) > reference:
+        orders = [n0] if alone else list(range(1, n0 + 1))
+        with_direct, without = ({n: self._still(n, alone, poles, direct) for n in orders}
+                                for direct in (self._search.settings.feedthrough, False))
+        still = [*with_direct.values(), *without.values()]
+        first = min(still, key=_criterion)
+        unclear = self._at(first).fit(first.poles).residual > _UNCLEAR
+        looked = []
+        for fits in (without, with_direct)[:1 + first.direct]:
+            looked += [self._climbed(fits[n], self._late, _GLANCE, first.criterion)
+                       for n in orders if n0 - _ORDERS <= n]
+        if not unclear and min(fit.criterion for fit in looked) > first.criterion:
             return None
-        found = self._thorough(still, looked)
-        found = self._pruned(found)
-        if found is None or found.criterion > reference - MARGIN:
+        found = self._pruned(self._thorough(without, with_direct, looked))
+        if found is None or found.criterion > first.criterion - MARGIN:
             return None
-        return replace(found, gain=reference - found.criterion)
+        return replace(found, gain=first.criterion - found.criterion)
 
-    def _still(self, n0: int, alone: bool, poles: _Poles) -> dict[int, LateFit]:
-        """Return the best fits without dead time by order."""
-        fits = {}
-        for n in [n0] if alone else range(1, n0 + 1):
-            trial = None if alone else self._search.trial(n)
-            found = trial.refined if trial else self._search.output_error.fit(poles, _GLANCE)
-            fits[n] = self._rated(found, self._known, np.zeros_like(self._late))
-        return fits
+    def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> LateFit:
+        """Return the best fit of an order without dead time."""
+        trial = None if alone else self._search.trial(n)
+        start = trial.refined if trial else self._search.output_error.fit(poles, _GLANCE)
+        if not direct and self._search.settings.feedthrough:
+            start = self._plain.fit(start.poles, _GLANCE)
+        return self._rated(start, self._known, np.zeros_like(self._late), direct)
 
-    def _rated(self, fit: OutputErrorFit, delays: Array, late: _Mask) -> LateFit:
+    def _rated(self, fit: OutputErrorFit, delays: Array, late: _Mask, direct: bool) -> LateFit:
         count = fit.parameters + int(late.sum())
         value = fit.cost + count * self._search.charge + ends_cost_of_simulation(
             self._search.projection, fit.poles)
-        return LateFit(value, fit.poles, delays, late, fit.cost)
+        return LateFit(value, fit.poles, delays, late, direct, fit.cost)
 
-    def _at(self, delays: Array) -> OutputError:
-        if np.array_equal(delays, self._known):
-            return self._search.output_error
-        return OutputError(self.projection(delays), self._search.settings.feedthrough)
+    def _at(self, fit: LateFit) -> OutputError:
+        """Return the likelihood with the dead times of a fit, as a function of the poles."""
+        if np.array_equal(fit.delays, self._known):
+            return self._search.output_error if fit.direct else self._plain
+        return OutputError(self.projection(fit.delays), fit.direct)
 
     def projection(self, delays: Array) -> Projection:
         """Return the projection with other dead times, of the same outputs."""
@@ -153,11 +164,11 @@ class DeadTimeSearch:
     def _climbed(self, start: LateFit, late: _Mask, steps: int = _STEPS,
                  rival: float = np.inf) -> LateFit:
         """Return the joint maximum reached from a start; given up if it will not beat a rival."""
-        here, at = replace(start, late=late), self._at(start.delays)
-        here = self._rated(at.fit(start.poles), start.delays, late)
+        at = self._at(start)
+        here = self._rated(at.fit(start.poles), start.delays, late, start.direct)
         for k in range(steps):
             step = at.joint_step(here.poles, late)
-            found = self._stepped(here, late, step.poles, step.delays)
+            found = self._stepped(here, step.poles, step.delays)
             if found is None:
                 break
             gain, (here, at) = here.cost - found[0].cost, found
@@ -165,46 +176,53 @@ class DeadTimeSearch:
                 break
         return here
 
-    def _stepped(self, here: LateFit, late: _Mask, move: Callable[[float], _Poles],
+    def _stepped(self, here: LateFit, move: Callable[[float], _Poles],
                  delays: Array) -> tuple[LateFit, OutputError] | None:
         """Return the first better point on the way back from a step."""
+        limit = max(np.max(here.poles.real), 1.0 / self._record.duration)
         for halving in range(_HALVINGS):
             part = 0.5 ** halving
-            there = np.where(late, np.clip(here.delays + part * delays, 0.0, self._longest),
+            there = np.where(here.late, np.clip(here.delays + part * delays, 0.0, self._longest),
                              here.delays)
             poles = move(part)
-            if np.max(poles.real) > max(np.max(here.poles.real), 1.0 / self._record.duration):
+            if np.max(poles.real) > limit:
                 continue
-            at = self._at(there)
+            at = self._at(replace(here, delays=there))
             fit = at.fit(poles)
             if fit.cost < here.cost:
-                return self._rated(fit, there, late), at
+                return self._rated(fit, there, here.late, here.direct), at
         return None
 
-    def _thorough(self, still: dict[int, LateFit], looked: list[LateFit]) -> LateFit:
-        """Return the best fit of all orders and starts, the lowest order of nearly equal ones."""
-        best = min(looked, key=lambda fit: fit.criterion)
-        spare = 0
-        for n in sorted(still, reverse=True):
+    def _thorough(self, without: dict[int, LateFit], with_direct: dict[int, LateFit],
+                  looked: list[LateFit]) -> LateFit:
+        """Return the best fit of all orders and starts."""
+        best, spare = min(looked, key=_criterion), 0
+        for n in sorted(without, reverse=True):
             starts = [fit for fit in looked if len(fit.poles) == n]
-            starts += self._from_grid(still[n], best.delays)
-            found = min((self._climbed(start, start.late) for start in starts),
-                        key=lambda fit: fit.criterion)
+            starts += [replace(fits[n], delays=best.delays, late=best.late)
+                       for fits in (without, with_direct)[:1 + best.direct]]
+            found = min((self._climbed(start, self._late) for start in starts), key=_criterion)
             spare = 0 if found.criterion < best.criterion else spare + 1
-            best = min(best, found, key=lambda fit: fit.criterion)
+            best = min(best, found, key=_criterion)
             if spare > _ORDERS:
                 break
-        return best
+        others = self._from_grid(without[len(best.poles)])
+        if not best.direct and self._search.settings.feedthrough:
+            others.append(replace(best, direct=True))
+        return min((best, *(self._climbed(fit, fit.late, rival=best.criterion)
+                            for fit in others)), key=_criterion)
 
-    def _from_grid(self, still: LateFit, delays: Array) -> list[LateFit]:
+    def _from_grid(self, still: LateFit) -> list[LateFit]:
         """Return the two likeliest of several starts with these poles, after two steps each."""
         apart = self._reach(still.poles)
         count = min(int(self._longest / apart), _STARTS)
-        tried = [(delays, self._late), *(
-            (np.where(late, k * apart, self._known), late)
-            for late in self._masks() for k in range(count + 1))]
-        fits = [self._rated(self._at(d).fit(still.poles, 2), d, late) for d, late in tried]
-        return sorted(fits, key=lambda fit: fit.criterion)[:2]
+        fits = []
+        for late in self._masks():
+            for k in range(1, count + 1):
+                start = replace(still, late=late, delays=np.where(late, k * apart, self._known))
+                fits.append(self._rated(self._at(start).fit(still.poles, 2), start.delays, late,
+                                        start.direct))
+        return sorted(fits, key=_criterion)[:2]
 
     def _masks(self) -> list[_Mask]:
         """Return the sets of inputs to be delayed alike: all, and each alone if there are few."""
@@ -220,32 +238,31 @@ class DeadTimeSearch:
         return float(1.0 / np.sqrt(np.sum(np.abs(p.s) ** 2 * power) / np.sum(power)))
 
     def _pruned(self, fit: LateFit) -> LateFit | None:
-        """Return the fit without dead times that are not significant, or too short to be told."""
+        """Return the fit without dead times that are too short, or that nothing asks for."""
         least = np.array([_FEIGNED * max(own, *(s.period for s in self._record.outputs))
                           for own in intervals(self._record)])
-        while True:
-            short = fit.late & (fit.delays < least)
-            if not short.any() and fit.late.sum() > 1:
-                short = fit.late & (fit.delays < _SURE * self._deviation(fit))
-            if not short.any():
-                return fit if fit.late.any() else None
-            j = int(np.argmin(np.where(short, fit.delays, np.inf)))
-            late = fit.late & (np.arange(len(fit.late)) != j)
-            delays = np.where(np.arange(len(late)) == j, self._known, fit.delays)
-            if not late.any():
-                return None
-            fit = self._climbed(replace(fit, delays=delays, late=late), late)
+        while fit.late.any():
+            short = np.flatnonzero(fit.late & (fit.delays < least))
+            if len(short):
+                fit = self._without(fit, int(short[np.argmin(fit.delays[short])]))
+                continue
+            fewer = min((self._without(fit, int(j)) for j in np.flatnonzero(fit.late)),
+                        key=_criterion)
+            if fewer.criterion - MARGIN > fit.criterion:
+                return fit
+            fit = fewer
+        return None
 
-    def _deviation(self, fit: LateFit) -> Array:
-        """Return how far each dead time may be off, by what the likelihood loses without it."""
-        at, lost = self._at(fit.delays), np.full(len(fit.late), np.inf)
-        for j in np.flatnonzero(fit.late):
-            moved = np.where(np.arange(len(fit.late)) == j, self._known, fit.delays)
-            other = np.array(fit.late)
-            other[j] = False
-            lost[j] = max(self._climbed(replace(fit, delays=moved), other).cost
-                          - at.fit(fit.poles).cost, 1e-9)
-        return fit.delays / np.sqrt(lost)
+    def _without(self, fit: LateFit, j: int) -> LateFit:
+        """Return the fit in which one input has no dead time to be found."""
+        others = fit.late & (np.arange(len(fit.late)) != j)
+        delays = np.array(fit.delays)
+        delays[j] = self._known[j]
+        return self._climbed(replace(fit, delays=delays), others)
+
+
+def _criterion(fit: LateFit) -> float:
+    return fit.criterion
 
 
 def intervals(record: Record) -> list[float]:

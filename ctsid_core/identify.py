@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import input_slopes, project_inputs, project_record
-from ctsid_core.dead_time import LONGEST, MARGIN, DeadTimeSearch, LateFit
+from ctsid_core.dead_time import LONGEST, DeadTimeSearch, LateFit
 from ctsid_core.deviation import deviations
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.joint_climb import climb_jointly
@@ -187,7 +187,7 @@ def _with_dead_time(part: Usable, found: _Found, settings: Settings) -> tuple[Us
                       poles=np.linalg.eigvals(found.matrices.A).astype(complex))
     if rough is None or not _likelier(hunt, rough, found):
         return part, found
-    known = _known(part, settings, rough.delays)
+    known = _known(part, settings, rough.delays).replace(feedthrough=rough.direct)
     shorter = usable(part.whole, known)
     if isinstance(shorter, Status):
         return part, found
@@ -196,22 +196,26 @@ def _with_dead_time(part: Usable, found: _Found, settings: Settings) -> tuple[Us
         return part, found
     shorter, other = _without_outliers(shorter, other, known)
     return shorter, _climbed(shorter, other, rough.late, (
-        f'with {len(other.matrices.A)} states and dead time, Schwarz\'s criterion is '
-        f'{-rough.gain:.0f} less than with {order} and none'))
+        f'with {len(rough.poles)} states and dead time, Schwarz\'s criterion is '
+        f'{rough.gain:.0f} less than with {order} and none'
+        + ('' if rough.direct or not settings.feedthrough else '; D is not needed beside it')))
 
 
 def _likelier(hunt: DeadTimeSearch, rough: LateFit, found: _Found) -> bool:
     """Return whether dead times are likelier than none if the errors are not white, too."""
     if not found.process_noise:
         return True
-    projection, settings = hunt.projection(rough.delays), found.settings
+    projection = hunt.projection(rough.delays)
+    settings = found.settings.replace(feedthrough=rough.direct)
     search = Search(projection, settings.replace(beta=0.0, gamma=0.0, past=0, future=0))
-    pair = search.pair(len(rough.poles))
-    if pair is None:
-        return False
-    late = most_likely(projection, pair, settings)
-    worth = model_criterion(search, *late) + float(rough.late.sum()) * search.charge
-    return worth < model_criterion(found.search, found.matrices, True) - MARGIN
+    rival = model_criterion(found.search, found.matrices, True)
+    for n in (len(rough.poles), len(rough.poles) + 1):       # gusts may ask for a state more
+        pair = None if n > len(found.matrices.A) else search.pair(n)
+        if pair is not None and model_criterion(
+                search, *most_likely(projection, pair, settings)) \
+                + float(rough.late.sum()) * search.charge < rival:
+            return True
+    return False
 
 
 def _known(part: Usable, settings: Settings, delays: Array) -> Settings:
