@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.dead_time import LONGEST
 from ctsid_core.estimate import Estimate
 from ctsid_core.identify import identify
 from ctsid_core.signals import Record
@@ -125,8 +126,9 @@ def _identify(data: Recorded, offset: float) -> Outcome:
     record, settings = data.record, data.config.settings
     part, tested = record, None
     if not math.isnan(data.split):
-        lead = max(settings.delays(record.nu))
         part = record.between(record.start, data.split)
+        lead = max(LONGEST * part.duration * any(settings.unknown_delays(record.nu)),
+                   *settings.delays(record.nu))
         tested = record.between(data.split, record.end, lead=lead)
     estimate = identify(part, settings)
     model = estimate.model or estimate.rejected_model
