@@ -18,10 +18,11 @@ import numpy as np
 
 from ctsid_core.bases.base import Array, Projection
 from ctsid_core.covariance import Entries
+from ctsid_core.delay_columns import delay_columns
 from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices
 from ctsid_core.process_noise import driven
-from ctsid_core.refine import whitened
+from ctsid_core.refine import whitened, whitener
 from ctsid_core.window_ends import line_distance
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
@@ -47,7 +48,7 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
     Returns
     -------
     Entries
-        Of A, B, C and D; zeros for the dead times. A plain subspace estimate scatters more.
+        Of A, B, C, D and the dead times; zeros for those that are known. A plain subspace estimate scatters more.
     """
     noisy = bool(np.any(m.K)) if process_noise is None else process_noise
     if noisy:
@@ -58,10 +59,10 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
             for _ in range(_PASSES):
                 m = driven(projection, m, feedthrough)
         root = _root_of_simulation(projection, m, feedthrough)
-    return _entries(root, m, feedthrough)
+    return _entries(projection, root, m, feedthrough)
 
 
-def _entries(root: Array, m: Matrices, feedthrough: bool) -> Entries:
+def _entries(projection: Projection, root: Array, m: Matrices, feedthrough: bool) -> Entries:
     """Return rows of changes in the order of `jacobian` by matrix, without tail, trim and K."""
     r, (n, nu), ny = len(root), m.B.shape, len(m.C)
     width, ones = nu + m.tail.shape[1] + m.x_trim.shape[1], m.y_trim.shape[1]
@@ -70,8 +71,9 @@ def _entries(root: Array, m: Matrices, feedthrough: bool) -> Entries:
     A, B, C, D = np.split(root, np.cumsum(sizes), axis=1)[:4]
     direct = np.zeros((r, ny, nu))
     direct[:, :, :feed] = D.reshape(r, ny, feed + ones)[:, :, :feed]
+    late = np.zeros((r, nu)) if projection.slopes is None else root[:, -nu:]
     return Entries(A.reshape(r, n, n), B.reshape(r, n, width)[:, :, :nu], C.reshape(r, ny, n),
-                   direct, np.zeros((r, nu)))
+                   direct, late)
 
 
 def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
@@ -91,6 +93,16 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
     return deviation
 
 
+def _columns(projection: Projection, m: Matrices, feedthrough: bool, *,
+             with_noise: bool) -> tuple[Array, Array]:
+    """Return the whitened Jacobian, last the columns of the dead times, and the errors."""
+    flat, error = whitened(projection, m, feedthrough, with_noise=with_noise)
+    if projection.slopes is not None:
+        late = delay_columns(projection, m, whitener(projection, m)[0])
+        flat = np.hstack((flat, late))
+    return flat, error
+
+
 def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
     """
     Return a root of the covariance of an innovation form's parameters, covariance = root^T root.
@@ -98,7 +110,7 @@ def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> 
     A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
     narrower than lines can tell, the lines in it would seem to say more than they do.
     """
-    flat, error = whitened(projection, m, feedthrough, with_noise=True)
+    flat, error = _columns(projection, m, feedthrough, with_noise=True)
     flat *= np.tile(np.repeat(_trust(projection, m), 2), len(m.C))[:, np.newaxis]
     s, right, norm = _directions(flat.T)
     spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
@@ -119,7 +131,7 @@ def _trust(projection: Projection, m: Matrices) -> Array:
 
 def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
     """Return a root of the sandwich covariance of a simulation's parameters."""
-    flat, error = whitened(projection, m, feedthrough, with_noise=False)
+    flat, error = _columns(projection, m, feedthrough, with_noise=False)
     s, right, norm = _directions(flat.T)
     basis = (flat / norm) @ right.T / s
     spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))

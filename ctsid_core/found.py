@@ -9,6 +9,7 @@ from ctsid_core.bases.base import Projection
 from ctsid_core.candidates import Candidate
 from ctsid_core.estimate import Choice, OrderTried
 from ctsid_core.joint import Layout
+from ctsid_core.order import Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.settings import Settings
 from ctsid_core.usable import Usable
@@ -25,6 +26,8 @@ class Found:
         As used: automatic values filled in.
     projection : Projection
         Of the records.
+    search : Search
+        Of the subspace models.
     matrices : Matrices
     best : Candidate
         The subspace model that it began from.
@@ -39,6 +42,7 @@ class Found:
 
     settings: Settings
     projection: Projection
+    search: Search
     matrices: Matrices
     best: Candidate
     process_noise: bool

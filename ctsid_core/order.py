@@ -100,6 +100,7 @@ class Search:
         self.settings = settings
         self._subspace = lru_cache(maxsize=None)(self._regress)
         self._levels = lru_cache(maxsize=None)(self._stack)
+        self.trial = lru_cache(maxsize=None)(self._trial)
 
     @cached_property
     def output_error(self) -> OutputError:
@@ -183,7 +184,7 @@ class Search:
                    * (self.charge - float(np.log(ny * 2.0 * len(p.s))))
                    for p in self.projection.records)
 
-    def trial(self, n: int) -> OrderTrial | None:
+    def _trial(self, n: int) -> OrderTrial | None:
         """Return the best of order n, its poles at the output-error maximum."""
         pair = self.pair(n, thorough=False)
         if pair is None:

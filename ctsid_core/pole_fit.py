@@ -15,7 +15,7 @@ Golub and Pereyra 1973, SIAM J. Numer. Anal. 10; Kaufman 1975, BIT 15, for the J
 from __future__ import annotations
 
 from cmath import sqrt as csqrt
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +51,26 @@ class OutputErrorFit:
     poles: NDArray[np.complex128]
     parameters: int
     residual: float
+
+
+@dataclass(frozen=True)
+class JointStep:
+    """
+    A step of poles and dead times.
+
+    Parameters
+    ----------
+    poles : callable
+        From a part of the step, 0 to 1, to the poles there [rad/s].
+    delays : ndarray, shape (nu,)
+        By how much dead times grow in the whole step [s].
+    gain : float
+        By how much the cost would fall if all were linear.
+    """
+
+    poles: Callable[[float], NDArray[np.complex128]]
+    delays: Array
+    gain: float
 
 
 class OutputError:
@@ -193,9 +213,8 @@ class OutputError:
         if slow is not None:
             rows.append(self._ones * self._filter(factors[slow]))
         found = as_real(np.concatenate((*rows, self._outputs)))
-        norm = np.sqrt(np.einsum('ij,ij->i', found, found))
+        norm = _norms(found)
         norm[-len(self._y):] = 1.0
-        norm[norm == 0.0] = 1.0
         found /= norm[:, np.newaxis]
         return found
 
@@ -262,7 +281,7 @@ class OutputError:
         """
         factors = _factors(poles / self._top)
         rows, theta, q, residual = self._weights(self._regressors(factors))
-        columns, _ = self._slopes(factors, rows, theta, q, residual)
+        columns = _columns(self._changes(factors, rows, theta)[0], q, residual)
         size = np.sqrt(np.einsum('iil->i', spectrum).real / spectrum.shape[2])
         shape = spectrum / np.outer(size, size)[:, :, np.newaxis]
         basis = np.linalg.qr(columns)[0].T.copy().view(complex).reshape(len(poles), len(size), -1)
@@ -273,20 +292,14 @@ class OutputError:
     def _step(self, factors: Array, rows: Array, theta: Array, q: Array,
               residual: Array) -> Array:
         """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""
-        jacobian, places = self._slopes(factors, rows, theta, q, residual)
-        norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-        size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
-        found = np.linalg.lstsq(jacobian / norm, (residual / size).ravel(), rcond=1e-8)[0] / norm
-        step = np.zeros_like(factors)
-        for (i, k), value in zip(places, found, strict=True):
-            step[i, k] = value
-        return step
+        changes, places = self._changes(factors, rows, theta)
+        found = _solved(_columns(changes, q, residual), residual)[0]
+        return _placed(found, places, factors)
 
-    def _slopes(self, factors: Array, rows: Array, theta: Array, q: Array,
-                residual: Array) -> tuple[Array, list[tuple[int, int]]]:
-        """Return the derivatives of what is explained, over the residuals' size, and by what."""
-        size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
-        columns: list[Array] = []
+    def _changes(self, factors: Array, rows: Array,
+                 theta: Array) -> tuple[list[Array], list[tuple[int, int]]]:
+        """Return the derivatives of what is explained by the entries of the factors; which."""
+        changes: list[Array] = []
         places: list[tuple[int, int]] = []
         width, first, slow = len(self._z), 0, self._slowest(factors)
         for i, factor in enumerate(factors):
@@ -299,11 +312,75 @@ class OutputError:
             # What a factor explains, filtered once more, is its derivative.
             once = -part.view(np.complex128) * self._filter(factor)
             moves = [(1, once)] + [(0, once * self._s)] * bool(factor[2])
-            for k, change in moves:
-                real = as_real(change)
-                columns.append(((real - (real @ q) @ q.T) / size).ravel())
-                places.append((i, k))
-        return np.stack(columns, axis=1), places
+            changes += [as_real(change) for _, change in moves]
+            places += [(i, k) for k, _ in moves]
+        return changes, places
+
+    def joint_step(self, poles: NDArray[np.complex128], late: NDArray[np.bool_]) -> JointStep:
+        """
+        Return the Gauss-Newton step of poles and dead times from given poles.
+
+        Parameters
+        ----------
+        poles : ndarray, shape (n,)
+            Real, or in conjugate pairs [rad/s].
+        late : ndarray, shape (nu,)
+            Which inputs' dead times move.
+
+        Notes
+        -----
+        What an input explains, times -s, is the derivative by its dead time: but for a multiple
+        of the tail, which is a regressor in any case unless the input acts at once.
+        """
+        factors = _factors(poles / self._top)
+        rows, theta, q, residual = self._weights(self._regressors(factors))
+        changes, places = self._changes(factors, rows, theta)
+        width = len(self._z)
+        blocks = sum(2 if factor[2] else 1 for factor in factors)
+        for j in np.flatnonzero(late):
+            own = [j + width * block for block in range(blocks)]
+            own += [width * blocks + j] * self.feedthrough
+            part = (theta[:, own] @ rows[own]).view(np.complex128)
+            changes.append(as_real(-self._s * part))
+        found, left = _solved(_columns(changes, q, residual), residual)
+        before, after = (np.maximum(np.sum(r ** 2, axis=1), _FLOOR) for r in (residual, left))
+        delays = np.zeros(len(late))
+        delays[late] = found[len(places):] / self._top
+        step = _placed(found[:len(places)], places, factors)
+        return JointStep(lambda part: _roots(factors + part * step) * self._top, delays,
+                         self._count * float(np.log(before / after).sum()))
+
+
+def _columns(changes: list[Array], q: Array, residual: Array) -> Array:
+    """Return the columns of a Jacobian, each output in units of its residual."""
+    size = _sizes(residual)
+    return np.stack([((real - (real @ q) @ q.T) / size).ravel() for real in changes], axis=1)
+
+
+def _sizes(residual: Array) -> Array:
+    size: Array = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
+    return size
+
+
+def _solved(jacobian: Array, residual: Array) -> tuple[Array, Array]:
+    """Return the step that a Jacobian and residuals ask for, and what it would leave of them."""
+    norm, size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), _sizes(residual)
+    found: Array = np.linalg.lstsq(
+        jacobian / norm, (residual / size).ravel(), rcond=1e-8)[0] / norm
+    return found, residual - size * (jacobian @ found).reshape(residual.shape)
+
+
+def _placed(found: Array, places: list[tuple[int, int]], factors: Array) -> Array:
+    step = np.zeros_like(factors)
+    for (i, k), value in zip(places, found, strict=True):
+        step[i, k] = value
+    return step
+
+
+def _norms(rows: Array) -> Array:
+    norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
+    norm[norm == 0.0] = 1.0
+    return norm
 
 
 def _unit_rows(rows: Lines) -> Lines:

@@ -13,11 +13,11 @@ from ctsid_core.candidates import Pair
 from ctsid_core.estimate import OrderTried
 from ctsid_core.order import OrderTrial, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import simulate_lines
+from ctsid_core.prediction_errors import innovation_cost, output_error_cost, simulate_lines
 from ctsid_core.process_noise import with_process_noise
 from ctsid_core.refine import affordable, growth, refine_innovation
 from ctsid_core.settings import Settings
-from ctsid_core.window_ends import line_distance
+from ctsid_core.window_ends import ends_cost_of_simulation, line_distance
 
 _CONTENDERS = 3       # orders whose innovation forms are refined before they are compared
 _STEPS = 6            # of that refinement: enough to compare
@@ -83,6 +83,17 @@ def _innovation_form(search: Search, trial: OrderTrial,
     model, cost = refine_innovation(search.projection, trial.start, search.settings.feedthrough,
                                     limit=trial.pair.limit, steps=_STEPS, rival=least - price)
     return cost + price, model
+
+
+def model_criterion(search: Search, model: Matrices, process_noise: bool) -> float:
+    """Return Schwarz's criterion of a model at its maximum, with or without process noise."""
+    n, ny = len(model.A), len(model.C)
+    if process_noise:
+        return innovation_cost(search.projection, model) + search.price(n)
+    still = replace(model, K=np.zeros_like(model.K))
+    poles = np.linalg.eigvals(model.A).astype(complex)
+    return (output_error_cost(search.projection, still) + search.price(n)
+            - n * ny * search.charge + ends_cost_of_simulation(search.projection, poles))
 
 
 def most_likely(projection: Projection, pair: Pair, settings: Settings,

@@ -22,8 +22,8 @@ HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
 
 def parameter(
     default: Any, doc: str, *, name: str = '', unit: str = '', low: float | None = None,
-    high: float | None = None, choices: tuple[str, ...] = (), auto: str = '',
-    structural: bool = False, when: str = '',
+    high: float | None = None, choices: tuple[str, ...] = (), words: tuple[str, ...] = (),
+    auto: str = '', structural: bool = False, when: str = '',
 ) -> Any:
     """
     Declare one parameter as a dataclass field.
@@ -42,6 +42,8 @@ def parameter(
         Inclusive range.
     choices : tuple of str
         Allowed words.
+    words : tuple of str
+        Words that a number may be replaced by.
     auto : str
         What the value 0 means where 0 stands for 'automatic'.
     structural : bool
@@ -51,7 +53,12 @@ def parameter(
     """
     return field(default=default, metadata={
         'doc': doc, 'name': name, 'unit': unit, 'low': low, 'high': high, 'choices': choices,
-        'auto': auto, 'structural': structural, 'when': when})
+        'words': words, 'auto': auto, 'structural': structural, 'when': when})
+
+
+def is_number(declared: Field[Any]) -> bool:
+    """Return whether a declared parameter is a floating-point number, or a word in its place."""
+    return isinstance(declared.default, float) or bool(declared.metadata['words'])
 
 
 def ros_name(declared: Field[Any]) -> str:
@@ -84,9 +91,10 @@ class Settings:
     trim: bool = parameter(
         True, 'Whether constant offsets of states and outputs are estimated with the model.',
         when='Set it to false only if all signals are deviations from an equilibrium.')
-    delay: float | tuple[float, ...] = parameter(
-        0.0, 'Dead time of the inputs: one for all, or one per input.', unit='s', low=0.0,
-        high=60.0, structural=True, when='Set it when commands are known to act late.')
+    delay: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'Dead time of the inputs: one for all, or one per input; auto is found from the '
+        'data.', unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
+        when='Set it to 0.0 where commands act at once, or to what is known.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
         when='Set it to false to see the plain subspace estimate.')
@@ -151,19 +159,33 @@ class Settings:
 
     def delays(self, nu: int) -> tuple[float, ...]:
         """
-        Return the dead time of each of `nu` inputs [s].
+        Return the dead time of each of `nu` inputs [s]; 0 where it is to be found from the data.
 
         Raises
         ------
         SettingsError
             If `delay` is a sequence of another length.
         """
+        return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each(nu))
+
+    def unknown_delays(self, nu: int) -> tuple[bool, ...]:
+        """Return of which inputs the dead time is to be found; raises like `delays`."""
+        return tuple(isinstance(d, str) for d in self._each(nu))
+
+    def with_known_delays(self) -> Settings:
+        """Return a copy in which dead times that are to be found count as 0."""
         if isinstance(self.delay, tuple):
-            if len(self.delay) != nu:
-                raise SettingsError([f'`delay` has {len(self.delay)} values but there are {nu} '
-                                     'inputs; give one number, or one per input'])
-            return self.delay
-        return (float(self.delay),) * nu
+            return self.replace(delay=tuple(
+                0.0 if isinstance(d, str) else d for d in self.delay))
+        return self.replace(delay=0.0) if isinstance(self.delay, str) else self
+
+    def _each(self, nu: int) -> tuple[float | str, ...]:
+        if not isinstance(self.delay, tuple):
+            return (self.delay,) * nu
+        if len(self.delay) != nu:
+            raise SettingsError([f'`delay` has {len(self.delay)} values but there are {nu} '
+                                 'inputs; give one for all, or one per input'])
+        return self.delay
 
     @classmethod
     def from_ros(cls, values: Mapping[str, object]) -> Settings:
@@ -237,6 +259,8 @@ def value_faults(declared: Field[Any], value: object, prefix: str = '') -> list[
 
 
 def _kind(declared: Field[Any]) -> str:
+    if words := declared.metadata['words']:
+        return f'number or {" or ".join(words)}'
     kind = type(declared.default) if declared.default is not MISSING else str
     return {bool: 'true or false', int: 'whole number', float: 'number', str: 'word'}.get(
         kind, 'value')
@@ -245,11 +269,13 @@ def _kind(declared: Field[Any]) -> str:
 def _scalar_faults(name: str, declared: Field[Any], meta: Mapping[str, Any],
                    value: object) -> list[str]:
     wanted = type(declared.default) if declared.default is not MISSING else str
+    if value in meta['words'] and isinstance(value, str):
+        return []
     good = isinstance(value, int | float) and not isinstance(value, bool) \
-        if wanted is float else type(value) is wanted
+        if is_number(declared) else type(value) is wanted
     if not good:
         quotes = ' (in files, y, n, on, off, yes and no mean true and false: put quotes around ' \
-            'the word)' if wanted is str and isinstance(value, bool) else ''
+            'the word)' if wanted is str and isinstance(value, bool) and not meta['words'] else ''
         return [f'`{name}` is {value!r} ({type(value).__name__}), but a {_kind(declared)} is '
                 f'wanted{quotes}']
     if meta['choices'] and value not in meta['choices']:

@@ -60,9 +60,10 @@ class Channel:
         'its recording (log; in the node: its arrival); auto is the header where it has a stamp, '
         'else log.', choices=('auto', 'header', 'publish', 'log'), structural=True,
         when='Set it to log for all channels if the clocks of two computers differ.')
-    delay: float = parameter(
-        0.0, 'Dead time from this input to the outputs.', unit='s', low=0.0, high=60.0,
-        structural=True, when='Set it when commands are known to act late.')
+    delay: float | str = parameter(
+        'auto', 'Dead time from this input to the outputs; auto is found from the data.',
+        unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
+        when='Set it to 0.0 where commands act at once, or to what is known.')
 
     def __post_init__(self) -> None:
         faults = [fault for declared in fields(self) for fault in
@@ -125,7 +126,7 @@ class Config:
     channels : tuple of Channel
         At least one input and one output; names differ. Inputs are put first.
     settings : Settings
-        Its `delay` is composed from the delays of the input channels; leave it at 0.
+        Its `delay` is composed from the delays of the input channels; leave it at 'auto'.
     node : NodeSettings
         What only the node reads.
 
@@ -173,7 +174,7 @@ class Config:
 
     def with_channels(self, channels: Sequence[Channel]) -> Config:
         """Return a copy that has these channels; raises like `Config`."""
-        return Config(tuple(channels), self.settings.replace(delay=0.0), self.node)
+        return Config(tuple(channels), self.settings.replace(delay='auto'), self.node)
 
 
 def list_faults(listed: Sequence[tuple[str, Role]]) -> list[str]:
@@ -203,7 +204,7 @@ def _text_faults(channel: Channel) -> list[str]:
         parse_field(channel.field)
     except ParseError as error:
         faults.append(f'`{name}.field`: {error}')
-    if channel.role == 'output' and channel.delay:
+    if channel.role == 'output' and channel.delay not in ('auto', 0.0):
         faults.append(f'`{name}.delay` is {channel.delay!r}, but {name} is an output; dead time '
                       'belongs to the inputs')
     return faults
@@ -211,10 +212,10 @@ def _text_faults(channel: Channel) -> list[str]:
 
 def _with_delays(inputs: Sequence[Channel], settings: Settings) -> Settings:
     """Compose the settings' delay: one per scalar input, or one for all if they are equal."""
-    delays: float | tuple[float, ...] = inputs[0].delay
+    delays: float | str | tuple[float | str, ...] = inputs[0].delay
     if any(channel.delay != inputs[0].delay for channel in inputs):
         delays = tuple(channel.delay for channel in inputs for _ in range(channel.width))
-    if settings.delay not in (0.0, delays):
+    if settings.delay not in ('auto', delays):
         raise SettingsError([f'`delay` is {settings.delay!r}, but the input channels say '
                              f'{delays!r}; set the delays of the channels'])
     return settings.replace(delay=delays)

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import yaml
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.settings import Settings, build_from_ros, value_faults
+from ctsid_core.settings import Settings, build_from_ros, is_number, value_faults
 from ctsid_ros.channels import (
     CHANNEL_KEYS,
     RESERVED,
@@ -227,7 +227,7 @@ def _share_delay(rest: dict[str, object], inputs: Mapping[str, dict[str, object]
     new = value_faults(SETTINGS_KEYS['delay'], tuple(each) if isinstance(delay, list) else delay)
     if len(each) != len(inputs):
         new.append(f'`delay` has {len(each)} values but there are {len(inputs)} input channels; '
-                   'give one number, or one per channel')
+                   'give one for all, or one per channel')
     if given := [name for name, own in inputs.items() if 'delay' in own]:
         new.append(f'`delay` is given, and `{given[0]}.delay` too; keep one of them')
     faults += new
@@ -257,6 +257,6 @@ def as_number(declared: Field[Any], value: object) -> object:
     """Return whole numbers as floats where floats are wanted: people write 20 for 20.0."""
     if isinstance(value, list):
         return [as_number(declared, item) for item in value]
-    if isinstance(declared.default, float) and type(value) is int and abs(value) < 2**53:
+    if is_number(declared) and type(value) is int and abs(value) < 2**53:
         return float(value)
     return value

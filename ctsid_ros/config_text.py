@@ -10,6 +10,7 @@ import re
 import textwrap
 from typing import Any
 
+from ctsid_core.settings import is_number
 from ctsid_ros.channels import CHANNEL_KEYS, SETTINGS_KEYS, Config
 from ctsid_ros.node_settings import NODE_KEYS
 
@@ -79,7 +80,7 @@ def limits(declared: Field[Any]) -> str:
     if meta['choices']:
         return ' | '.join(meta['choices'])
     if low and high:
-        return f'{low} to {high}{automatic}'
+        return ' | '.join((*meta['words'], f'{low} to {high}{automatic}'))
     return (f'at least {low}' if low else f'at most {high}' if high else '') + automatic
 
 
@@ -120,7 +121,7 @@ def value_text(declared: Field[Any], value: object) -> str:
         return f'[{", ".join(value_text(declared, item) for item in value)}]'
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, int | float) and isinstance(declared.default, float):
+    if isinstance(value, int | float) and is_number(declared):
         mantissa, exponent, rest = repr(float(value)).partition('e')
         return mantissa + ('.0' if '.' not in mantissa else '') + exponent + rest
     return _text(value) if isinstance(value, str) else str(value)

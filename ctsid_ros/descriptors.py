@@ -24,12 +24,13 @@ def descriptor(name: str, declared: Field[Any] | None) -> ParameterDescriptor:
     if declared is None:
         return ParameterDescriptor(description=LISTS[name], additional_constraints=fixed)
     meta = declared.metadata
-    constraints = [limits(declared) if meta['choices'] or meta['auto'] else '',
+    constraints = [limits(declared) if meta['choices'] or meta['words'] or meta['auto'] else '',
                    fixed if meta['structural'] else '']
-    told = ParameterDescriptor(
+    told = ParameterDescriptor(  # what may be a number or a word has no type of its own in ROS
         description=describe(declared), read_only=name in _ONCE,
+        dynamic_typing=bool(meta['words']),
         additional_constraints='; '.join(part for part in constraints if part))
-    if meta['low'] is not None and meta['high'] is not None:
+    if meta['low'] is not None and meta['high'] is not None and not meta['words']:
         if isinstance(declared.default, float):  # step 0: any number between
             told.floating_point_range = [FloatingPointRange(
                 from_value=float(meta['low']), to_value=float(meta['high']), step=0.0)]

@@ -48,7 +48,7 @@ def declare(node: Node) -> None:
     """
     for name in (*ROLE_LISTS, *OWN_KEYS):
         _declare_anew(node, name, OWN_KEYS.get(name))
-    if _value(node, 'delay') == 0.0:  # it stands for those of the channels, if it is given
+    if _value(node, 'delay') == 'auto':  # it stands for those of the channels, if it is given
         node.undeclare_parameter('delay')
     _declare_channels(node)
 
@@ -151,7 +151,8 @@ def _declare_anew(node: Node, name: str, declared: Field[Any] | None) -> None:
 def _mend(node: Node, name: str, declared: Field[Any] | None) -> None:
     """Give a parameter without type its type, if its value suits it now."""
     value = _value(node, name)
-    if not node.describe_parameter(name).dynamic_typing:
+    mixed = declared is not None and declared.metadata['words']     # has no type, ever
+    if mixed or not node.describe_parameter(name).dynamic_typing:
         return
     if declared is not None:
         value = as_number(declared, value)

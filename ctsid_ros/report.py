@@ -14,6 +14,7 @@ from ctsid_core.estimate import Estimate, Status
 from ctsid_core.statespace import StateSpace
 from ctsid_core.validation import ResidualTests, Validation
 from ctsid_core.verdict import Grade
+from ctsid_ros.channels import Channel
 from ctsid_ros.document import Bullets, Section
 from ctsid_ros.figures import (
     bode_figures,
@@ -63,7 +64,7 @@ def channel_section(played: Played, title: str = 'Signals', *, brief: bool = Tru
     for c in played.config.channels:
         counts = played.counts.channels[c.name]
         rows.append((c.role, label(c.name, c.unit), c.topic, c.field, c.hold,
-                     number(c.delay, 3) if c.role == 'input' else '',
+                     _delay(c) if c.role == 'input' else '',
                      counts.source, str(counts.samples.accepted)))
     head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
     why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'
@@ -110,7 +111,7 @@ def model_section(estimate: Estimate, title: str) -> Section:
     words = f'{model.n} state{"s" if model.n > 1 else ""}, {"with" if model.D.any() else "no"} ' \
             'direct feedthrough'
     if any(model.delay):
-        words += f', dead time {", ".join(f"{d:g}" for d in model.delay)} s'
+        words += f', dead time {_dead_times(estimate, model)} s'
     return Section(title, (*parts, f'{words}.', mode_table(modes_of(estimate)),
                            *verdict_tables(estimate, model), fit_table(estimate, model)))
 
@@ -134,6 +135,16 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     tables.append(Table(('output', 'missing [%]', 'white (p)', 'unseen / own error', 'fresh / own'),
                         outputs, ('output',)))
     return tables if inputs else []
+
+
+def _delay(channel: Channel) -> str:
+    return channel.delay if isinstance(channel.delay, str) else number(channel.delay, 3)
+
+
+def _dead_times(estimate: Estimate, model: StateSpace) -> str:
+    std = estimate.delay_std if len(estimate.delay_std) == model.nu else np.zeros(model.nu)
+    return ', '.join(f'{d:.4g}' + (f' +- {s:.2g}' if s > 0.0 else '')
+                     for d, s in zip(model.delay, std, strict=True))
 
 
 def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
@@ -329,8 +340,8 @@ def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> I
     if (model.poles.real > 0).any():
         yield ('The model is unstable: right for a plant that a controller holds upright; else '
                'lower `max_order` or take a longer interval.')
-    if not any(model.delay) and model.n > 1:
-        yield ('If commands act late, set the `delay` of the input to the dead time; the model '
-               'otherwise spends states on it.')
+    if not any(model.delay) and model.n > 1 and not isinstance(settings.delay, str):
+        yield ('If commands act late, set the `delay` of the input to auto or to the dead time; '
+               'the model otherwise spends states on it.')
     if complaints:
         yield 'Mend what the notes on the data say, or choose an interval without it.'

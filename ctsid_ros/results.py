@@ -124,7 +124,7 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
                            'them with --params')
     try:
         return Config(tuple(Channel(**channel) for channel in listed),
-                      settings.replace(delay=0.0))
+                      settings.replace(delay='auto'))
     except (TypeError, SettingsError) as error:
         raise StorageError(f'{path}: `metadata.channels` is not usable ({error}); give --params'
                            ) from error

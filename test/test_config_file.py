@@ -23,7 +23,7 @@ FILE = """\
     inputs: [torque]
     outputs: [rate]
     torque: {topic: /cmd, type: sensor_msgs/msg/JointState, field: 'effort[0]', unit: N m,
-             hold: zoh, stamp: auto, delay: 0.0}
+             hold: zoh, stamp: auto, delay: auto}
     rate:   {topic: /imu, type: sensor_msgs/msg/Imu, field: angular_velocity.x, unit: rad/s}
     order: 0
     window: {length: 10.0, stride: 1.0}
@@ -204,13 +204,17 @@ def test_names_that_mean_something_to_yaml_want_quotes():
 
 def test_delays_of_channels_and_of_all():
     two = plain(inputs=['torque', 'force'], force={'topic': '/f', 'field': 'data[0:3]'})
-    assert parse_parameters(two).settings.delay == 0.0
+    assert parse_parameters(two).settings.delay == 'auto'
+    assert parse_parameters(two | {'delay': 'auto'}).settings.delay == 'auto'
+    config = parse_parameters(two | {'delay': ['auto', 0.2]})
+    assert config.settings.delay == ('auto', 0.2, 0.2, 0.2)
+    assert parse_parameters(two | {'delay': 0.0}).settings.delay == 0.0
     assert parse_parameters(two | {'delay': 0.2}).settings.delay == 0.2
     config = parse_parameters(two | {'delay': [0.1, 0.2]})
     assert [c.delay for c in config.inputs] == [0.1, 0.2]
     assert config.settings.delay == (0.1, 0.2, 0.2, 0.2)
     assert config.settings.delays(4) == (0.1, 0.2, 0.2, 0.2)
-    assert parse_parameters(two | {'force.delay': 0.3}).settings.delays(4) == (0, 0.3, 0.3, 0.3)
+    assert parse_parameters(two | {'force.delay': 0.3}).settings.delay == ('auto', 0.3, 0.3, 0.3)
 
 
 def test_delays_of_different_inputs_need_known_widths():
@@ -260,7 +264,7 @@ def test_a_config_made_by_hand_is_checked_like_a_file():
         Config((RATE,))
     with pytest.raises(SettingsError, match='listed 2 times'):
         Config((TORQUE, RATE, RATE))
-    with pytest.raises(SettingsError, match=r'`delay` is 0.3, but the input channels say 0.0'):
+    with pytest.raises(SettingsError, match=r"`delay` is 0.3, but the input channels say 'auto'"):
         Config((TORQUE, RATE), Settings(delay=0.3))
     assert Config((replace(TORQUE, delay=0.3), RATE)).settings.delay == 0.3
     with pytest.raises(SettingsError, match="`torque.hold` is 'x'"):

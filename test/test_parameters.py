@@ -188,6 +188,17 @@ def test_one_delay_for_all_or_one_each(make):
         '[torque]', '[torque, force]')
     assert read(make(text)).settings.delay == (0.1, 0.2)
     assert read(make(more(**{'torque.delay': 1}))).settings.delay == 1.0
+    assert read(make(more(delay='auto'))).settings.delay == 'auto'
+    assert read(make(more(**{'torque.delay': 'auto'}))).settings.delay == 'auto'
+    assert read(make(more(**{'torque.delay': 0.0}))).settings.delay == 0.0
+
+
+def test_a_dead_time_may_change_between_number_and_word_while_unconfigured(make):
+    watched = Watched(make(), locked=False)
+    for value in (0.1, 'auto', 2, 'auto'):
+        assert watched.set(**{'torque.delay': value}) == []
+        assert read(watched.node).settings.delay == value
+    assert any("'late'" in said for said in watched.set(**{'torque.delay': 'late'}))
 
 
 def test_a_missing_type_is_answered_with_what_is_there(make):
@@ -214,7 +225,10 @@ def test_every_parameter_describes_itself(make):
         assert meta['when'] in told.description
         assert all(choice in told.additional_constraints for choice in meta['choices'])
         assert ('Fixed' in told.additional_constraints) == meta['structural']
-        assert not told.dynamic_typing
+        assert told.dynamic_typing == bool(meta['words'])      # a number or a word
+        if meta['words']:
+            assert all(text in told.additional_constraints for text in (*meta['words'], '0 to'))
+            continue
         ranges = [*told.integer_range, *told.floating_point_range]
         assert [(r.from_value, r.to_value) for r in ranges] == (
             [] if meta['low'] is None else [(meta['low'], meta['high'])])
@@ -313,7 +327,7 @@ def test_channels_can_be_added_and_removed_while_unconfigured(make):
     assert watched.set(**{'force.topic': 'f', 'force.type': 'a/msg/B', 'force.field': 'x',
                           'force.delay': 1}) == []
     assert [(c.name, c.delay) for c in read(watched.node).inputs] == [
-        ('torque', 0.0), ('force', 1.0)]
+        ('torque', 'auto'), ('force', 1.0)]
     assert watched.set(inputs=['force']) == []
     assert [c.name for c in read(watched.node).inputs] == ['force']
     assert not watched.node.has_parameter('torque.topic')

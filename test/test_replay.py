@@ -196,7 +196,7 @@ def test_config_is_completed_from_the_bag(tmp_path):
 
 def test_delays_of_channels_survive_the_completion(bag):
     config = replace(CONFIG, channels=(replace(CONFIG.inputs[0], delay=0.25), *CONFIG.outputs),
-                     settings=CONFIG.settings.replace(delay=0.0))
+                     settings=CONFIG.settings.replace(delay='auto'))
     data = read_record(bag, config)
     assert data.config.settings.delay == 0.25
     # Inputs are known from so much earlier.
@@ -217,7 +217,7 @@ def test_messages_that_cannot_be_decoded_do_not_settle_the_source_of_stamps(tmp_
 def test_publish_times_are_used_where_wanted(tmp_path):
     sent = [replace(s, publish_ns=s.log_ns - 50_000_000) for s in flight(4.0)]
     config = replace(CONFIG, channels=tuple(replace(c, stamp='publish') for c in CONFIG.channels),
-                     settings=CONFIG.settings.replace(delay=0.0))
+                     settings=CONFIG.settings.replace(delay='auto'))
     with open_bag(write_mcap(tmp_path / 'bag.mcap', sent)) as opened:
         record = read_record(opened, config).record
     first = next(s.log_ns for s in sent if s.topic == '/imu')

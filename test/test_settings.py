@@ -34,7 +34,7 @@ def test_names_are_unique_dotted_lower_snake_case_and_explained():
 
 @pytest.mark.parametrize('declared', NUMBERS, ids=ros_name)
 def test_ends_of_a_range_belong_to_it_and_nothing_beyond(declared):
-    kind = type(declared.default)
+    kind = float if declared.metadata['words'] else type(declared.default)
     for end, beyond in ((declared.metadata['low'], -1), (declared.metadata['high'], 1)):
         assert value_faults(declared, kind(end)) == []
         outside = end + beyond if kind is int else math.nextafter(end, beyond * math.inf)
@@ -107,6 +107,18 @@ def test_settings_do_not_change_but_copies_do():
     assert settings.replace(order=3) == replace(settings, order=3) == Settings(order=3)
     with pytest.raises(SettingsError, match='`order` is -1'):
         settings.replace(order=-1)
+
+
+def test_delays_may_be_left_to_the_data():
+    assert Settings().delay == 'auto'
+    mixed = Settings(delay=('auto', 0.2))
+    assert mixed.delays(2) == (0.0, 0.2)
+    assert mixed.unknown_delays(2) == (True, False)
+    assert mixed.with_known_delays().delay == (0.0, 0.2)
+    assert Settings().with_known_delays().delay == 0.0
+    for wrong in ('Auto', ('auto', 'x'), True, ('auto', -1.0)):
+        with pytest.raises(SettingsError, match='`delay` is'):
+            Settings(delay=wrong)
 
 
 def test_delays_are_one_for_all_or_one_each():

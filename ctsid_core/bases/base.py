@@ -42,6 +42,9 @@ class Projection:
         The interval of the record [s]; of several, from 0 to the sum of their durations.
     members : tuple of Projection
         The records that were joined, if they are several: their lines as they are here.
+    slopes : ndarray, shape (nu, L), or None
+        Derivatives of u by the dead times that were estimated [1/s], zero for those that are
+        known; None if all are.
     """
 
     s: Lines
@@ -53,6 +56,7 @@ class Projection:
     start: float
     end: float
     members: tuple[Projection, ...] = ()
+    slopes: Lines | None = None
 
     @property
     def records(self) -> tuple[Projection, ...]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.dead_time import LONGEST
 from ctsid_core.errors import BagError, SettingsError
 from ctsid_core.estimate import Estimate
 from ctsid_core.identify import identify
@@ -132,7 +133,9 @@ class Source:
         record, split = self.data.record, self.data.split
         if math.isnan(split):
             return None
-        lead = max(self.data.config.settings.delays(record.nu))
+        settings = self.data.config.settings
+        lead = max(LONGEST * (split - record.start) * any(settings.unknown_delays(record.nu)),
+                   *settings.delays(record.nu))
         return record.between(split, record.end, lead=lead)
 
     @property

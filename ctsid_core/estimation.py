@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From records to a model of the moving channels: project, regress, refine, clean, confirm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.bases.base import as_real
+from ctsid_core.estimate import Choice, with_fit
+from ctsid_core.found import Found, own_delays
+from ctsid_core.held_out import HeldOut, held_out
+from ctsid_core.joint import Joint, Layout, balanced
+from ctsid_core.order import Search
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import prediction_errors
+from ctsid_core.refine import affordable
+from ctsid_core.selection import Chosen, choose_order, most_likely
+from ctsid_core.settings import Settings
+from ctsid_core.statespace import StateSpace
+from ctsid_core.usable import Usable
+
+_ROUNDS = 2             # of removing corrupt samples by the model found without them
+_REWEIGHTED = 2         # rounds of weighting records by the noise that a model finds in them
+_CLOSE = 20.0           # of Schwarz's criterion: orders about as likely
+_BETTER = 0.8           # errors on data held out, over those of the likelier order, that win
+_LITTLE = 1.1           # errors' power over that without outliers that changes no choice
+
+
+def estimate(part: Joint, settings: Settings, first: int,
+              layout: Layout | None = None) -> Found | None:
+    """
+    Return the model of records, or None if they are too short for any.
+
+    Several are weighted by the noise that their model finds in them.
+    """
+    choices: list[Choice] = []
+    if layout is None:
+        layout, why = part.layout(settings)
+        choices += [Choice('hermite.nmax', max(layout.sizes)[0], why)] if why else []
+    found = _estimate_on(layout, part, settings, list(choices), first)
+    for _ in range(_REWEIGHTED * part.several):
+        if found is None:
+            break
+        better = balanced(found.projection, found.matrices, found.layout)
+        if better is found.layout:
+            break
+        weighted = ', '.join(f'{w:.2g}' for w in better.weights)
+        found = _estimate_on(better, part, settings, [*choices, Choice(
+            'weights', weighted, 'the noise of the records differs')], first)
+    return found
+
+
+def _estimate_on(layout: Layout, part: Joint, settings: Settings,
+                 choices: list[Choice], first: int) -> Found | None:
+    nmax, parts = max(layout.sizes)
+    own = own_delays(part.parts[0], settings.replace(parts=parts))
+    projection = part.project(own, layout)
+    search = Search(projection, own)
+    chosen = None if settings.order else _best_order(search, choices, first)
+    pair = chosen.trial.pair if chosen else search.pair(settings.order) if settings.order else None
+    if pair is None:
+        return None
+    order = len(pair.best.poles)
+    tuning = pair.best.subspace.tuning
+    if pair.tried > 1:
+        choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
+                              f'the most likely of {pair.tried} subspace models'))
+    matrices, process_noise = most_likely(search.projection, pair, own,
+                                          chosen.noisy if chosen else None)
+    if settings.refine and not affordable(projection, order):
+        choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
+                              'the likelihood takes too long; this is the subspace estimate'))
+    elif settings.refine:
+        choices.append(Choice(
+            'noise', 'process' if process_noise else 'measurement',
+            'the likelier of process noise (innovation form) and measurement noise alone'))
+    used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
+                            gamma=tuning.gamma, past=tuning.past, future=tuning.future)
+    return Found(used, projection, search, matrices, pair.best, process_noise, tuple(choices), layout,
+                 chosen.tried if chosen else ())
+
+
+def without_outliers(part: Joint, found: Found,
+                      settings: Settings) -> tuple[Joint, Found]:
+    """
+    Return record and model without the corrupt samples that only a model can tell.
+
+    Those that were taken out without one are put back if the model explains them. What was chosen
+    from the data stays as it is, unless the samples made a large difference.
+    """
+    for _ in range(_ROUNDS):
+        own, matrices = found.projection, found.matrices.of_records(found.projection)
+        errors = [as_real(prediction_errors(p, m))
+                  for p, m in zip(own.records, matrices, strict=True)]
+        densities = [own.unit * np.mean(error ** 2, axis=1) / weight ** 2
+                     for error, weight in zip(errors, found.layout.weights, strict=True)]
+        if not (np.isfinite(found.matrices.A).all() and part.doubtful(densities)):
+            break
+        cleaned, gain = part.cleaned([_simulating(usable, m, found.settings)
+                                      for usable, m in zip(part.parts, matrices, strict=True)])
+        large = gain > _LITTLE
+        order = found.settings.order
+        again = None if cleaned is part else estimate(cleaned, settings, order) if large else \
+            estimate(cleaned, found.settings, order, found.layout)
+        if again is None:
+            break
+        part, found = cleaned, again if large else replace(
+            again, choices=found.choices, orders=found.orders)
+        if not large:
+            break
+    return part, found
+
+
+def _simulating(part: Usable, m: Matrices, settings: Settings) -> StateSpace:
+    """Return the model of the moving channels of one record, for simulations."""
+    return StateSpace(
+        A=m.A, B=m.B, C=m.C, D=m.D, delay=own_delays(part, settings).delays(part.record.nu),
+        x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A)),
+        y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(len(m.C)))
+
+
+def _best_order(search: Search, choices: list[Choice], first: int) -> Chosen | None:
+    """Return the best order; None if the data are too short for any model."""
+    trials = search.orders(first)
+    if not trials:
+        return None
+    chosen = choose_order(search, trials)
+    table = ', '.join(f'{one.order}: {one.criterion:.0f}' for one in chosen.tried)
+    choices.append(Choice('order', chosen.trial.order, "Schwarz's criterion, above its smallest "
+                          f'value, by order: {table}'))
+    return chosen
+
+
+def confirmed(part: Joint, found: Found, settings: Settings) -> tuple[Found, HeldOut]:
+    """
+    Return the model that next data confirm, and how it does on them.
+
+    Where errors of simulations are white, the criterion is sure. Where they are coloured by
+    process noise, or what seems to be such, the runner-up is asked to foretell the data held out,
+    too, if it is close.
+    """
+    tested = held_out(part, found)
+    rows = [one for one in found.orders if one.order != found.settings.order
+            and one.criterion < _CLOSE]
+    late = found.projection.slopes is not None
+    if late or not (found.process_noise and rows and np.isfinite(tested.fit).all()):
+        return found, tested
+    order = min(rows, key=lambda one: one.criterion).order
+    other = estimate(part, settings.with_known_delays().replace(order=order), order, found.layout)
+    if other is None:
+        return found, tested
+    rival = held_out(part, other)
+    orders = with_fit(found.orders, {found.settings.order: tested.fit, order: rival.fit})
+    if not rival.left < _BETTER * tested.left:
+        return replace(found, orders=orders), tested
+    before = [c for c in found.choices if c.name in ('hermite.nmax', 'weights')]
+    return replace(other, orders=orders, choices=(*before, Choice(
+        'order', order, f'it foretells the data held out better than order '
+        f"{found.settings.order}, which is about as likely by Schwarz's criterion"),
+        *other.choices)), rival
