@@ -87,7 +87,8 @@ class _Likelihood:
 
 
 def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
-                   feedthrough: bool, limit: float = np.inf, steps: int = 15) -> InTime | None:
+                   feedthrough: bool, limit: float = np.inf, steps: int = 15,
+                   stamps: Stamps | None = None) -> InTime | None:
     """
     Take a model to the maximum of the likelihood of the raw output samples.
 
@@ -104,6 +105,8 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
         Steps may not take the real part of a pole beyond this [rad/s].
     steps : int
         At most.
+    stamps : Stamps, optional
+        Of the record, if they are at hand.
 
     Returns
     -------
@@ -116,7 +119,7 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
     Ljung, System Identification, 2nd edition, section 7.5 (output error); local coordinates:
     McKelvey, Helmersson and Ribarits 2004, Automatica 40.
     """
-    stamps = stamps_of(record, delay, bool(start.x_trim.size))
+    stamps = stamps or stamps_of(record, delay, bool(start.x_trim.size))
     model = replace(start, K=np.zeros_like(start.K), tail=np.zeros((len(start.A), 1)))
     length = float(stamps.times[-1] - stamps.times[0])
     size = _parameters(model, feedthrough)
@@ -152,6 +155,16 @@ def _fit(stamps: Stamps, m: Matrices) -> _Fit | None:
     y = outputs(stamps, m, found)
     return _Fit(found, tuple(measured - y[channels][:, rows] for measured, (channels, rows) in
                              zip(stamps.y, stamps.streams, strict=True)))
+
+
+def errors_in_time(stamps: Stamps, m: Matrices) -> tuple[Array, ...] | None:
+    """Return what a model leaves of each output signal, (channels, N); None if it explodes."""
+    if not len(m.A):
+        y = np.hstack((m.D, m.y_trim)) @ stamps.drive[0][stamps.places].T
+        return tuple(measured - y[channels][:, rows] for measured, (channels, rows) in
+                     zip(stamps.y, stamps.streams, strict=True))
+    fit = _fit(stamps, m)
+    return fit.errors if fit is not None else None
 
 
 def _floor(stamps: Stamps) -> Array:

@@ -133,7 +133,7 @@ def responses(stamps: Stamps, m: Matrices) -> Responses | None:
     if found is None:
         return None
     with np.errstate(over='ignore', invalid='ignore'):
-        s, slope = _elementary(stamps, found)
+        s, slope = elementary(stamps, found.values)
         gain = found.left @ np.hstack((m.B, m.tail, m.x_trim))
         x = (found.right @ np.einsum('lj,ljt->lt', gain, s)).real
     if not (np.isfinite(x).all() and np.isfinite(slope).all()):
@@ -141,10 +141,11 @@ def responses(stamps: Stamps, m: Matrices) -> Responses | None:
     return Responses(found, gain, s, slope, np.ascontiguousarray(x))
 
 
-def _elementary(stamps: Stamps, found: Modes) -> tuple[Lines, Lines]:
+def elementary(stamps: Stamps, poles: Lines) -> tuple[Lines, Lines]:
+    """Return the elementary responses of poles (m, drives + 1, M), and their slopes by these."""
     h, u = stamps.step[:, np.newaxis], stamps.drive
-    functions = phi(h * found.values, len(u) + 1)
-    shape = (len(h), len(found.values), u.shape[2])
+    functions = phi(h * poles, len(u) + 1)
+    shape = (len(h), len(poles), u.shape[2])
     push, turn = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=complex)
     for j, derivative in enumerate(u):
         force = derivative[:-1, np.newaxis]
@@ -160,9 +161,9 @@ def _elementary(stamps: Stamps, found: Modes) -> tuple[Lines, Lines]:
     turn = turn.reshape(flat) + np.repeat(h * functions[0], shape[2], axis=1) * s[:-1]
     slope = recursion(decay, turn, rest)
     since = stamps.times - stamps.times[0]
-    free = np.exp(found.values[:, np.newaxis] * since)
-    return tuple(_with_free(part[stamps.places], shape[1:], more, stamps.nu)  # type: ignore
-                 for part, more in ((s, free), (slope, since * free)))
+    free = np.exp(poles[:, np.newaxis] * since)
+    return (_with_free(s[stamps.places], shape[1:], free, stamps.nu),
+            _with_free(slope[stamps.places], shape[1:], since * free, stamps.nu))
 
 
 def _with_free(part: Lines, shape: tuple[int, ...], free: Lines, nu: int) -> Lines:

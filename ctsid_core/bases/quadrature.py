@@ -309,10 +309,20 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
     limit = GAP_PERIODS * signal.period
-    pauses = step[step > limit]
-    if len(pauses) >= PAUSES:
+    pauses = pauses_between_bursts(signal, start, end)
+    if len(pauses):
         limit = GAP_PERIODS * float(np.median(pauses))
     return float(covered[np.diff(bounds) > limit].sum())
+
+
+def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
+    """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
+    t = signal.time[(signal.time >= start) & (signal.time <= end)]
+    step = np.diff(t)
+    if len(step) < PAUSES or np.max(step) <= GAP_PERIODS * np.min(step):
+        return np.empty(0)
+    pauses = step[step > GAP_PERIODS * np.median(step)]
+    return pauses if len(pauses) >= PAUSES else np.empty(0)
 
 
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
