@@ -22,7 +22,10 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
 from ctsid_core.statespace import StateSpace
 from ctsid_core.steadiness import Change, likeliest_change
+from ctsid_core.time_estimate import distorted, in_bursts
+from ctsid_core.time_identify import identify_in_time
 from ctsid_core.usable import Usable, usable
+from ctsid_core.whole_model import moving_model, spread_out, whole_model
 
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
@@ -82,13 +85,18 @@ def _identify(record: Record, settings: Settings) -> Estimate:
     if isinstance(part, Status):
         return Estimate(status=part, settings=settings)
     try:
-        found = _estimate(part, settings)
-        if found is None:
-            return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-        return _judge(*_without_outliers(part, found, settings))
+        return _told_in_time(part, settings) or _projected(part, settings)
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return Estimate(status=Status.UNRELIABLE, settings=settings,
                         notes=(*part.notes, f'the arithmetic failed: {error}'))
+
+
+def _projected(part: Usable, settings: Settings) -> Estimate:
+    found = _estimate(part, settings)
+    if found is None:
+        return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+    part, found = _without_outliers(part, found, settings)
+    return _undistorted(part, found, settings) or _judge(part, found)
 
 
 @dataclass(frozen=True)
@@ -148,11 +156,7 @@ def _without_outliers(part: Usable, found: _Found,
         density = found.projection.unit * np.mean(error ** 2, axis=1)
         if not (np.isfinite(m.A).all() and part.doubtful(density)):
             break
-        model = StateSpace(
-            A=m.A, B=m.B, C=m.C, D=m.D,
-            delay=_own_delays(part, found.settings).delays(part.record.nu),
-            x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A)),
-            y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(len(m.C)))
+        model = moving_model(m, _own_delays(part, found.settings).delays(part.record.nu))
         cleaned, gain = part.cleaned(model)
         large = gain > _LITTLE
         again = None if cleaned is part else \
@@ -237,7 +241,7 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         status=status, settings=found.settings, model=model if status is Status.OK else None,
         rejected_model=None if status is Status.OK else model,
         pole_std=np.array([deviation[np.argmin(np.abs(poles - p))] for p in model.poles]),
-        fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
+        fit=spread_out(fit, part.y, ny), held_out_fit=spread_out(held_out, part.y, ny),
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
         notes=(*part.notes, *corrupt, *notes),
@@ -260,29 +264,29 @@ def _vague(part: Usable, poles: NDArray[np.complex128], deviation: Array) -> boo
     return bool(np.min(deviation / size) > _VAGUE)
 
 
-def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:
-    """Put the values of moving channels among all channels; NaN for the constant ones."""
-    out = np.full(count, np.nan)
-    out[list(places)] = values
-    return out
-
-
 def _to_statespace(part: Usable, found: _Found) -> StateSpace:
-    """Return the model of all channels: constant ones have zero rows and columns."""
-    m, whole = found.matrices, part.whole
-    n, nu, ny = len(m.A), whole.nu, whole.ny
-    u, y = list(part.u), list(part.y)
-    B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
-    B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
-    level = np.zeros(ny) if len(y) == ny else \
-        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = (m.y_trim[:, 0] if m.y_trim.size else 0.0) + part.y_level - m.D @ part.u_level
-    drift = (m.x_trim[:, 0] if m.x_trim.size else np.zeros(n)) - m.B @ part.u_level
-    error = as_real(prediction_errors(found.projection, m))
-    noise = np.zeros((ny, ny))
-    noise[np.ix_(y, y)] = found.projection.unit * (error @ error.T) / error.shape[1]
-    return StateSpace(
-        A=m.A, B=B, C=C, D=D, K=K, delay=found.settings.delays(nu),
-        x_trim=drift, y_trim=level, noise=noise,
-        input_names=whole.input_names, output_names=whole.output_names,
-        input_units=whole.input_units, output_units=whole.output_units)
+    """Return the model of all channels."""
+    error = as_real(prediction_errors(found.projection, found.matrices))
+    return whole_model(part, found.matrices, found.settings.delays(part.whole.nu),
+                       found.projection.unit * (error @ error.T) / error.shape[1])
+
+
+def _told_in_time(part: Usable, settings: Settings) -> Estimate | None:
+    """Return the estimate from the raw samples if their stamps forbid to interpolate them."""
+    why = in_bursts(part.record) if settings.refine else ''
+    return _in_time(part, settings, why) if why else None
+
+
+def _undistorted(part: Usable, found: _Found, settings: Settings) -> Estimate | None:
+    """Return the estimate from the raw samples if a model tells that interpolation did harm."""
+    if not (settings.refine and np.isfinite(found.matrices.A).all()):
+        return None
+    model = moving_model(found.matrices, _own_delays(part, settings).delays(part.record.nu))
+    why, most = distorted(part.record, model, found.process_noise)
+    return _in_time(part, settings, why, most) if why else None
+
+
+def _in_time(part: Usable, settings: Settings, why: str,
+             most: Array | None = None) -> Estimate | None:
+    delay = _own_delays(part, settings).delays(part.record.nu)
+    return identify_in_time(part, settings, delay, why, most, _EXPLAINED, _VAGUE)

@@ -38,7 +38,7 @@ from ctsid_core.time_responses import (
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
 _GROWTH = 5.0         # time constants for which an unstable pole may grow over the record
-_PASSES = 3           # of a regression that weights outputs by what the last one left of them
+_PASSES = 2           # of a regression that weights outputs by what the last one left of them
 _WORK = 1e9           # multiplications of one step beyond which models are not refined
 
 
@@ -76,7 +76,8 @@ class _Fit:
 
     def power(self) -> Array:
         """Return the mean square of each output's errors, (ny,)."""
-        return np.concatenate([np.mean(e ** 2, axis=1) for e in self.errors])
+        with np.errstate(over='ignore'):                # of a step that is refused
+            return np.concatenate([np.mean(e ** 2, axis=1) for e in self.errors])
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class _Likelihood:
 
 def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
                    feedthrough: bool, limit: float = np.inf, steps: int = 15,
-                   stamps: Stamps | None = None) -> InTime | None:
+                   rival: float = np.inf, stamps: Stamps | None = None) -> InTime | None:
     """
     Take a model to the maximum of the likelihood of the raw output samples.
 
@@ -105,13 +106,15 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
         Steps may not take the real part of a pole beyond this [rad/s].
     steps : int
         At most.
+    rival : float
+        Cost of another model: given up as soon as it is clear that it will not be beaten.
     stamps : Stamps, optional
         Of the record, if they are at hand.
 
     Returns
     -------
     InTime or None
-        None where there are too few samples, or too many for so large a model, where the model
+        None if the rival is not beaten; where there are too few samples, or too many for so large a model, where the model
         grows by more than e^5 over the record, or where its poles coincide.
 
     References
@@ -138,7 +141,9 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
         return normal_equations(*_whitened(stamps, m, fit, feedthrough))
 
     found, cost = climb(best, likelihood, curvature, lambda m, step: moved(m, step, feedthrough),
-                        limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING)
+                        limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING, rival=rival)
+    if cost >= rival:
+        return None
     return _with_covariance(stamps, found, cost, feedthrough)
 
 
@@ -216,7 +221,7 @@ def _with_covariance(stamps: Stamps, m: Matrices, cost: float,
     norm[norm == 0.0] = np.inf
     _, s, right = svd(np.linalg.qr((rows / norm[:, np.newaxis]).T, mode='r'))
     kept = s > _RANK * s[0]
-    spare = max(1.0 - np.count_nonzero(kept) / len(error), len(m.C) / len(error))
+    spare = max(1.0 - float(np.count_nonzero(kept)) / len(error), len(m.C) / len(error))
     root = right[kept] / s[kept, np.newaxis] / norm / np.sqrt(spare)
     return InTime(m, cost, fit.power() / spare, root, float(stamps.times[0]))
 

@@ -12,8 +12,9 @@ and what an entry of A changes is a sum of convolutions of two modes,
     int e^(p_l (t - r)) z_k(r) dr = sum_j b_kj (s_kj - s_lj) / (p_k - p_l),     z_k = sum_j b_kj s_kj,
 
 or of ds_lj / dp_l where two poles are the same. Between knots (the stamps of all inputs and
-outputs) inputs are polynomials, so that s and its derivative are scalar recursions over the knots
-(`simulation.py`), and nothing is approximated.
+outputs) inputs are polynomials, so that s and its derivative are sums over the knots
+(`simulation.py`), and nothing is approximated. Only the sums over the steps between two output
+stamps are carried on.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines
 from ctsid_core.matrix_functions import Modes, modes, phi
@@ -42,6 +44,8 @@ class Stamps:
         Merged stamps of the outputs within the record [s].
     step : ndarray, shape (K - 1,)
         From knot to knot [s].
+    ahead : ndarray, shape (K - 1,)
+        From the end of each step to the next stamp of an output [s].
     drive : ndarray, shape (degree + 1, K, drives)
         The inputs after their dead time and the constant (if there is trim), and their
         derivatives, just after each knot.
@@ -57,11 +61,17 @@ class Stamps:
 
     times: Array
     step: Array
+    ahead: Array
     drive: Array
-    places: Array
-    streams: tuple[tuple[slice, Array], ...]
+    places: NDArray[np.intp]
+    streams: tuple[tuple[slice, NDArray[np.intp]], ...]
     y: tuple[Array, ...]
     nu: int
+
+    @property
+    def since(self) -> Array:
+        """Time since the first stamp, (M,) [s]."""
+        return self.times - self.times[0]
 
     @property
     def counts(self) -> Array:
@@ -90,14 +100,16 @@ def stamps_of(record: Record, delay: tuple[float, ...], trim: bool) -> Stamps:
         constant = np.zeros((*drive.shape[:2], 1))
         constant[0] = 1.0
         drive = np.concatenate((drive, constant), axis=2)
-    streams, first = [], 0
+    streams: list[tuple[slice, NDArray[np.intp]]] = []
+    first = 0
     for signal, stamps in zip(record.outputs, own, strict=True):
         streams.append((slice(first, first + signal.width), np.searchsorted(times, stamps)))
         first += signal.width
     y = tuple(np.ascontiguousarray(s.values[rows].T)
               for s, rows in zip(record.outputs, inside, strict=True))
-    return Stamps(times, np.diff(knots), drive, np.searchsorted(knots, times), tuple(streams), y,
-                  record.nu)
+    ahead = times[np.searchsorted(times, knots[1:])] - knots[1:]
+    return Stamps(times, np.diff(knots), ahead, drive, np.searchsorted(knots, times),
+                  tuple(streams), y, record.nu)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +122,8 @@ class Responses:
     modes : Modes
     gain : ndarray, shape (m, drives + 1)
         By how much each drive moves each mode: inputs, initial state, constant.
-    s, slope : ndarray, shape (m, drives + 1, M)
-        Elementary responses at the outputs' stamps, and their derivatives by the poles.
+    s : ndarray, shape (m, drives + 1, M)
+        Elementary responses at the outputs' stamps.
     x : ndarray, shape (n, M)
         The states.
     """
@@ -119,7 +131,6 @@ class Responses:
     modes: Modes
     gain: Lines
     s: Lines
-    slope: Lines
     x: Array
 
 
@@ -133,43 +144,60 @@ def responses(stamps: Stamps, m: Matrices) -> Responses | None:
     if found is None:
         return None
     with np.errstate(over='ignore', invalid='ignore'):
-        s, slope = elementary(stamps, found.values)
+        s = elementary(stamps, found.values)
         gain = found.left @ np.hstack((m.B, m.tail, m.x_trim))
         x = (found.right @ np.einsum('lj,ljt->lt', gain, s)).real
-    if not (np.isfinite(x).all() and np.isfinite(slope).all()):
-        return None
-    return Responses(found, gain, s, slope, np.ascontiguousarray(x))
+    return Responses(found, gain, s, np.ascontiguousarray(x)) if np.isfinite(x).all() else None
 
 
-def elementary(stamps: Stamps, poles: Lines) -> tuple[Lines, Lines]:
-    """Return the elementary responses of poles (m, drives + 1, M), and their slopes by these."""
-    h, u = stamps.step[:, np.newaxis], stamps.drive
-    functions = phi(h * poles, len(u) + 1)
+def elementary(stamps: Stamps, poles: Lines) -> Lines:
+    """Return the elementary responses of poles at the outputs' stamps, (m, drives + 1, M)."""
+    decay, push, _ = _pushes(stamps, poles, False)
+    s = recursion(decay, push, np.zeros(push.shape[1], dtype=complex))
+    return _with_free(stamps, poles, s, np.exp(poles[:, np.newaxis] * stamps.since))
+
+
+def slopes(stamps: Stamps, poles: Lines) -> Lines:
+    """Return the derivatives of `elementary` by the poles, (m, drives + 1, M)."""
+    decay, push, turn = _pushes(stamps, poles, True)
+    rest = np.zeros(push.shape[1], dtype=complex)
+    s = recursion(decay, push, rest)
+    turn += np.diff(stamps.times)[:, np.newaxis] * decay * s[:-1]
+    free: Lines = stamps.since * np.exp(poles[:, np.newaxis] * stamps.since)
+    return _with_free(stamps, poles, recursion(decay, turn, rest), free)
+
+
+def _pushes(stamps: Stamps, poles: Lines, slope: bool) -> tuple[Lines, Lines, Lines]:
+    """
+    Return by how much modes decay from output stamp to output stamp, and what drives add.
+
+    Each of shape (M - 1, m drives), the last one the derivative of what they add by the poles.
+    """
+    h, u, ahead = stamps.step[:, np.newaxis], stamps.drive, stamps.ahead[:, np.newaxis]
+    functions = phi(h * poles, len(u) + slope)
     shape = (len(h), len(poles), u.shape[2])
     push, turn = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=complex)
+    left = np.exp(ahead * poles)
     for j, derivative in enumerate(u):
         force = derivative[:-1, np.newaxis]
-        step = h ** (j + 1) * functions[j + 1]
-        # d/dp of h^(j+1) phi_(j+1)(p h): phi_j' = phi_j - j phi_(j+1)
-        bend = h ** (j + 2) * (functions[j + 1] - (j + 1) * functions[j + 2])
+        step = left * h ** (j + 1) * functions[j + 1]
         push += step[:, :, np.newaxis] * force
-        turn += bend[:, :, np.newaxis] * force
-    flat = (len(h), shape[1] * shape[2])
-    decay = np.repeat(functions[0], shape[2], axis=1)
-    rest = np.zeros(flat[1], dtype=complex)
-    s = recursion(decay, push.reshape(flat), rest)
-    turn = turn.reshape(flat) + np.repeat(h * functions[0], shape[2], axis=1) * s[:-1]
-    slope = recursion(decay, turn, rest)
-    since = stamps.times - stamps.times[0]
-    free = np.exp(poles[:, np.newaxis] * since)
-    return (_with_free(s[stamps.places], shape[1:], free, stamps.nu),
-            _with_free(slope[stamps.places], shape[1:], since * free, stamps.nu))
+        if slope:
+            # d/dp of h^(j+1) phi_(j+1)(p h): phi_j' = phi_j - j phi_(j+1)
+            bend = left * h ** (j + 2) * (functions[j + 1] - (j + 1) * functions[j + 2])
+            turn += (bend + ahead * step)[:, :, np.newaxis] * force
+    first = stamps.places[:-1]
+    decay = np.exp(np.diff(stamps.times)[:, np.newaxis] * poles)
+    flat = (len(first), shape[1] * shape[2])
+    return (np.repeat(decay, shape[2], axis=1), np.add.reduceat(push, first).reshape(flat),
+            np.add.reduceat(turn, first).reshape(flat))
 
 
-def _with_free(part: Lines, shape: tuple[int, ...], free: Lines, nu: int) -> Lines:
+def _with_free(stamps: Stamps, poles: Lines, s: Lines, free: Lines) -> Lines:
     """Put the free motion between the inputs and the constant: (m, drives + 1, M)."""
-    forced = part.T.reshape(*shape, len(part))
-    found: Lines = np.concatenate((forced[:, :nu], free[:, np.newaxis], forced[:, nu:]), axis=1)
+    forced = s.T.reshape(len(poles), -1, len(s))
+    found: Lines = np.concatenate((forced[:, :stamps.nu], free[:, np.newaxis],
+                                   forced[:, stamps.nu:]), axis=1)
     return found
 
 
@@ -198,7 +226,7 @@ def derivatives(stamps: Stamps, m: Matrices, found: Responses, size: Array,
     direct = _direct(stamps, m, feedthrough)
     states, driven = n * n, n * drives
     out = np.zeros((states + driven + ny * (n + len(direct)), int(stamps.counts.sum())))
-    by_state = _convolved(found)                                     # (m, n, M)
+    by_state = _convolved(stamps, found)                                     # (m, n, M)
     column = 0
     for channels, rows in stamps.streams:
         C = m.C[channels] / size[channels, np.newaxis]
@@ -227,7 +255,7 @@ def outputs(stamps: Stamps, m: Matrices, found: Responses) -> Array:
     return y
 
 
-def _convolved(found: Responses) -> Lines:
+def _convolved(stamps: Stamps, found: Responses) -> Lines:
     """Return int e^(p_l (t - r)) x_q(r) dr for modes l and states q, (m, n, M)."""
     p, pair = found.modes.values, found.modes.values.imag > 0.0
     poles = np.concatenate((p, p[pair].conj()))
@@ -240,8 +268,9 @@ def _convolved(found: Responses) -> Lines:
     same = np.abs(apart) <= _SAME * np.abs(p[:, np.newaxis])
     apart[same] = 1.0
     met = (z - gain @ found.s) / apart[:, :, np.newaxis]
+    slope = slopes(stamps, p)
     for mode, other in np.argwhere(same):
-        met[mode, other] = gain[other] @ found.slope[mode]
+        met[mode, other] = gain[other] @ slope[mode]
     convolved: Lines = right @ met
     return convolved
 

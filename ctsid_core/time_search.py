@@ -17,13 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.base import Array, Lines
-from ctsid_core.matrix_functions import Modes
 from ctsid_core.pbsid import Matrices
-from ctsid_core.refine import growth
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record
 from ctsid_core.time_refine import InTime, errors_in_time, refine_in_time
-from ctsid_core.time_responses import Stamps, elementary, responses, stamps_of
+from ctsid_core.time_responses import Stamps, elementary, responses, slopes, stamps_of
 
 _REAL = 16            # real poles on the grid
 _DAMPING = (0.1, 0.4, 0.8)
@@ -79,8 +77,9 @@ def search_in_time(record: Record, delay: tuple[float, ...],
                 continue
             found = refine_in_time(record, start, delay, feedthrough=settings.feedthrough,
                                    limit=1.0 / (stamps.times[-1] - stamps.times[0]),
+                                   rival=best[order].cost if order in best else np.inf,
                                    stamps=stamps)
-            if found is not None and (order not in best or found.cost < best[order].cost):
+            if found is not None:
                 best[order] = found
                 criterion[order] = found.cost + charge * _count(found.matrices, settings)
         least = min(criterion, key=lambda k: criterion[k])
@@ -133,7 +132,7 @@ def _shapes(stamps: Stamps, grid: Lines) -> Array:
     """Return the responses of each pole on the grid, real and imaginary, (G, rows, M)."""
     found = []
     for part in np.array_split(grid, -(-len(grid) // _AT_ONCE)):
-        s = elementary(stamps, part)[0][:, :stamps.nu + 1]
+        s = elementary(stamps, part)[:, :stamps.nu + 1]
         found.append(np.concatenate((s.real, s.imag), axis=1))
     return np.concatenate(found)
 
@@ -175,7 +174,8 @@ def _known(stamps: Stamps, m: Matrices) -> Array | None:
     found = responses(stamps, m)
     if found is None:
         return None
-    parts = [part.reshape(-1, part.shape[2]) for part in (found.s, found.slope)]
+    bent = slopes(stamps, found.modes.values)
+    parts = [part.reshape(-1, part.shape[2]) for part in (found.s, bent)]
     rows = np.concatenate([direct, *(p.real for p in parts), *(p.imag for p in parts)])
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     known: Array = rows / np.where(size > 0.0, size, 1.0)

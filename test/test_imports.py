@@ -35,8 +35,9 @@ LEVELS = {
         ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
-        ['refine'], ['steadiness', 'process_noise'], ['deviation'],
-        ['order'], ['selection'],
+        ['refine', 'whole_model'], ['steadiness', 'process_noise'], ['deviation'],
+        ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
+        ['order', 'time_identify'], ['selection'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
