@@ -283,10 +283,10 @@ def _undistorted(part: Usable, found: _Found, settings: Settings) -> Estimate | 
         return None
     model = moving_model(found.matrices, _own_delays(part, settings).delays(part.record.nu))
     why, most = distorted(part.record, model, found.process_noise)
-    return _in_time(part, settings, why, most) if why else None
+    return _in_time(part, settings, why, most, found.matrices) if why else None
 
 
 def _in_time(part: Usable, settings: Settings, why: str,
-             most: Array | None = None) -> Estimate | None:
+             most: Array | None = None, start: Matrices | None = None) -> Estimate | None:
     delay = _own_delays(part, settings).delays(part.record.nu)
-    return identify_in_time(part, settings, delay, why, most, _EXPLAINED, _VAGUE)
+    return identify_in_time(part, settings, delay, why, _EXPLAINED, _VAGUE, most, start)

@@ -15,8 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.base import Array
-from ctsid_core.bases.quadrature import pauses_between_bursts, smooth_values, spline_degree
-from ctsid_core.pbsid import solve
+from ctsid_core.bases.quadrature import (
+    UNIFORM,
+    pauses_between_bursts,
+    smooth_values,
+    spline_degree,
+)
+from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record, Signal
 from ctsid_core.statespace import StateSpace
@@ -26,7 +31,6 @@ from ctsid_core.time_search import search_in_time
 from ctsid_core.validation import simulation
 
 _PAUSES = 0.3         # of the window in pauses between bursts from which on it is not projected
-_UNIFORM = 1e-3       # stamps whose intervals agree to this fraction lose nothing
 _NOTICED = 0.01       # distortion of an output, over its motion, that is worth the time
 _DISTORTED = 0.1      # of what a model leaves of an output that comes from interpolation
 _BELIEVED = 0.7       # of what a model with process noise leaves, that one without may leave
@@ -117,10 +121,10 @@ def distorted(record: Record, model: StateSpace, process_noise: bool) -> tuple[s
 
 
 def _dense(signal: Signal, record: Record, model: StateSpace) -> bool:
-    """Return whether a signal is sampled uniformly, or densely for the poles of a model."""
+    """Return whether a signal is sampled densely for the poles of a model."""
     t = signal.time[(signal.time >= record.start) & (signal.time <= record.end)]
     step = np.diff(t)
-    if len(step) < 4 * _ENDS or np.ptp(step) <= _UNIFORM * np.mean(step):
+    if len(step) < 4 * _ENDS:
         return True
     fastest = float(np.max(np.abs(model.poles.imag), initial=0.0))
     fourth = float(np.sum(step ** 5) / np.sum(step))            # mean over time of h^4
@@ -136,15 +140,19 @@ def _distortion(record: Record, model: StateSpace, signal: Signal, channels: sli
     y = model.simulate(record.inputs, at, x0)[:, channels]
     own, clean = y[np.searchsorted(at, t)].T, y[np.searchsorted(at, middle)].T
     measured = signal.values[np.isin(signal.time, t)].T
-    between = smooth_values(t, own, middle, spline_degree(t, measured))
+    step = np.diff(t)
+    # The trapezoid rule of uniform stamps is that of a band-limited signal.
+    degree = 5 if np.ptp(step) <= UNIFORM * step.mean() else spline_degree(t, measured)
+    between = smooth_values(t, own, middle, degree)
     inner = slice(_ENDS, len(middle) - _ENDS)
-    step = np.diff(t)[inner]
+    step = step[inner]
     # Between two samples it is nearly a parabola: its mean square is 8/15 of its middle's.
     found: Array = 8.0 / 15.0 * (between - clean)[:, inner] ** 2 @ step / step.sum()
     return found
 
 
-def tell(record: Record, delay: tuple[float, ...], settings: Settings) -> Told | None:
+def tell(record: Record, delay: tuple[float, ...], settings: Settings,
+         start: Matrices | None = None) -> Told | None:
     """
     Estimate on the raw samples; None if no model can be made of them.
 
@@ -155,18 +163,25 @@ def tell(record: Record, delay: tuple[float, ...], settings: Settings) -> Told |
         Dead time of each input [s].
     settings : Settings
         Of which order, max_order, feedthrough, trim and held_out matter here.
+    start : Matrices, optional
+        Where to start if there are too many samples for a search.
     """
     found = search_in_time(record, delay, settings)
-    if found is None:
-        return None
-    return Told(found.fit, found.table, *_fits(record, delay, settings, found.fit))
+    if found is not None:
+        return Told(found.fit, found.table, *_fits(record, delay, settings, found.fit))
+    return None if start is None else _from(record, delay, settings, start, '')
 
 
 def again(record: Record, delay: tuple[float, ...], settings: Settings, told: Told) -> Told | None:
     """Return the same for other samples (without corrupt ones), from the model that was found."""
-    fit = refine_in_time(record, told.fit.matrices, delay, feedthrough=settings.feedthrough,
+    return _from(record, delay, settings, told.fit.matrices, told.table)
+
+
+def _from(record: Record, delay: tuple[float, ...], settings: Settings, start: Matrices,
+          table: str) -> Told | None:
+    fit = refine_in_time(record, start, delay, feedthrough=settings.feedthrough,
                          limit=1.0 / record.duration)
-    return None if fit is None else Told(fit, told.table, *_fits(record, delay, settings, fit))
+    return None if fit is None else Told(fit, table, *_fits(record, delay, settings, fit))
 
 
 def _fits(record: Record, delay: tuple[float, ...], settings: Settings,

@@ -7,6 +7,7 @@ import numpy as np
 
 from ctsid_core.bases.base import Array
 from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.pbsid import Matrices
 from ctsid_core.settings import Settings
 from ctsid_core.time_estimate import Told, again, tell
 from ctsid_core.time_refine import poles_in_time
@@ -17,7 +18,8 @@ _LITTLE = 1.1           # errors' power over that without outliers that changes 
 
 
 def identify_in_time(part: Usable, settings: Settings, delay: tuple[float, ...], why: str,
-                     most: Array | None, explained: float, vague: float) -> Estimate | None:
+                     explained: float, vague: float, most: Array | None = None,
+                     start: Matrices | None = None) -> Estimate | None:
     """
     Return the estimate from the raw samples, or None if no model of these is to be believed.
 
@@ -29,18 +31,20 @@ def identify_in_time(part: Usable, settings: Settings, delay: tuple[float, ...],
         Dead times of the moving inputs [s].
     why : str
         Reason for it, for the user.
-    most : ndarray, shape (moving outputs,), optional
-        Mean square that a model may leave of the outputs.
     explained : float
         Fit below which an output counts as not explained [%].
     vague : float
         Standard deviation over size above which a pole is not known.
+    most : ndarray, shape (moving outputs,), optional
+        Mean square that a model may leave of the outputs.
+    start : Matrices, optional
+        Where to start if there are too many samples for a search.
 
     Notes
     -----
     Measurement noise only. There is no test for a change of the plant within the window.
     """
-    told = tell(part.record, delay, settings)
+    told = tell(part.record, delay, settings, start)
     if told is not None:
         part, told = _without_outliers(part, settings, delay, told)
     if told is None or np.max(told.simulated) < explained or (

@@ -114,8 +114,8 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
     Returns
     -------
     InTime or None
-        None if the rival is not beaten; where there are too few samples, or too many for so large a model, where the model
-        grows by more than e^5 over the record, or where its poles coincide.
+        None if the rival is not beaten; where there are too few samples, or too many for so large
+        a model, where it grows by more than e^5 over the record, or where its poles coincide.
 
     References
     ----------
@@ -141,7 +141,8 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
         return normal_equations(*_whitened(stamps, m, fit, feedthrough))
 
     found, cost = climb(best, likelihood, curvature, lambda m, step: moved(m, step, feedthrough),
-                        limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING, rival=rival)
+                        limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING,
+                        rival=rival)
     if cost >= rival:
         return None
     return _with_covariance(stamps, found, cost, feedthrough)

@@ -9,7 +9,7 @@ for each mode l and drive j (an input, the initial state, a constant),
 
 and what an entry of A changes is a sum of convolutions of two modes,
 
-    int e^(p_l (t - r)) z_k(r) dr = sum_j b_kj (s_kj - s_lj) / (p_k - p_l),     z_k = sum_j b_kj s_kj,
+    int e^(p_l (t - r)) z_k(r) dr = sum_j b_kj (s_kj - s_lj) / (p_k - p_l),  z_k = sum_j b_kj s_kj,
 
 or of ds_lj / dp_l where two poles are the same. Between knots (the stamps of all inputs and
 outputs) inputs are polynomials, so that s and its derivative are sums over the knots
@@ -71,7 +71,8 @@ class Stamps:
     @property
     def since(self) -> Array:
         """Time since the first stamp, (M,) [s]."""
-        return self.times - self.times[0]
+        since: Array = self.times - self.times[0]
+        return since
 
     @property
     def counts(self) -> Array:
@@ -163,7 +164,7 @@ def slopes(stamps: Stamps, poles: Lines) -> Lines:
     rest = np.zeros(push.shape[1], dtype=complex)
     s = recursion(decay, push, rest)
     turn += np.diff(stamps.times)[:, np.newaxis] * decay * s[:-1]
-    free: Lines = stamps.since * np.exp(poles[:, np.newaxis] * stamps.since)
+    free = (stamps.since * np.exp(poles[:, np.newaxis] * stamps.since)).astype(complex)
     return _with_free(stamps, poles, recursion(decay, turn, rest), free)
 
 
@@ -246,7 +247,8 @@ def derivatives(stamps: Stamps, m: Matrices, found: Responses, size: Array,
 def _direct(stamps: Stamps, m: Matrices, feedthrough: bool) -> Array:
     """Return what acts on the outputs at once, at their stamps: inputs, the constant."""
     at = stamps.drive[0][stamps.places].T
-    return at[0 if feedthrough else stamps.nu:stamps.nu + m.y_trim.shape[1]]
+    direct: Array = at[0 if feedthrough else stamps.nu:stamps.nu + m.y_trim.shape[1]]
+    return direct
 
 
 def outputs(stamps: Stamps, m: Matrices, found: Responses) -> Array:

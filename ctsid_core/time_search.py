@@ -28,6 +28,7 @@ _DAMPING = (0.1, 0.4, 0.8)
 _PAIRS = 24           # natural frequencies on the grid at each damping
 _LIGHT = 300          # lightly damped pairs on the grid at most
 _AT_ONCE = 64         # poles whose responses are computed at a time
+_LARGEST = 1e7        # numbers that the responses of the grid may take
 _PATIENCE = 2         # orders beyond the best one that are tried before giving up
 _EXPLAINED = 1e-6     # residual power below this fraction needs no further state
 _NYQUIST = 0.8        # part of the Nyquist frequency within bursts that is looked at
@@ -52,7 +53,7 @@ class Searched:
 def search_in_time(record: Record, delay: tuple[float, ...],
                    settings: Settings) -> Searched | None:
     """
-    Find the order and a model on the raw samples; None if no model can be made of them.
+    Find the order and a model on the raw samples; None if none can be made of them, or too many.
 
     Parameters
     ----------
@@ -64,6 +65,8 @@ def search_in_time(record: Record, delay: tuple[float, ...],
     """
     stamps = stamps_of(record, delay, settings.trim)
     grid = _grid(stamps)
+    if 2 * len(grid) * (stamps.nu + 1) * len(stamps.times) > _LARGEST:
+        return None
     shapes = _shapes(stamps, grid)
     best: dict[int, InTime] = {0: _nothing(stamps, settings)}
     criterion = {0: best[0].cost}
@@ -168,7 +171,7 @@ def _extended(stamps: Stamps, m: Matrices, grid: Lines, shapes: Array) -> Iterat
 
 def _known(stamps: Stamps, m: Matrices) -> Array | None:
     """Return what a model explains, whatever its residues, and if its poles move: (rows, M)."""
-    direct = stamps.drive[0][stamps.places].T
+    direct: Array = stamps.drive[0][stamps.places].T
     if not len(m.A):
         return direct
     found = responses(stamps, m)
