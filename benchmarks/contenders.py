@@ -59,19 +59,19 @@ def ctsid(**given: Any) -> Run:
     return run
 
 
-def slicot(rows: int, every: int = 1) -> Run:
+def slicot(rows: int, every: int = 1, order: int = ORDER) -> Run:
     """Return a run of PO-MOESP: IB01AD with the fast Cholesky algorithm, then IB01BD."""
 
     def run(t: Array, u: Array, y: Array) -> Found:
         import ctrlsys
         t, u, y = averaged(t, u, y, every)
         inputs, outputs = np.asfortranarray(u[:, np.newaxis]), np.asfortranarray(y)
-        order, r, _, _, info = ctrlsys.ib01ad(
+        found, r, _, _, info = ctrlsys.ib01ad(
             'M', 'C', 'M', 'O', 'N', 'N', rows, 1, 2, inputs, outputs, 0.0, -1.0)
         _succeed('IB01AD', info)
-        a, *_, info = ctrlsys.ib01bd('M', 'A', 'N', rows, ORDER, 1, 2, len(t), r, 0.0)
+        a, *_, info = ctrlsys.ib01bd('M', 'A', 'N', rows, order, 1, 2, len(t), r, 0.0)
         _succeed('IB01BD', info)
-        return continuous(a, t), order
+        return continuous(a, t), found
 
     return run
 

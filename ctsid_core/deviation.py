@@ -59,11 +59,22 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
             for _ in range(_PASSES):
                 m = driven(projection, m, feedthrough)
         root = _root_of_simulation(projection, m, feedthrough)
-    return _entries(projection, root, m, feedthrough)
+    return entries_of(root, m, feedthrough, delays=projection.slopes is not None)
 
 
-def _entries(projection: Projection, root: Array, m: Matrices, feedthrough: bool) -> Entries:
-    """Return rows of changes in the order of `jacobian` by matrix, without tail, trim and K."""
+def entries_of(root: Array, m: Matrices, feedthrough: bool, *, delays: bool) -> Entries:
+    """
+    Return rows of changes by matrix, without tail, trim and K.
+
+    Parameters
+    ----------
+    root : ndarray, shape (r, parameters)
+        In the order of `jacobian`; the last columns are those of the dead times, if any.
+    m : Matrices
+    feedthrough : bool
+    delays : bool
+        Whether there are any.
+    """
     r, (n, nu), ny = len(root), m.B.shape, len(m.C)
     width, ones = nu + m.tail.shape[1] + m.x_trim.shape[1], m.y_trim.shape[1]
     feed = nu * feedthrough
@@ -71,7 +82,7 @@ def _entries(projection: Projection, root: Array, m: Matrices, feedthrough: bool
     A, B, C, D = np.split(root, np.cumsum(sizes), axis=1)[:4]
     direct = np.zeros((r, ny, nu))
     direct[:, :, :feed] = D.reshape(r, ny, feed + ones)[:, :, :feed]
-    late = np.zeros((r, nu)) if projection.slopes is None else root[:, -nu:]
+    late = root[:, -nu:] if delays else np.zeros((r, nu))
     return Entries(A.reshape(r, n, n), B.reshape(r, n, width)[:, :, :nu], C.reshape(r, ny, n),
                    direct, late)
 

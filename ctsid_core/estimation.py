@@ -13,13 +13,11 @@ from ctsid_core.found import Found, own_delays
 from ctsid_core.held_out import HeldOut, held_out
 from ctsid_core.joint import Joint, Layout, balanced
 from ctsid_core.order import Search
-from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import prediction_errors
 from ctsid_core.refine import affordable
 from ctsid_core.selection import Chosen, choose_order, most_likely
 from ctsid_core.settings import Settings
-from ctsid_core.statespace import StateSpace
-from ctsid_core.usable import Usable
+from ctsid_core.whole_model import moving_model
 
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
 _REWEIGHTED = 2         # rounds of weighting records by the noise that a model finds in them
@@ -98,8 +96,9 @@ def without_outliers(part: Joint, found: Found,
                      for error, weight in zip(errors, found.layout.weights, strict=True)]
         if not (np.isfinite(found.matrices.A).all() and part.doubtful(densities)):
             break
-        cleaned, gain = part.cleaned([_simulating(usable, m, found.settings)
-                                      for usable, m in zip(part.parts, matrices, strict=True)])
+        cleaned, gain = part.cleaned([
+            moving_model(m, own_delays(usable, found.settings).delays(usable.record.nu))
+            for usable, m in zip(part.parts, matrices, strict=True)])
         large = gain > _LITTLE
         order = found.settings.order
         again = None if cleaned is part else estimate(cleaned, settings, order) if large else \
@@ -111,14 +110,6 @@ def without_outliers(part: Joint, found: Found,
         if not large:
             break
     return part, found
-
-
-def _simulating(part: Usable, m: Matrices, settings: Settings) -> StateSpace:
-    """Return the model of the moving channels of one record, for simulations."""
-    return StateSpace(
-        A=m.A, B=m.B, C=m.C, D=m.D, delay=own_delays(part, settings).delays(part.record.nu),
-        x_trim=m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A)),
-        y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(len(m.C)))
 
 
 def _best_order(search: Search, choices: list[Choice], first: int) -> Chosen | None:

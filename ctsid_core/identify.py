@@ -17,6 +17,7 @@ from ctsid_core.outcome import conclude
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record
 from ctsid_core.statespace import StateSpace
+from ctsid_core.time_identify import told_in_time, undistorted
 
 
 def identify(record: Record | Sequence[Record], settings: Settings | None = None, *,
@@ -86,12 +87,14 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
     if isinstance(part, Estimate):
         return replace(part, settings=settings)
     try:
+        if told := told_in_time(part, known):
+            return told
         found = estimate(part, known, first)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
         part, found = without_outliers(part, found, known)
         part, found = with_dead_time(records, part, found, settings)
-        return conclude(part, *confirmed(part, found, settings))
+        return undistorted(part, found) or conclude(part, *confirmed(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return Estimate(status=Status.UNRELIABLE, settings=settings,
                         notes=(*part.notes, f'the arithmetic failed: {error}'))

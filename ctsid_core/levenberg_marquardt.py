@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from ctsid_core.bases.base import Array
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import Likelihood, Prediction
 
 LEAST_DAMPING = 1e-13   # relative: rounding of the products
 _LEAST_GAIN = 1e-2      # -2 log likelihood: smaller gains are not worth another step
@@ -26,6 +27,25 @@ _NEAR = 1.0             # promised gain below which a step's promise can be reli
 _HOPE = 10.0            # times its promise: the most that the third step and all later ones gain
 _BEYOND = 1e150         # numbers whose squares are near the end of the range
 _TRIES = 8              # of a step, with ten times the damping each
+
+P = TypeVar('P')
+Found = TypeVar('Found', covariant=True)
+
+
+class Likelihood(Protocol[Found]):
+    """What a model is worth, and what was found on the way (None: not admissible)."""
+
+    @property
+    def cost(self) -> float:
+        """-2 log likelihood."""
+
+    @property
+    def prediction(self) -> Found | None:
+        """What the equations of a step need."""
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Of A [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +96,8 @@ def _damped(equations: NormalEquations, damping: float) -> Array:
     return np.zeros_like(equations.pull)
 
 
-def climb(model: Matrices, likelihood: Callable[[Matrices], Likelihood],
-          curvature: Callable[[Matrices, Prediction], NormalEquations | None],
+def climb(model: Matrices, likelihood: Callable[[Matrices], Likelihood[P]],
+          curvature: Callable[[Matrices, P], NormalEquations | None],
           move: Callable[[Matrices, Array], Matrices], *, limit: float, steps: int,
           damping: float, rival: float = np.inf) -> tuple[Matrices, float]:
     """

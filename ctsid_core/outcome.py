@@ -17,13 +17,12 @@ from ctsid_core.found import Found
 from ctsid_core.held_out import HeldOut
 from ctsid_core.joint import Joint
 from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty
-from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors
 from ctsid_core.sameness import Differing, likeliest_difference
 from ctsid_core.signals import Array
 from ctsid_core.statespace import StateSpace
 from ctsid_core.stuck import stuck_outputs
-from ctsid_core.usable import Usable
+from ctsid_core.whole_model import spread_out, whole_model, whole_trim
 
 
 def conclude(part: Joint, found: Found, tested: HeldOut) -> Estimate:
@@ -86,7 +85,7 @@ def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.comp
                       feedthrough=found.settings.feedthrough)
 
     def everywhere(values: Array) -> Array:
-        return _spread(values, last.y, whole.ny)
+        return spread_out(values, last.y, whole.ny)
 
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names,
@@ -130,18 +129,11 @@ def _shares(part: Joint, found: Found) -> tuple[RecordShare, ...]:
     for i, (usable, p, m) in enumerate(zip(part.parts, projection.records,
                                            matrices.of_records(projection), strict=True)):
         whole, epoch = usable.whole, usable.whole.epoch_ns
-        x_trim, y_trim = _trim(usable, m)
+        x_trim, y_trim = whole_trim(usable, m)
         shares.append(RecordShare(
             part.numbers[i], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
-            x_trim, y_trim, _spread(line_fit(p, m), usable.y, whole.ny), found.layout.weights[i]))
+            x_trim, y_trim, spread_out(line_fit(p, m), usable.y, whole.ny), found.layout.weights[i]))
     return tuple(shares)
-
-
-def _spread(values: Array, places: tuple[int, ...], count: int) -> Array:
-    """Put the values of moving channels among all channels; NaN for the constant ones."""
-    out = np.full(count, np.nan)
-    out[list(places)] = values
-    return out
 
 
 def _covariance(joint: Joint, found: Found, model: StateSpace) -> Covariance | None:
@@ -154,30 +146,10 @@ def _covariance(joint: Joint, found: Found, model: StateSpace) -> Covariance | N
     return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model)
 
 
-def _trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
-    """Return the trim of the states and of all outputs of a record, given its own model."""
-    whole, y = part.whole, list(part.y)
-    level = np.zeros(whole.ny) if len(y) == whole.ny else \
-        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = (m.y_trim[:, 0] if m.y_trim.size else 0.0) + part.y_level - m.D @ part.u_level
-    drift = (m.x_trim[:, 0] if m.x_trim.size else np.zeros(len(m.A))) - m.B @ part.u_level
-    return drift, level
-
-
 def _to_statespace(joint: Joint, found: Found) -> StateSpace:
-    """Return the model of all channels: constant ones have zero rows and columns."""
-    part = joint.parts[joint.last]
-    m, whole = found.matrices.of_records(found.projection)[joint.last], part.whole
-    n, nu, ny = len(m.A), whole.nu, whole.ny
-    u, y = list(part.u), list(part.y)
-    B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
-    B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
-    drift, level = _trim(part, m)
+    """Return the model of all channels."""
+    part, weight = joint.parts[joint.last], found.layout.weights[joint.last]
     error = as_real(prediction_errors(found.projection, found.matrices))
-    noise, weight = np.zeros((ny, ny)), found.layout.weights[joint.last]
-    noise[np.ix_(y, y)] = found.projection.unit * (error @ error.T) / error.shape[1] / weight ** 2
-    return StateSpace(
-        A=m.A, B=B, C=C, D=D, K=K, delay=found.settings.delays(nu),
-        x_trim=drift, y_trim=level, noise=noise,
-        input_names=whole.input_names, output_names=whole.output_names,
-        input_units=whole.input_units, output_units=whole.output_units)
+    intensity = found.projection.unit * (error @ error.T) / error.shape[1] / weight ** 2
+    return whole_model(part, found.matrices.of_records(found.projection)[joint.last],
+                       found.settings.delays(part.whole.nu), intensity)

@@ -37,10 +37,11 @@ LEVELS = {
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable', 'colour', 'stuck'],
         ['window_ends'], ['pole_fit', 'prediction_errors', 'delay_columns'],
         ['levenberg_marquardt'],
-        ['refine', 'many_models'],
+        ['refine', 'many_models', 'whole_model'],
+        ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
         ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
         ['deviation', 'leftover', 'judgement'], ['examination', 'joint'], ['sameness'],
-        ['order'], ['found', 'selection'], ['held_out', 'dead_time'], ['outcome'], ['estimation'],
+        ['order'], ['found', 'selection'], ['held_out', 'dead_time'], ['outcome', 'time_identify'], ['estimation'],
         ['lateness'],
         ['identify'], ['tracking']],
     'ctsid_ros': [

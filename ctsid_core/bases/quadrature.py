@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
+PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
 _STEEP = 1e-5         # the same, below which a straight line is a jump: its slope is all rounding
@@ -296,7 +297,8 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
     Return the time within [start, end] in which a signal is not known [s].
 
     Intervals longer than a few periods count, and what lies before the first or after the last
-    sample; a held input is known from its first sample on.
+    sample; a held input is known from its first sample on. Where long intervals recur, samples
+    come in bursts, and it is intervals longer than a few usual pauses that count.
     """
     t = signal.time
     if signal.hold == 'zoh' or len(t) < 3:
@@ -306,7 +308,21 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
         return 0.0                                     # the common case, without a median
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
-    return float(covered[np.diff(bounds) > GAP_PERIODS * signal.period].sum())
+    limit = GAP_PERIODS * signal.period
+    pauses = pauses_between_bursts(signal, start, end)
+    if len(pauses):
+        limit = GAP_PERIODS * float(np.median(pauses))
+    return float(covered[np.diff(bounds) > limit].sum())
+
+
+def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
+    """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
+    t = signal.time[(signal.time >= start) & (signal.time <= end)]
+    step = np.diff(t)
+    if len(step) < PAUSES or np.max(step) <= GAP_PERIODS * np.min(step):
+        return np.empty(0)
+    pauses = step[step > GAP_PERIODS * np.median(step)]
+    return pauses if len(pauses) >= PAUSES else np.empty(0)
 
 
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
