@@ -12,11 +12,11 @@ MacKinnon and White 1985, J. Econometrics 29, HC2).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.bases.base import Array, Projection
+from ctsid_core.bases.base import Array, Lines, Projection
 from ctsid_core.covariance import Entries
 from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices
@@ -50,15 +50,93 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
         Of A, B, C and D; zeros for the dead times. A plain subspace estimate scatters more.
     """
     noisy = bool(np.any(m.K)) if process_noise is None else process_noise
+    if not noisy:
+        m = without_gain(projection, m, feedthrough)
+    return _entries(information(projection, m, feedthrough, noisy).root, m, feedthrough)
+
+
+@dataclass(frozen=True)
+class Information:
+    """
+    What the data tell of a model's parameters, in the order of `jacobian`.
+
+    Parameters
+    ----------
+    s : ndarray, shape (r,)
+        Singular values of the scaled derivatives.
+    right : ndarray, shape (r, parameters)
+        Directions in which the data determine the scaled parameters.
+    norm : ndarray, shape (parameters,)
+        What the derivatives were divided by; infinite for entries that do not move.
+    basis : ndarray, shape (ny 2 L, r)
+        Orthonormal: the derivatives of the whitened errors are basis s right norm.
+    size : ndarray, shape (ny 2 L,) or (1,)
+        Deviation of these errors.
+    """
+
+    s: Array
+    right: Array
+    norm: Array
+    basis: Array
+    size: Array
+
+    @property
+    def root(self) -> Array:
+        """A root of the covariance of the parameters, root^T root."""
+        change = self.right / self.s[:, np.newaxis] / self.norm
+        if len(self.size) == 1:
+            return np.asarray(self.size * change)
+        few = np.linalg.qr(self.size[:, np.newaxis] * self.basis, mode='r')
+        return np.asarray(few @ change)
+
+
+def without_gain(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
+    """Return a model for simulations: without K, and with the tail that goes with that."""
+    if not np.any(m.K):
+        return m
+    m = replace(m, K=np.zeros_like(m.K))    # the tail was that of a predictor
+    for _ in range(_PASSES):
+        m = driven(projection, m, feedthrough)
+    return m
+
+
+def information(projection: Projection, m: Matrices, feedthrough: bool,
+                noisy: bool) -> Information:
+    """
+    Return what the data tell of the parameters of an innovation form, or of a simulation.
+
+    A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
+    narrower than lines can tell, the lines in it would seem to say more than they do.
+    """
+    flat, error = whitened(projection, m, feedthrough, with_noise=noisy)
     if noisy:
-        root = _root_with_noise(projection, m, feedthrough)
-    else:
-        if np.any(m.K):         # the states at the ends of the window are those of a predictor
-            m = replace(m, K=np.zeros_like(m.K))
-            for _ in range(_PASSES):
-                m = driven(projection, m, feedthrough)
-        root = _root_of_simulation(projection, m, feedthrough)
-    return _entries(root, m, feedthrough)
+        flat *= np.tile(np.repeat(trust(projection.s, line_distance(projection), m), 2),
+                        len(m.C))[:, np.newaxis]
+    s, right, norm = _directions(flat.T)
+    basis = (flat / norm) @ right.T / s
+    if noisy:
+        spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
+        return Information(s, right, norm, basis, np.array([1.0 / np.sqrt(spare)]))
+    spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))
+    power = (error ** 2 / spared).reshape(len(m.C), -1, 2).mean(axis=2)
+    return Information(s, right, norm, basis, np.repeat(np.sqrt(_smoothed(power)).ravel(), 2))
+
+
+def trust(s: Lines, apart: float, m: Matrices) -> Array:
+    """
+    Return what to multiply lines with, as if all notches were as wide as is resolved.
+
+    Parameters
+    ----------
+    s : ndarray, shape (L,)
+    apart : float
+        Distance of the lines [rad/s].
+    m : Matrices
+    """
+    found = np.linalg.eigvals(m.A - m.K @ m.C)
+    wide = -np.hypot(found.real, _RESOLVED * apart) + 1j * found.imag
+    ratio = np.abs(s - found[:, np.newaxis]) / np.abs(s - wide[:, np.newaxis])
+    return np.asarray(np.prod(ratio, axis=0))
 
 
 def _entries(root: Array, m: Matrices, feedthrough: bool) -> Entries:
@@ -89,43 +167,6 @@ def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,
     moved = np.einsum('ia,rab,bi->ri', np.linalg.inv(modes), changes.A, modes, optimize=True)
     deviation: Array = np.linalg.norm(moved, axis=0)
     return deviation
-
-
-def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    """
-    Return a root of the covariance of an innovation form's parameters, covariance = root^T root.
-
-    A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
-    narrower than lines can tell, the lines in it would seem to say more than they do.
-    """
-    flat, error = whitened(projection, m, feedthrough, with_noise=True)
-    flat *= np.tile(np.repeat(_trust(projection, m), 2), len(m.C))[:, np.newaxis]
-    s, right, norm = _directions(flat.T)
-    spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
-    root: Array = right / s[:, np.newaxis] / norm / np.sqrt(spare)
-    return root
-
-
-def _trust(projection: Projection, m: Matrices) -> Array:
-    """Return what to multiply each line with, as if all notches were as wide as is resolved."""
-    found = np.linalg.eigvals(m.A - m.K @ m.C)
-    wide = -np.hypot(found.real, _RESOLVED * line_distance(projection)) + 1j * found.imag
-    ratio = np.abs(projection.s - found[:, np.newaxis]) / np.abs(projection.s -
-                                                                 wide[:, np.newaxis])
-    return np.asarray(np.prod(ratio, axis=0))
-
-
-def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    """Return a root of the sandwich covariance of a simulation's parameters."""
-    flat, error = whitened(projection, m, feedthrough, with_noise=False)
-    s, right, norm = _directions(flat.T)
-    basis = (flat / norm) @ right.T / s
-    spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))
-    power = (error ** 2 / spared).reshape(len(m.C), -1, 2).mean(axis=2)
-    size = np.repeat(np.sqrt(_smoothed(power)).ravel(), 2)
-    few = np.linalg.qr(size[:, np.newaxis] * basis, mode='r')
-    root: Array = few @ (right / s[:, np.newaxis] / norm)
-    return root
 
 
 def _smoothed(power: Array) -> Array:

@@ -22,7 +22,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 VERBS = [f'verbs.{verb}' for verb in (
-    'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
+    'advise', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
 LEVELS = {
     'ctsid_core': [
         ['errors'], ['settings'], ['signals'],
@@ -36,7 +36,7 @@ LEVELS = {
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
         ['refine'], ['steadiness', 'process_noise'], ['deviation'],
-        ['order'], ['selection'],
+        ['order', 'advice'], ['selection'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
