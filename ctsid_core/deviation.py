@@ -12,11 +12,11 @@ MacKinnon and White 1985, J. Econometrics 29, HC2).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.bases.base import Array, Projection
+from ctsid_core.bases.base import Array, Lines, Projection
 from ctsid_core.covariance import Entries
 from ctsid_core.delay_columns import delay_columns
 from ctsid_core.matrix_functions import svd
@@ -48,18 +48,100 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
     Returns
     -------
     Entries
-        Of A, B, C, D and the dead times; zeros for those that are known. A plain subspace estimate scatters more.
+        Of A, B, C, D and the dead times; zeros for those that are known. A plain subspace
+        estimate scatters more.
     """
     noisy = bool(np.any(m.K)) if process_noise is None else process_noise
-    if noisy:
-        root = _root_with_noise(projection, m, feedthrough)
-    else:
-        if np.any(m.K):         # the states at the ends of the window are those of a predictor
-            m = replace(m, K=np.zeros_like(m.K))
-            for _ in range(_PASSES):
-                m = driven(projection, m, feedthrough)
-        root = _root_of_simulation(projection, m, feedthrough)
+    if not noisy:
+        m = without_gain(projection, m, feedthrough)
+    root = information(projection, m, feedthrough, noisy).root
     return entries_of(root, m, feedthrough, delays=projection.slopes is not None)
+
+
+@dataclass(frozen=True)
+class Information:
+    """
+    What the data tell of a model's parameters, in the order of `jacobian`.
+
+    Parameters
+    ----------
+    s : ndarray, shape (r,)
+        Singular values of the scaled derivatives.
+    right : ndarray, shape (r, parameters)
+        Directions in which the data determine the scaled parameters.
+    norm : ndarray, shape (parameters,)
+        What the derivatives were divided by; infinite for entries that do not move.
+    basis : ndarray, shape (ny 2 L, r)
+        Orthonormal: the derivatives of the whitened errors are basis s right norm.
+    size : ndarray, shape (ny 2 L,) or (1,)
+        Deviation of these errors.
+    """
+
+    s: Array
+    right: Array
+    norm: Array
+    basis: Array
+    size: Array
+
+    @property
+    def root(self) -> Array:
+        """A root of the covariance of the parameters, root^T root."""
+        change = self.right / self.s[:, np.newaxis] / self.norm
+        if len(self.size) == 1:
+            return np.asarray(self.size * change)
+        few = np.linalg.qr(self.size[:, np.newaxis] * self.basis, mode='r')
+        return np.asarray(few @ change)
+
+
+def without_gain(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
+    """Return a model for simulations: without K, and with the tail that goes with that."""
+    if not np.any(m.K):
+        return m
+    m = replace(m, K=np.zeros_like(m.K))    # the tail was that of a predictor
+    for _ in range(_PASSES):
+        m = driven(projection, m, feedthrough)
+    return m
+
+
+def information(projection: Projection, m: Matrices, feedthrough: bool,
+                noisy: bool) -> Information:
+    """
+    Return what the data tell of the parameters of an innovation form, or of a simulation.
+
+    A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
+    narrower than lines can tell, the lines in it would seem to say more than they do.
+    """
+    flat, error = _columns(projection, m, feedthrough, with_noise=noisy)
+    if noisy:
+        widths = [trust(record.s, line_distance(record), m) for record in projection.records]
+        flat *= np.tile(np.repeat(np.concatenate(widths), 2), len(m.C))[:, np.newaxis]
+    s, right, norm = _directions(flat.T)
+    basis = (flat / norm) @ right.T / s
+    if noisy:
+        spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
+        return Information(s, right, norm, basis, np.array([1.0 / np.sqrt(spare)]))
+    spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))
+    power = (error ** 2 / spared).reshape(len(m.C), -1, 2).mean(axis=2)
+    ends = np.cumsum([len(record.s) for record in projection.records])[:-1]
+    smooth = np.hstack([_smoothed(own) for own in np.split(power, ends, axis=1)])
+    return Information(s, right, norm, basis, np.repeat(np.sqrt(smooth).ravel(), 2))
+
+
+def trust(s: Lines, apart: float, m: Matrices) -> Array:
+    """
+    Return what to multiply lines with, as if all notches were as wide as is resolved.
+
+    Parameters
+    ----------
+    s : ndarray, shape (L,)
+    apart : float
+        Distance of the lines [rad/s].
+    m : Matrices
+    """
+    found = np.linalg.eigvals(m.A - m.K @ m.C)
+    wide = -np.hypot(found.real, _RESOLVED * apart) + 1j * found.imag
+    ratio = np.abs(s - found[:, np.newaxis]) / np.abs(s - wide[:, np.newaxis])
+    return np.asarray(np.prod(ratio, axis=0))
 
 
 def entries_of(root: Array, m: Matrices, feedthrough: bool, *, delays: bool) -> Entries:
@@ -112,47 +194,6 @@ def _columns(projection: Projection, m: Matrices, feedthrough: bool, *,
         late = delay_columns(projection, m, whitener(projection, m)[0])
         flat = np.hstack((flat, late))
     return flat, error
-
-
-def _root_with_noise(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    """
-    Return a root of the covariance of an innovation form's parameters, covariance = root^T root.
-
-    A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
-    narrower than lines can tell, the lines in it would seem to say more than they do.
-    """
-    flat, error = _columns(projection, m, feedthrough, with_noise=True)
-    flat *= np.tile(np.repeat(_trust(projection, m), 2), len(m.C))[:, np.newaxis]
-    s, right, norm = _directions(flat.T)
-    spare = max(1.0 - len(s) / len(error), len(m.C) / len(error))
-    root: Array = right / s[:, np.newaxis] / norm / np.sqrt(spare)
-    return root
-
-
-def _trust(projection: Projection, m: Matrices) -> Array:
-    """Return what to multiply each line with, as if all notches were as wide as is resolved."""
-    found = np.linalg.eigvals(m.A - m.K @ m.C)
-    trust = []
-    for record in projection.records:
-        wide = -np.hypot(found.real, _RESOLVED * line_distance(record)) + 1j * found.imag
-        ratio = np.abs(record.s - found[:, np.newaxis]) / np.abs(record.s - wide[:, np.newaxis])
-        trust.append(np.prod(ratio, axis=0))
-    return np.concatenate(trust)
-
-
-def _root_of_simulation(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
-    """Return a root of the sandwich covariance of a simulation's parameters."""
-    flat, error = _columns(projection, m, feedthrough, with_noise=False)
-    s, right, norm = _directions(flat.T)
-    basis = (flat / norm) @ right.T / s
-    spared = np.maximum(1.0 - np.einsum('ij,ij->i', basis, basis), len(s) / len(error))
-    power = (error ** 2 / spared).reshape(len(m.C), -1, 2).mean(axis=2)
-    ends = np.cumsum([len(record.s) for record in projection.records])[:-1]
-    smooth = np.hstack([_smoothed(own) for own in np.split(power, ends, axis=1)])
-    size = np.repeat(np.sqrt(smooth).ravel(), 2)
-    few = np.linalg.qr(size[:, np.newaxis] * basis, mode='r')
-    root: Array = few @ (right / s[:, np.newaxis] / norm)
-    return root
 
 
 def _smoothed(power: Array) -> Array:

@@ -22,7 +22,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 VERBS = [f'verbs.{verb}' for verb in (
-    'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
+    'advise', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
 LEVELS = {
     'ctsid_core': [
         ['errors'], ['settings'], ['signals'],
@@ -41,8 +41,8 @@ LEVELS = {
         ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
         ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
         ['deviation', 'leftover', 'judgement'], ['examination', 'joint'], ['sameness'],
-        ['order'], ['found', 'selection'], ['held_out', 'dead_time'], ['outcome', 'time_identify'], ['estimation'],
-        ['lateness'],
+        ['order'], ['found', 'selection'], ['held_out', 'dead_time'], ['outcome', 'time_identify'],
+        ['estimation', 'advice'], ['lateness'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
