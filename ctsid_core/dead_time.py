@@ -40,6 +40,8 @@ _HALVINGS = 5
 _LEAST_GAIN = 0.02    # -2 log likelihood: smaller gains are not worth another step
 _STARTS = 12          # at most, apart by what a climb reaches across
 _SINGLE = 4           # inputs up to which each is tried alone
+_LOW = 3              # orders up to which are asked whether they agree
+_ALIKE = 0.2          # relative difference of dead times that do
 _UNCLEAR = 0.5        # part of an output's power unexplained from which all starts are tried
 
 _Poles = NDArray[np.complex128]
@@ -77,6 +79,15 @@ class LateFit:
     cost: float
     gain: float = 0.0
 
+    def why(self, order: int) -> str:
+        """Return why it is believed, beside a model of another order without dead time."""
+        if self.gain == 0.0:
+            return (f'low orders agree on it, and the end of the window is foretold better than '
+                    f'with {order} states and none')
+        return (f'with {len(self.poles)} states and dead time, Schwarz\'s criterion is '
+                f'{self.gain:.0f} less than with {order} and none'
+                + ('' if self.direct else '; D is not needed beside it'))
+
 
 class DeadTimeSearch:
     """
@@ -106,7 +117,8 @@ class DeadTimeSearch:
         self._plain = search.output_error if not search.settings.feedthrough else \
             OutputError(search.projection, feedthrough=False)
 
-    def best(self, n0: int, alone: bool, poles: _Poles) -> LateFit | None:
+    def best(self, n0: int, alone: bool, poles: _Poles,
+             coloured: bool = False) -> LateFit | None:
         """
         Return the best poles and dead times, or None if there is no dead time.
 
@@ -118,6 +130,10 @@ class DeadTimeSearch:
             Whether no other order is wanted.
         poles : ndarray, shape (n0,)
             Of the model without dead time [rad/s].
+        coloured : bool
+            Whether there is process noise. Some of n0 states may then stand for it, so that a
+            lower order with dead time does not do as well. If two low orders agree on a dead
+            time, it is returned with a gain of 0: to be judged by other means.
         """
         orders = [n0] if alone else list(range(1, n0 + 1))
         with_direct, without = ({n: self._still(n, alone, poles, direct) for n in orders}
@@ -130,11 +146,26 @@ class DeadTimeSearch:
             looked += [self._climbed(fits[n], self._late, _GLANCE, first.criterion)
                        for n in orders if n0 - _ORDERS <= n]
         if not unclear and min(fit.criterion for fit in looked) > first.criterion:
-            return None
+            return self._agreed(without) if coloured else None
         found = self._pruned(self._thorough(without, with_direct, looked))
         if found is None or found.criterion > first.criterion - MARGIN:
-            return None
+            return self._agreed(without) if coloured else None
         return replace(found, gain=first.criterion - found.criterion)
+
+    def _agreed(self, still: dict[int, LateFit]) -> LateFit | None:
+        """Return the fit with the dead times on which two low orders agree, if any do."""
+        last, agreed = None, None
+        for n in range(1, min(len(still), _LOW) + 1):
+            if n not in still:
+                return None
+            starts = [still[n], *([replace(still[n], delays=last.delays)] if last else [])]
+            fit = min((self._climbed(start, self._late) for start in starts), key=_criterion)
+            if last is not None and (np.abs(fit.delays - last.delays)[self._late]
+                                     < _ALIKE * fit.delays[self._late]).all():
+                agreed = fit
+            last = fit
+        found = None if agreed is None else self._pruned(agreed)
+        return None if found is None else replace(found, gain=0.0)
 
     def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> LateFit:
         """Return the best fit of an order without dead time."""
