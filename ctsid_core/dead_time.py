@@ -11,7 +11,8 @@ there is no dead time, and the search ends. Else lower orders are tried, too, fr
 for the profile over dead time has side maxima.
 
 A dead time is believed if the criterion falls by a margin, and if it is not so short that the
-interpolation between samples could feign it.
+interpolation between samples could feign it. Where the data are described equally well by another
+state and by dead time, as by a fast pole in noise, the criterion counts parameters.
 """
 
 from __future__ import annotations
@@ -32,16 +33,15 @@ from ctsid_core.window_ends import ends_cost_of_simulation
 
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
 MARGIN = 6.0          # -2 log likelihood by which the criterion has to fall, beyond its charge
+_COSTLY = 2.0         # times the margin, if it saves no other parameters
 _FEIGNED = 0.1        # of a sample interval: shorter ones are not believed
 _ORDERS = 2           # below the chosen one that are looked at first
 _GLANCE = 6           # steps of a first look
-_STEPS = 25           # of a climb
+_STEPS = 20           # of a climb
 _HALVINGS = 5
 _LEAST_GAIN = 0.02    # -2 log likelihood: smaller gains are not worth another step
 _STARTS = 12          # at most, apart by what a climb reaches across
 _SINGLE = 4           # inputs up to which each is tried alone
-_LOW = 3              # orders up to which are asked whether they agree
-_ALIKE = 0.2          # relative difference of dead times that do
 _UNCLEAR = 0.5        # part of an output's power unexplained from which all starts are tried
 
 _Poles = NDArray[np.complex128]
@@ -67,6 +67,8 @@ class LateFit:
         Whether D is free.
     cost : float
         -2 log likelihood.
+    parameters : int
+        Free ones, dead times included.
     gain : float
         By how much the criterion is less than without dead time.
     """
@@ -77,13 +79,11 @@ class LateFit:
     late: _Mask
     direct: bool
     cost: float
+    parameters: int
     gain: float = 0.0
 
     def why(self, order: int) -> str:
         """Return why it is believed, beside a model of another order without dead time."""
-        if self.gain == 0.0:
-            return (f'low orders agree on it, and the end of the window is foretold better than '
-                    f'with {order} states and none')
         return (f'with {len(self.poles)} states and dead time, Schwarz\'s criterion is '
                 f'{self.gain:.0f} less than with {order} and none'
                 + ('' if self.direct else '; D is not needed beside it'))
@@ -117,8 +117,7 @@ class DeadTimeSearch:
         self._plain = search.output_error if not search.settings.feedthrough else \
             OutputError(search.projection, feedthrough=False)
 
-    def best(self, n0: int, alone: bool, poles: _Poles,
-             coloured: bool = False) -> LateFit | None:
+    def best(self, n0: int, alone: bool, poles: _Poles) -> LateFit | None:
         """
         Return the best poles and dead times, or None if there is no dead time.
 
@@ -130,42 +129,26 @@ class DeadTimeSearch:
             Whether no other order is wanted.
         poles : ndarray, shape (n0,)
             Of the model without dead time [rad/s].
-        coloured : bool
-            Whether there is process noise. Some of n0 states may then stand for it, so that a
-            lower order with dead time does not do as well. If two low orders agree on a dead
-            time, it is returned with a gain of 0: to be judged by other means.
         """
-        orders = [n0] if alone else list(range(1, n0 + 1))
-        with_direct, without = ({n: self._still(n, alone, poles, direct) for n in orders}
-                                for direct in (self._search.settings.feedthrough, False))
-        still = [*with_direct.values(), *without.values()]
-        first = min(still, key=_criterion)
+        lowest = n0 if alone else max(n0 - _ORDERS, 1)
+        without = {n: self._still(n, alone, poles, False) for n in range(lowest, n0 + 1)}
+        with_direct = {n: self._still(n, alone, poles, True) for n in without} \
+            if self._search.settings.feedthrough else without
+        first = min((*with_direct.values(), *without.values()), key=_criterion)
         unclear = self._at(first).fit(first.poles).residual > _UNCLEAR
-        looked = []
-        for fits in (without, with_direct)[:1 + first.direct]:
-            looked += [self._climbed(fits[n], self._late, _GLANCE, first.criterion)
-                       for n in orders if n0 - _ORDERS <= n]
+        looked = [self._climbed(fit, self._late, _GLANCE, first.criterion)
+                  for fits in (without, with_direct)[:1 + first.direct] for fit in fits.values()]
         if not unclear and min(fit.criterion for fit in looked) > first.criterion:
-            return self._agreed(without) if coloured else None
-        found = self._pruned(self._thorough(without, with_direct, looked))
-        if found is None or found.criterion > first.criterion - MARGIN:
-            return self._agreed(without) if coloured else None
-        return replace(found, gain=first.criterion - found.criterion)
-
-    def _agreed(self, still: dict[int, LateFit]) -> LateFit | None:
-        """Return the fit with the dead times on which two low orders agree, if any do."""
-        last, agreed = None, None
-        for n in range(1, min(len(still), _LOW) + 1):
-            if n not in still:
-                return None
-            starts = [still[n], *([replace(still[n], delays=last.delays)] if last else [])]
-            fit = min((self._climbed(start, self._late) for start in starts), key=_criterion)
-            if last is not None and (np.abs(fit.delays - last.delays)[self._late]
-                                     < _ALIKE * fit.delays[self._late]).all():
-                agreed = fit
-            last = fit
-        found = None if agreed is None else self._pruned(agreed)
-        return None if found is None else replace(found, gain=0.0)
+            return None
+        lower = {} if alone else {n: self._still(n, alone, poles, False)
+                                  for n in range(1, lowest)}
+        found = self._pruned(self._thorough(lower | without, with_direct, looked))
+        if found is None:
+            return None
+        # What is missing in a model looks like dead time, too; what is saved speaks for it.
+        margin = MARGIN if alone or found.parameters < first.parameters else _COSTLY * MARGIN
+        gain = first.criterion - found.criterion
+        return replace(found, gain=gain) if gain > margin else None
 
     def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> LateFit:
         """Return the best fit of an order without dead time."""
@@ -179,7 +162,7 @@ class DeadTimeSearch:
         count = fit.parameters + int(late.sum())
         value = fit.cost + count * self._search.charge + ends_cost_of_simulation(
             self._search.projection, fit.poles)
-        return LateFit(value, fit.poles, delays, late, direct, fit.cost)
+        return LateFit(value, fit.poles, delays, late, direct, fit.cost, count)
 
     def _at(self, fit: LateFit) -> OutputError:
         """Return the likelihood with the dead times of a fit, as a function of the poles."""
@@ -231,8 +214,9 @@ class DeadTimeSearch:
         for n in sorted(without, reverse=True):
             starts = [fit for fit in looked if len(fit.poles) == n]
             starts += [replace(fits[n], delays=best.delays, late=best.late)
-                       for fits in (without, with_direct)[:1 + best.direct]]
-            found = min((self._climbed(start, self._late) for start in starts), key=_criterion)
+                       for fits in (without, with_direct)[:1 + best.direct] if n in fits]
+            found = min((self._climbed(start, self._late, rival=best.criterion)
+                         for start in starts), key=_criterion)
             spare = 0 if found.criterion < best.criterion else spare + 1
             best = min(best, found, key=_criterion)
             if spare > _ORDERS:

@@ -15,7 +15,7 @@ from ctsid_core.dead_time import LONGEST, DeadTimeSearch, LateFit
 from ctsid_core.deviation import deviations
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.joint_climb import climb_jointly
-from ctsid_core.order import COLOURED, Candidate, Search
+from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
 from ctsid_core.refine import affordable, refine_innovation
@@ -34,7 +34,6 @@ from ctsid_core.usable import Usable, usable
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
 _LITTLE = 1.1           # errors' power over that without outliers that changes no choice
-_BETTER = 1.0           # points of fit on data not seen that make up for a criterion undecided
 _EXPLAINED = 30.0       # fit [%] below which an output counts as not explained
 
 
@@ -185,10 +184,8 @@ def _with_dead_time(part: Usable, found: _Found, settings: Settings) -> tuple[Us
         return part, found
     hunt = DeadTimeSearch(part.record, found.search, found.settings.nmax, late)
     rough = hunt.best(order, alone=bool(settings.order),
-                      poles=np.linalg.eigvals(found.matrices.A).astype(complex),
-                      coloured=found.process_noise)
-    agreed = rough is not None and rough.gain == 0.0
-    if rough is None or not (agreed or _likelier(hunt, rough, found)):
+                      poles=np.linalg.eigvals(found.matrices.A).astype(complex))
+    if rough is None or not _likelier(hunt, rough, found):
         return part, found
     known = _known(part, settings, rough.delays).replace(feedthrough=rough.direct)
     shorter = usable(part.whole, known)
@@ -198,21 +195,12 @@ def _with_dead_time(part: Usable, found: _Found, settings: Settings) -> tuple[Us
     if other is None:
         return part, found
     shorter, other = _without_outliers(shorter, other, known)
-    late = _climbed(shorter, other, rough.late, rough.why(order))
-    if agreed and not _foretells_more(part, found, shorter, late):
-        return part, found
-    return shorter, late
-
-
-def _foretells_more(part: Usable, found: _Found, other: Usable, late: _Found) -> bool:
-    """Return whether the model with dead time foretells the last part of the window better."""
-    before, after = (_held_out(*pair) for pair in ((part, found), (other, late)))
-    return bool(np.mean(after - before) > _BETTER)
+    return shorter, _climbed(shorter, other, rough.late, rough.why(order))
 
 
 def _likelier(hunt: DeadTimeSearch, rough: LateFit, found: _Found) -> bool:
     """Return whether dead times are likelier than none if the errors are not white, too."""
-    if not found.process_noise or rough.gain > COLOURED * len(found.matrices.A):
+    if not found.process_noise:
         return True
     projection = hunt.projection(rough.delays)
     settings = found.settings.replace(feedthrough=rough.direct)
@@ -329,7 +317,8 @@ def _judge(part: Usable, found: _Found) -> Estimate:
         status=status, settings=found.settings, model=model if status is Status.OK else None,
         rejected_model=None if status is Status.OK else model,
         pole_std=np.array([deviation[np.argmin(np.abs(poles - p))] for p in model.poles]),
-        delay_std=delay_std, fit=_spread(fit, part.y, ny), held_out_fit=_spread(held_out, part.y, ny),
+        delay_std=delay_std, fit=_spread(fit, part.y, ny),
+        held_out_fit=_spread(held_out, part.y, ny),
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices,
         notes=(*part.notes, *corrupt, *notes),

@@ -35,8 +35,8 @@ EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
              'y = C x + D u(t - delay) + y_trim + e;  time in s, poles in rad/s')
 
 TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'start_ns', 'end_ns', 'model',
-            'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
-            'statistics', 'choices', 'notes', 'settings', 'metadata')
+            'rejected_model', 'pole_std', 'delay_std', 'fit', 'held_out_fit', 'singular_values',
+            'condition', 'statistics', 'choices', 'notes', 'settings', 'metadata')
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
@@ -59,7 +59,8 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
         'status': estimate.status.name, 'message': estimate.status.value,
         'start_ns': int(estimate.start_ns), 'end_ns': int(estimate.end_ns),
         'model': _model(estimate.model), 'rejected_model': _model(estimate.rejected_model),
-        'pole_std': estimate.pole_std, 'fit': estimate.fit,
+        'pole_std': estimate.pole_std, 'delay_std': estimate.delay_std,
+        'fit': estimate.fit,
         'held_out_fit': estimate.held_out_fit, 'singular_values': estimate.singular_values,
         'condition': estimate.condition, 'statistics': estimate.statistics,
         'choices': [{'name': c.name, 'value': c.value, 'why': c.why} for c in estimate.choices],
@@ -90,9 +91,10 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
                            f'{"given" if model else "null"}; they contradict each other, so the '
                            'file was changed by hand: write it again')
     vectors: dict[str, Any] = {key: _numbers(document[key], key, nan=True) for key in
-               ('pole_std', 'fit', 'held_out_fit', 'singular_values')}
+               ('pole_std', 'delay_std', 'fit', 'held_out_fit', 'singular_values')}
     if model is not None:
-        for key, count in (('pole_std', model.n), ('fit', model.ny), ('held_out_fit', model.ny)):
+        for key, count in (('pole_std', model.n), ('delay_std', model.nu), ('fit', model.ny),
+                           ('held_out_fit', model.ny)):
             if len(vectors[key]) not in (0, count):
                 raise StorageError(f'`{key}` has {len(vectors[key])} numbers, but the model '
                                    f'wants {count}')

@@ -47,7 +47,7 @@ _SHIFTS = 5                   # values of beta tried
 _GAMMA = 4.0                  # gamma over beta: the region reaches well beyond the shift
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up
 _EXPLAINED = 1e-6             # residual power below this fraction needs no further state
-COLOURED = 64.0               # per state: how much less likely gusts make the true simulation
+_COLOURED = 64.0              # per state: how much less likely gusts make the true simulation
 _SAME = 0.2                   # relative distance of poles that one climb ends at
 _STEPS = 12                   # Gauss-Newton steps of the poles
 _GLANCE = 4                   # of them, after which a second start must be better
@@ -152,7 +152,7 @@ class Pair:
             return gain > 0.0
         search = self.simulating.search
         loss = search.output_error.fit(poles).cost - simulated
-        return loss < min(gain, COLOURED * len(poles))
+        return loss < min(gain, _COLOURED * len(poles))
 
     def refined(self) -> OutputErrorFit:
         """Return the best output-error maximum reached from the poles of either."""

@@ -223,7 +223,7 @@ def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
         'order': np.array([e.model.n if e.model else 0 for e in estimates], dtype=np.int64),
         'condition': np.array([e.condition for e in estimates], dtype=float),
         'json': np.array([to_json(e).encode() for e in estimates], dtype=bytes)}
-    for name in ('pole_std', 'fit', 'held_out_fit', 'singular_values'):
+    for name in ('pole_std', 'delay_std', 'fit', 'held_out_fit', 'singular_values'):
         arrays[name] = _stacked([getattr(e, name) for e in estimates])
     models = [e.model for e in estimates]
     for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'poles',
