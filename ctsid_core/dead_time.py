@@ -11,7 +11,8 @@ there is no dead time, and the search ends. Else lower orders are tried, too, fr
 for the profile over dead time has side maxima.
 
 A dead time is believed if the criterion falls by a margin, and if it is not so short that the
-interpolation between samples could feign it.
+interpolation between samples could feign it. Where the data are described equally well by another
+state and by dead time, as by a fast pole in noise, the criterion counts parameters.
 """
 
 from __future__ import annotations
@@ -33,10 +34,11 @@ from ctsid_core.window_ends import ends_cost_of_simulation
 
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
 MARGIN = 6.0          # -2 log likelihood by which the criterion has to fall, beyond its charge
+_COSTLY = 2.0         # times the margin, if it saves no other parameters
 _FEIGNED = 0.1        # of a sample interval: shorter ones are not believed
 _ORDERS = 2           # below the chosen one that are looked at first
 _GLANCE = 6           # steps of a first look
-_STEPS = 25           # of a climb
+_STEPS = 20           # of a climb
 _HALVINGS = 5
 _LEAST_GAIN = 0.02    # -2 log likelihood: smaller gains are not worth another step
 _STARTS = 12          # at most, apart by what a climb reaches across
@@ -66,6 +68,8 @@ class LateFit:
         Whether D is free.
     cost : float
         -2 log likelihood.
+    parameters : int
+        Free ones, dead times included.
     gain : float
         By how much the criterion is less than without dead time.
     """
@@ -76,7 +80,14 @@ class LateFit:
     late: _Mask
     direct: bool
     cost: float
+    parameters: int
     gain: float = 0.0
+
+    def why(self, order: int) -> str:
+        """Return why it is believed, beside a model of another order without dead time."""
+        return (f"with {len(self.poles)} states and dead time, Schwarz's criterion is "
+                f'{self.gain:.0f} less than with {order} and none'
+                + ('' if self.direct else '; D is not needed beside it'))
 
 
 class DeadTimeSearch:
@@ -120,22 +131,25 @@ class DeadTimeSearch:
         poles : ndarray, shape (n0,)
             Of the model without dead time [rad/s].
         """
-        orders = [n0] if alone else list(range(1, n0 + 1))
-        with_direct, without = ({n: self._still(n, alone, poles, direct) for n in orders}
-                                for direct in (self._search.settings.feedthrough, False))
-        still = [*with_direct.values(), *without.values()]
-        first = min(still, key=_criterion)
+        lowest = n0 if alone else max(n0 - _ORDERS, 1)
+        without = {n: self._still(n, alone, poles, False) for n in range(lowest, n0 + 1)}
+        with_direct = {n: self._still(n, alone, poles, True) for n in without} \
+            if self._search.settings.feedthrough else without
+        first = min((*with_direct.values(), *without.values()), key=_criterion)
         unclear = self._at(first).fit(first.poles).residual > _UNCLEAR
-        looked = []
-        for fits in (without, with_direct)[:1 + first.direct]:
-            looked += [self._climbed(fits[n], self._late, _GLANCE, first.criterion)
-                       for n in orders if n0 - _ORDERS <= n]
+        looked = [self._climbed(fit, self._late, _GLANCE, first.criterion)
+                  for fits in (without, with_direct)[:1 + first.direct] for fit in fits.values()]
         if not unclear and min(fit.criterion for fit in looked) > first.criterion:
             return None
-        found = self._pruned(self._thorough(without, with_direct, looked))
-        if found is None or found.criterion > first.criterion - MARGIN:
+        lower = {} if alone else {n: self._still(n, alone, poles, False)
+                                  for n in range(1, lowest)}
+        found = self._pruned(self._thorough(lower | without, with_direct, looked))
+        if found is None:
             return None
-        return replace(found, gain=first.criterion - found.criterion)
+        # What is missing in a model looks like dead time, too; what is saved speaks for it.
+        margin = MARGIN if alone or found.parameters < first.parameters else _COSTLY * MARGIN
+        gain = first.criterion - found.criterion
+        return replace(found, gain=gain) if gain > margin else None
 
     def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> LateFit:
         """Return the best fit of an order without dead time."""
@@ -149,7 +163,7 @@ class DeadTimeSearch:
         count = fit.parameters + int(late.sum())
         value = fit.cost + count * self._search.charge + ends_cost_of_simulation(
             self._search.projection, fit.poles)
-        return LateFit(value, fit.poles, delays, late, direct, fit.cost)
+        return LateFit(value, fit.poles, delays, late, direct, fit.cost, count)
 
     def _at(self, fit: LateFit) -> OutputError:
         """Return the likelihood with the dead times of a fit, as a function of the poles."""
@@ -201,8 +215,9 @@ class DeadTimeSearch:
         for n in sorted(without, reverse=True):
             starts = [fit for fit in looked if len(fit.poles) == n]
             starts += [replace(fits[n], delays=best.delays, late=best.late)
-                       for fits in (without, with_direct)[:1 + best.direct]]
-            found = min((self._climbed(start, self._late) for start in starts), key=_criterion)
+                       for fits in (without, with_direct)[:1 + best.direct] if n in fits]
+            found = min((self._climbed(start, self._late, rival=best.criterion)
+                         for start in starts), key=_criterion)
             spare = 0 if found.criterion < best.criterion else spare + 1
             best = min(best, found, key=_criterion)
             if spare > _ORDERS:

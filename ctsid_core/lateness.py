@@ -63,10 +63,7 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     if other is None:
         return part, found
     shorter, other = without_outliers(shorter, other, known)
-    return shorter, _climbed(shorter, other, rough.late, (
-        f"with {len(rough.poles)} states and dead time, Schwarz's criterion is "
-        f'{rough.gain:.0f} less than with {order} and none'
-        + ('' if rough.direct or not settings.feedthrough else '; D is not needed beside it')))
+    return shorter, _climbed(shorter, other, rough.late, rough.why(order))
 
 
 def _likelier(hunt: DeadTimeSearch, rough: LateFit, found: Found) -> bool:

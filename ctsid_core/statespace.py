@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -332,28 +333,49 @@ class StateSpace:
                        K=np.vstack([self.K, np.zeros((extra, self.ny))]),
                        x_trim=np.concatenate([self.x_trim, np.zeros(extra)]))
 
-    def to_control(self) -> Any:
+    def to_control(self, pade: int | None = None) -> Any:
         """
         Return the deviation model from u to y as `control.StateSpace` (without K and trim).
+
+        Parameters
+        ----------
+        pade : int, optional
+            Replace dead times by Pade approximations of this order, see `pade`.
+
+        Returns
+        -------
+        control.StateSpace
+            Its attribute `delay` holds the dead times [s] that are not in its matrices:
+            python-control does nothing with them.
 
         Raises
         ------
         ImportError
             If python-control is not installed.
-        DataError
-            If there is dead time, which python-control does not know.
+
+        Warns
+        -----
+        UserWarning
+            If there is dead time and no approximation of it was asked for.
         """
-        self._refuse_delay('to_control')
+        if pade is not None:
+            return self.pade(pade).to_control()
         try:
             import control
         except ImportError as error:
             raise ImportError('to_control() needs python-control; install it with: '
                               'python3 -m pip install control') from error
+        if any(self.delay):
+            warnings.warn(f'python-control does not know dead time: {self.delay} s are in the '
+                          'attribute `delay` only; to_control(pade=3) puts them into the matrices',
+                          stacklevel=2)
         labels: dict[str, list[str]] = {}
         for key, names in (('inputs', self.input_names), ('outputs', self.output_names)):
             if all(names) and len(set(names)) == len(names):  # it wants all names, and distinct
                 labels[key] = [name.replace('.', '_') for name in names]  # '.' is its own
-        return control.ss(self.A, self.B, self.C, self.D, **labels)
+        system = control.ss(self.A, self.B, self.C, self.D, **labels)
+        system.delay = self.delay
+        return system
 
     def to_scipy(self) -> scipy.signal.StateSpace:
         """

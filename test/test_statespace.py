@@ -399,10 +399,24 @@ def test_conversions_keep_the_transfer_function():
 
 def test_conversions_refuse_dead_time_and_name_the_cure():
     model = random_model(2, 1, 1, 0, delay=(0.1,))
-    for verb in (model.to_control, model.to_scipy):
-        with pytest.raises(DataError, match=r'pade\(3\)'):
-            verb()
+    with pytest.raises(DataError, match=r'pade\(3\)'):
+        model.to_scipy()
     assert model.pade(3).to_scipy().A.shape == (5, 5)
+
+
+def test_dead_time_goes_to_control_as_a_field_or_by_pade():
+    model = random_model(2, 2, 1, 0, delay=(0.1, 0.0))
+    with pytest.warns(UserWarning, match=r'to_control\(pade=3\)'):
+        plain = model.to_control()
+    assert plain.delay == (0.1, 0.0)
+    assert plain.nstates == 2
+    late = model.to_control(pade=4)
+    assert late.delay == (0.0, 0.0)
+    assert late.nstates == 6
+    for w in (0.1, 3.0, 20.0):
+        wanted = model.frequency_response([w])[0]
+        assert np.allclose(late(1j * w), wanted, atol=1e-4)
+        assert np.allclose(plain(1j * w) * np.exp(-1j * w * np.array(plain.delay)), wanted)
 
 
 def test_without_python_control_the_message_names_the_cure(monkeypatch):

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead time: found where there is one, exactly none where there is none, known as well as told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from plants import (
+    PLANTS,
+    flown,
+    held,
+    held_response,
+    jittered,
+    match,
+    noisy,
+    paper,
+    plant,
+    random_plant,
+    random_signal,
+    running,
+)
+import pytest
+
+from ctsid_core import Record, Settings, Signal, StateSpace, identify
+from ctsid_core.bases.base import as_real
+from ctsid_core.bases.hermite import input_slopes, project_inputs, project_record
+from ctsid_core.delay_columns import delay_columns
+from ctsid_core.joint_climb import climb_jointly
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import prediction_errors
+from ctsid_core.refine import refine_output_error
+
+HD51 = PLANTS['hd51']
+FAST = Settings(held_out=0.0)
+
+
+def two_inputs(rng, delays, snr=20.0) -> tuple[Record, object]:
+    """A plant with two held inputs, each late by its own dead time."""
+    p = plant([[-2.0, 1.0], [0.0, -4.0]], [[0.5, 1.0], [1.0, -0.7]], [[1.0, 4.0], [2.0, 1.0]])
+    t_y, y, inputs = jittered(rng, 100.0), 0.0, []
+    t_y = t_y[t_y > 0]
+    for j, (rate, delay) in enumerate(zip((50.0, 30.0), delays, strict=True)):
+        t = jittered(rng, rate, 18.0) - 8.0
+        u = random_signal(rng).at(t)
+        y = y + held_response(plant(p.A, p.B[:, j:j + 1], p.C), t + delay, u, t_y)
+        inputs.append(Signal(t[t > -0.5], u[t > -0.5], 'zoh'))
+    return Record.from_signals(inputs, [Signal(t_y, noisy(rng, y, snr))]), p
+
+
+def some_matrices(rng, p) -> Matrices:
+    n, ny = len(p.A), len(p.C)
+    return Matrices(A=p.A, B=p.B, C=p.C, D=p.D, K=0.3 * rng.standard_normal((n, ny)),
+                    tail=rng.standard_normal((n, 2)), x_trim=rng.standard_normal((n, 1)),
+                    y_trim=rng.standard_normal((ny, 1)))
+
+
+@pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
+def test_inputs_alone_are_projected_as_with_all_else(hold):
+    rng = np.random.default_rng(1)
+    given = held(rng, random_plant(rng, 3, 2, 1), 40.0, 100.0)
+    given = replace(given, inputs=(replace(given.inputs[0], hold=hold),))
+    for delay in (0.0, (0.03, 0.2)):
+        s = Settings(delay=delay, parts=2)
+        found = project_inputs(given, Settings(parts=2), 90, s.delays(2))
+        np.testing.assert_array_equal(found, project_record(given, s, 90).u)
+
+
+def test_slopes_and_columns_are_those_of_differences():
+    rng = np.random.default_rng(0)
+    p = random_plant(rng, 3, 2, 2, feedthrough=True)
+    given, s, delays = held(rng, p, 33.0, 100.0, snr=20.0), Settings(parts=2), (0.08, 0.02)
+    late = np.array([True, False])
+    slopes = input_slopes(given, s, 120, delays, late)
+    assert not slopes[1].any()
+    projection = replace(project_record(given, s.replace(delay=delays), 120), slopes=slopes)
+    m, whiten = some_matrices(rng, p), np.array([[1.0, 0.2], [0.1, 2.0]])
+    columns = delay_columns(projection, m, whiten)
+    assert not columns[:, 1].any()
+    errors = [as_real(prediction_errors(replace(projection, u=project_inputs(
+        given, s, 120, (0.08 + step, 0.02))), m)) for step in (1e-5, -1e-5)]
+    wanted = -(whiten @ (errors[0] - errors[1])).ravel() / 2e-5
+    np.testing.assert_allclose(columns[:, 0], wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize('off', [-0.01, 0.01])
+def test_the_joint_climb_ends_where_the_likelihood_is_largest(off):
+    rng = np.random.default_rng(2)
+    given, s = held(rng, HD51, 40.0, 100.0, delay=0.08, snr=20.0), Settings(feedthrough=False)
+    late = np.array([True])
+
+    def at(delays):
+        return replace(project_record(given, s.replace(delay=tuple(delays)), 250),
+                       slopes=input_slopes(given, s, 250, delays, late))
+
+    start = Matrices(A=HD51.A, B=HD51.B, C=HD51.C, D=HD51.D, K=np.zeros((2, 2)),
+                     tail=np.zeros((2, 1)), x_trim=np.zeros((2, 1)), y_trim=np.zeros((2, 1)))
+    start = refine_output_error(at([0.08 + off]), start, False)[0]
+    found = climb_jointly(at, start, np.array([0.08 + off]), feedthrough=False,
+                          process_noise=False, longest=1.0)
+    assert found.delays[0] == pytest.approx(0.08, abs=1e-3)
+    beside = [refine_output_error(at(found.delays + step), found.matrices, False)[1]
+              for step in (-2e-4, 2e-4)]
+    assert min(beside) > found.cost
+    assert beside[0] - found.cost == pytest.approx(beside[1] - found.cost, rel=0.2)
+
+
+@pytest.mark.parametrize('order', [0, 2])
+@pytest.mark.parametrize(('delay', 'rate'), [(0.01, 50.0), (0.037, 20.0), (0.15, 33.0)])
+def test_dead_time_is_found_with_its_deviation(delay, rate, order):
+    given = held(np.random.default_rng(5), HD51, rate, 100.0, delay=delay, snr=20.0)
+    found = identify(given, FAST.replace(order=order))
+    assert found.model.n == 2
+    assert found.delay_std[0] < 0.5e-3
+    assert abs(found.model.delay[0] - delay) < 3.0 * found.delay_std[0]
+    assert found.settings.delay == found.model.delay[0]
+    assert any(choice.name == 'delay' for choice in found.choices)
+    assert np.all(np.abs(found.model.poles - [-2.0, -4.0]) < 3.0 * found.pole_std)
+
+
+def none_late():
+    rng = np.random.default_rng
+    yield 'sweep', paper(rng(1), 'hd51', 20)
+    yield 'direct', paper(rng(2), 'hd52', 20)
+    yield 'held', held(rng(3), HD51, 50.0, 100.0, snr=20)
+    yield 'held, noise-free', held(rng(3), HD51, 50.0, 100.0)
+    yield 'order 3', running(rng(4), random_plant(rng(4), 3, 1, 2), 30, rate=200.0)
+    yield 'order 3, noise-free', running(rng(4), random_plant(rng(4), 3, 1, 2), rate=200.0)
+    yield 'two by two', held(rng(5), random_plant(rng(5), 4, 2, 2), 40.0, 100.0, snr=20)
+    yield 'flown', flown(rng(6), 0.1)
+
+
+@pytest.mark.parametrize('given', [pytest.param(g, id=name) for name, g in none_late()])
+def test_without_dead_time_nothing_changes(given):
+    found, plain = identify(given, FAST), identify(given, FAST.replace(delay=0.0))
+    assert found.model == plain.model
+    assert found.settings == plain.settings
+    assert found.choices == plain.choices
+    assert not found.delay_std.any()
+
+
+def test_two_inputs_have_their_own():
+    given, p = two_inputs(np.random.default_rng(7), (0.03, 0.12))
+    found = identify(given, FAST)
+    assert found.model.n == 2
+    assert np.all(np.abs(np.array(found.model.delay) - (0.03, 0.12)) < 3.0 * found.delay_std)
+    assert np.all(found.delay_std < 2e-3)
+
+
+def test_one_of_two_inputs_may_be_late_and_one_known():
+    given, p = two_inputs(np.random.default_rng(8), (0.0, 0.08))
+    found = identify(given, FAST)
+    assert found.model.delay[0] == found.delay_std[0] == 0.0
+    assert abs(found.model.delay[1] - 0.08) < 3.0 * found.delay_std[1]
+    given, p = two_inputs(np.random.default_rng(8), (0.05, 0.08))
+    found = identify(given, FAST.replace(delay=('auto', 0.08)))
+    assert found.model.delay[1] == 0.08
+    assert found.delay_std[1] == 0.0
+    assert abs(found.model.delay[0] - 0.05) < 3.0 * found.delay_std[0]
+
+
+def test_a_plant_that_acts_at_once_after_its_dead_time():
+    """D is kept where the data show it."""
+    p, rng = plant([[-3.0]], [[3.0]], [[1.0]], [[0.5]]), np.random.default_rng(9)
+    u, t_u, t_y = random_signal(rng, band=4.0), jittered(rng, 100.0), jittered(rng, 100.0)
+    y = noisy(rng, u.output(p).at(t_y - 0.08), 30.0)
+    found = identify(Record.from_arrays(t_u, u.at(t_u), t_y, y, input_hold='smooth'), FAST)
+    assert found.model.n == 1
+    assert found.model.D[0, 0] == pytest.approx(0.5, abs=0.02)
+    assert abs(found.model.delay[0] - 0.08) < 3.0 * found.delay_std[0]
+
+
+def test_a_given_dead_time_is_taken_as_it_is():
+    given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.08, snr=20.0)
+    for delay in (0.0, 0.05):
+        found = identify(given, FAST.replace(delay=delay, order=2))
+        assert (found.model or found.rejected_model).delay == (delay,)
+        assert found.delay_std.tolist() == [0.0]
+
+
+def test_the_same_record_gives_the_same_bits():
+    given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.037, snr=20.0)
+    first, second = identify(given), identify(given)
+    assert first.model == second.model
+    assert first.delay_std.tobytes() == second.delay_std.tobytes()
+
+
+def test_a_held_input_declared_as_straight_lines_is_half_a_period_late():
+    given = held(np.random.default_rng(11), HD51, 50.0, 100.0, snr=20.0)
+    wrong = replace(given, inputs=(replace(given.inputs[0], hold='linear'),))
+    assert identify(wrong, FAST).model.delay[0] == pytest.approx(0.01, abs=2e-3)
+
+
+def bound(given: Record, p, delay: float, sigma) -> np.ndarray:
+    """Return the Cramer-Rao bound of (poles, dead time), shape (n + 1,), from simulations."""
+    values, modes = np.linalg.eig(p.A)
+    b = np.linalg.solve(modes, p.B)[:, 0]
+    n, ny, t = len(values), len(p.C), given.outputs[0].time
+    theta = np.concatenate((values, [delay], (p.C @ modes * b).ravel(), np.zeros(n + ny)))
+
+    def outputs(theta):
+        model = StateSpace(np.diag(theta[:n]), np.ones((n, 1)),
+                           theta[n + 1:n + 1 + n * ny].reshape(ny, n), delay=(theta[n],))
+        return model.simulate(given.inputs, t, x0=theta[-n - ny:-ny]) + theta[-ny:]
+
+    columns = []
+    for j in range(len(theta)):
+        step = np.zeros_like(theta)
+        step[j] = 1e-6
+        slope = (outputs(theta + step) - outputs(theta - step)) / 2e-6
+        columns.append((slope / sigma).ravel())
+    jacobian = np.stack(columns, axis=1)
+    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))[:n + 1]
+
+
+def spread(delay: float, rate: float, seeds, order: int) -> tuple[np.ndarray, float, int, float]:
+    """Return RMSE over bound of poles and dead time, coverage of 95 %, runs of another order."""
+    errors, bounds, inside, other = [], [], [], 0
+    for seed in seeds:
+        given = held(np.random.default_rng(seed), HD51, rate, 100.0, delay=delay, snr=20.0)
+        clean = held(np.random.default_rng(seed), HD51, rate, 100.0, delay=delay)
+        power = np.mean(clean.outputs[0].values ** 2, axis=0)
+        found = identify(given, FAST.replace(order=order))
+        if found.model is None or found.model.n != 2:
+            other += 1
+            continue
+        bounds.append(bound(given, HD51, delay, np.sqrt(power / 100.0)))
+        late = found.model.delay[0] - delay
+        errors.append([*np.abs(match(found.model.poles, [-2.0, -4.0]) - [-2.0, -4.0]), late])
+        inside.append(abs(late) <= 1.96 * found.delay_std[0])
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(bounds), axis=0))
+    return ratio, float(np.mean(inside)), other, float(np.mean(np.array(errors)[:, -1] == 0.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('order', [0, 2])
+@pytest.mark.parametrize(('delay', 'rate'), [
+    (0.01, 33.0), (0.037, 20.0), (0.08, 33.0), (0.15, 33.0), (0.037, 50.0)])
+def test_the_error_is_near_its_bound(delay, rate, order):
+    ratio, inside, other, _ = spread(delay, rate, range(200, 240), order)
+    print(f'\n{delay} s, input at {rate} Hz, order {order or "free"}: RMSE over bound of the '
+          f'poles {ratio[:2].round(2)}, of the dead time {ratio[2]:.2f}; in its 95 % region '
+          f'{100 * inside:.0f} %; other orders {other}')
+    assert ratio[2] < 1.25
+    assert np.all(ratio[:2] < 1.4)
+    assert inside >= 0.85
+    assert other <= 2
