@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
@@ -26,7 +26,7 @@ from ctsid_core.statespace import StateSpace
 from ctsid_core.steadiness import Change, likeliest_change
 from ctsid_core.stuck import stuck_outputs
 from ctsid_core.usable import Usable, usable
-from ctsid_core.verdict import UNJUDGED, Grade, Verdict
+from ctsid_core.verdict import UNJUDGED, Grade
 
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
 _LITTLE = 1.1           # errors' power over that without outliers that changes no choice
@@ -261,8 +261,9 @@ def _evidence(part: Usable, found: _Found) -> Evidence:
     deviation = pole_deviation(projection, m, found.settings.feedthrough,
                                process_noise=found.process_noise)
     numbers = examine(projection, m, part.record, density, feedthrough=found.settings.feedthrough)
-    spread = {name: _spread(getattr(numbers, name), part.y, whole.ny)
-              for name in ('missing', 'missing_p_value', 'whiteness', 'next_ratio')}
+    spread: dict[str, Any] = {
+        name: _spread(getattr(numbers, name), part.y, whole.ny)
+        for name in ('missing', 'missing_p_value', 'whiteness', 'next_ratio')}
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names,
         fixed_inputs=tuple(j for j in range(whole.nu) if j not in part.u),

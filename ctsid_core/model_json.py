@@ -37,8 +37,8 @@ EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
              'y = C x + D u(t - delay) + y_trim + e;  time in s, poles in rad/s')
 
 TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 'start_ns', 'end_ns',
-            'model', 'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values', 'condition',
-            'statistics', 'choices', 'notes', 'settings', 'metadata')
+            'model', 'rejected_model', 'pole_std', 'fit', 'held_out_fit', 'singular_values',
+            'condition', 'statistics', 'choices', 'notes', 'settings', 'metadata')
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
@@ -320,13 +320,14 @@ def read_verdict(found: Any) -> Verdict:
         raise StorageError(f'`verdict.grade` is {_shown(grade)}; this ctsid knows '
                            f'{", ".join(Grade.__members__)}: upgrade it')
     scalars = ('pole_uncertainty', 'moved')
+    numbers: dict[str, Any] = {
+        key: _number(value, f'verdict.{key}', nan=True) if key in scalars else
+        _numbers(value, f'verdict.{key}', nan=True)
+        for key, value in found.items() if key not in ('grade', 'reason', 'excitation')}
     return Verdict(
         grade=Grade[grade], reason=_word(found['reason'], 'verdict.reason'),
         excitation=tuple(_read_excitation(x, f'verdict.excitation[{i}]')
-                         for i, x in enumerate(_list(found, 'excitation'))),
-        **{key: _number(found[key], f'verdict.{key}', nan=True) for key in scalars},
-        **{key: _numbers(found[key], f'verdict.{key}', nan=True) for key in found
-           if key not in ('grade', 'reason', 'excitation', *scalars)})
+                         for i, x in enumerate(_list(found, 'excitation'))), **numbers)
 
 
 def _read_excitation(found: Any, where: str) -> Excitation:

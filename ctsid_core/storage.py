@@ -114,9 +114,10 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
     Parameters
     ----------
     path : path-like
-        '.csv': one row per window: window, status, verdict, order, poles with standard deviation, natural
-        frequency and damping, fits. '.npz': the same and the matrices as arrays with one entry
-        per window, padded with NaN to the largest order, and each whole estimate as JSON.
+        '.csv': one row per window: window, status, verdict, order, poles with standard
+        deviation, natural frequency and damping, fits. '.npz': the same and the matrices as
+        arrays with one entry per window, padded with NaN to the largest order, and each whole
+        estimate as JSON.
     estimates : sequence of Estimate
     columns : mapping, optional
         Further numbers, by name with unit: one per estimate.

@@ -3,11 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
-from plants import PLANTS, Plant, asynchronous, flown, held, match, noisy, paper, random_plant
-from plants import running
+from plants import (
+    PLANTS,
+    asynchronous,
+    flown,
+    held,
+    match,
+    noisy,
+    paper,
+    random_plant,
+    running,
+)
 from scipy.signal import butter, lfilter, sosfilt
 
 from ctsid_core import Record
