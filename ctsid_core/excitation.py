@@ -125,11 +125,12 @@ def tapered(record: Record, highest: float) -> tuple[Array, Lines]:
     times = record.start + record.duration * (np.arange(count) + 0.5) / count
     u = np.hstack([_values(signal, times) for signal in record.inputs]).T
     u = (u - u.mean(axis=1, keepdims=True)) * np.kaiser(count, _TAPER)
-    return step * np.arange(lines), np.fft.rfft(u, axis=1)[:, :lines]
+    omega = np.asarray(step * np.arange(lines), dtype=np.float64)
+    return omega, np.fft.rfft(u, axis=1)[:, :lines]
 
 
 def _breadth(u: Lines) -> float:
-    """Return over how many frequencies a spectrum is spread; those of small amplitude count less."""
+    """Return over how many frequencies a spectrum is spread, small amplitudes counting less."""
     size = np.abs(u)
     return float(size.sum() ** 2 / max(float(size @ size), 1e-300))
 

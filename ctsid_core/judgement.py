@@ -24,17 +24,19 @@ EXPLAINED = 30.0        # fit [%] below which an output counts as not explained
 _DEAD = 10.0            # fit [%] below which nothing of an output is
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _UNKNOWN = 0.05         # the same of the response to an input
+_TOGETHER = 0.1         # part of its power that is its own, below which it moves with others
 _ONE_SINE = 1.5         # frequencies of an input
 _MISSING = 0.02         # of the response
-_SURE = 1e-5            # p-value
-_COLOURED = 1e-6        # p-value
+_SURE = 1e-5            # p-value of it
+_COLOURED = 1e-6        # p-value of whiteness
+_LIKELY = 0.01          # p-value that is enough where errors are coloured
 _NEXT = 4.0             # power of the errors on data not seen over that on the model's own
 _FRESH = 1.5            # the same of the model before, rms
 _MATTERS = 90.0         # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations
 
-UNTESTED = ('The model has not been tested on data that it has not seen; set `validation.held_out` '
-            'above 0, or wait for the next window.')
+UNTESTED = ('The model has not been tested on data that it has not seen; set '
+            '`validation.held_out` above 0, or wait for the next window.')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +110,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             'is stuck or its last value is repeated: check it, or leave it out.')
     yield from _unexplained(e)
     ratio = _pole_ratio(e)
-    if ratio.min() > _VAGUE:
+    if np.min(ratio) > _VAGUE:
         best = int(np.argmin(ratio))
         yield Status.UNRELIABLE, (
             f'Even the best known pole, {_number(e.poles[best])} rad/s, has a standard deviation '
@@ -120,11 +122,11 @@ def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
     tested = e.held_out[np.isfinite(e.held_out)]
     best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
     if best < EXPLAINED:
-        own, best = float(np.nanmax(e.fit)), max(best, -999.0)
+        own, shown = float(np.nanmax(e.fit)), max(float(best), -999.0)
         what = f'The model fits its own data ({own:.0f} %), but not the part of the window that ' \
-            f'was held out ({best:.0f} %)' if own >= EXPLAINED else \
+            f'was held out ({shown:.0f} %)' if own >= EXPLAINED else \
             f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} ' \
-            f'(the best fit is {best:.0f} %)'
+            f'(the best fit is {shown:.0f} %)'
         yield Status.UNEXPLAINED, (
             f'{what}; check that these are the right signals, that nothing else drives the plant '
             'and that it is linear over the window, or take a longer window with more excitation.')
@@ -145,7 +147,10 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
         yield (f'Output {e.output_names[i]} is hardly explained, fit {e.worst[i]:.0f} %; check '
                'its sensor, reduce its noise, or leave it out.')
     numbers, names = e.numbers, e.output_names
-    for i in np.flatnonzero((numbers.missing_p_value < _SURE) & (numbers.missing > _MISSING)):
+    certain = (numbers.missing_p_value < _SURE) & (numbers.missing > _MISSING)
+    if not e.process_noise:  # then errors that are coloured, and know the inputs, are dynamics
+        certain |= (numbers.missing_p_value < _LIKELY) & (numbers.whiteness < _COLOURED)
+    for i in np.flatnonzero(certain):
         yield (f'The model misses {100 * numbers.missing[i]:.2g} % of the response of output '
                f'{names[i]} to the inputs; raise `order` or `max_order`, check the dead time and '
                'the hold of the inputs, or the plant is not linear.')
@@ -164,8 +169,10 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
             yield (f'The noise of output {names[i]} is not as the model has it, so that the '
                    'standard deviations cannot be trusted; raise `order`, or measure what else '
                    'acts on the plant.')
-    if not np.isfinite(np.delete(numbers.missing, e.fixed_outputs)).all():
-        yield 'The model could not be examined; check the size of the signals and their units.'
+    known = np.append(np.delete(numbers.missing, e.fixed_outputs), numbers.pole_uncertainty)
+    if not np.isfinite(known).all():
+        yield ('How sure the model is could not be computed; check the signals, their sizes and '
+               'units.')
     if not np.isfinite(e.held_out).any():
         yield UNTESTED
 
@@ -181,8 +188,10 @@ def _of_inputs(e: Evidence) -> Iterator[str]:
         if one.uncertainty > _UNKNOWN:
             how = 'not known at all' if one.uncertainty > 1.0 else \
                 f'known to {100 * one.uncertainty:.2g} % only'
-            cure = f'move it independently of the other inputs (now {100 * one.own:.2g} % of its ' \
-                'power)' if one.own < 0.1 else 'move it more, or for longer, or leave it out'
+            together = f'move it without the other inputs ({100 * one.own:.2g} % of its ' \
+                'power is its own)'
+            cure = together if one.own < _TOGETHER else \
+                'move it more, or for longer, or leave it out'
             yield f'The response to input {one.name} is {how}; {cure}.'
 
 
@@ -212,6 +221,7 @@ def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
 
 
 def _number(pole: complex) -> str:
+    pole = complex(pole)
     return f'{pole.real:.3g}' if pole.imag == 0 else f'{pole.real:.3g} +- {abs(pole.imag):.3g}j'
 
 
@@ -221,9 +231,9 @@ def without_model(status: Status, record: Record) -> str:
         return (f'No input moves within the window ({", ".join(record.input_names)}); excite the '
                 'inputs, or choose a window in which they move.')
     if status is Status.NO_RESPONSE:
-        return (f'No output moves within the window ({", ".join(record.output_names)}); check that '
-                'the right topics and fields are used.')
-    return status.value
+        return (f'No output moves within the window ({", ".join(record.output_names)}); check '
+                'that the right topics and fields are used.')
+    return str(status.value)
 
 
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
@@ -270,5 +280,5 @@ def _moves(order: int, before: int, moved: float) -> Iterator[str]:
         yield (f'The order has changed from {before} to {order} since the last accepted model; '
                'wait until models agree again, or set `order`.')
     if moved > _MOVED:
-        yield (f'A pole has moved by {moved:.2g} standard deviations since the window before; wait '
-               'until models agree again, or set `order`.')
+        yield (f'A pole has moved by {moved:.2g} standard deviations since the window before; '
+               'wait until models agree again, or set `order`.')

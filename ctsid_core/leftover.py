@@ -3,11 +3,11 @@
 What prediction errors still contain, asked of their lines.
 
 Of the past of the inputs: errors of a right model know nothing of it, open loop or closed. They
-are regressed on the inputs, delayed by 0, h, 2 h, ...: what that explains beyond chance is what the model
-misses of its response (a model error model: Ljung 1999, System Identification, 16.6; delays of 0
-and more only, so that feedback does not count). Of themselves: Bartlett's test of the cumulative
-periodogram (Bartlett 1954, Publ. Inst. Statist. Univ. Paris 3); gusts colour them, which is no
-fault.
+are regressed on the inputs, delayed by 0, h, 2 h, ...: what that explains beyond chance is what
+the model misses of its response (a model error model: Ljung 1999, System Identification, 16.6;
+delays of 0 and more only, so that feedback does not count). Of themselves: Bartlett's test of the
+cumulative periodogram (Bartlett 1954, Publ. Inst. Statist. Univ. Paris 3); gusts colour them,
+which is no fault.
 """
 
 from __future__ import annotations

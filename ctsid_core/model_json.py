@@ -366,13 +366,14 @@ def read_verdict(found: Any) -> Verdict:
         raise StorageError(f'`verdict.grade` is {_shown(grade)}; this ctsid knows '
                            f'{", ".join(Grade.__members__)}: upgrade it')
     scalars = ('pole_uncertainty', 'moved')
+    numbers: dict[str, Any] = {
+        key: _number(value, f'verdict.{key}', nan=True) if key in scalars else
+        _numbers(value, f'verdict.{key}', nan=True)
+        for key, value in found.items() if key not in ('grade', 'reason', 'excitation')}
     return Verdict(
         grade=Grade[grade], reason=_word(found['reason'], 'verdict.reason'),
         excitation=tuple(_read_excitation(x, f'verdict.excitation[{i}]')
-                         for i, x in enumerate(_list(found, 'excitation'))),
-        **{key: _number(found[key], f'verdict.{key}', nan=True) for key in scalars},
-        **{key: _numbers(found[key], f'verdict.{key}', nan=True) for key in found
-           if key not in ('grade', 'reason', 'excitation', *scalars)})
+                         for i, x in enumerate(_list(found, 'excitation'))), **numbers)
 
 
 def _read_excitation(found: Any, where: str) -> Excitation:

@@ -53,8 +53,8 @@ def _longest_run(times: Array, values: Array, duration: float) -> tuple[float, f
     spans = times[ends] - times[starts]
     longest = int(np.argmax(spans))
     others = np.delete(spans, longest)
-    if len(others) < 2 or spans[longest] < _SHARE * duration or \
-            spans[longest] < _TIMES * others.max() or ends[longest] - starts[longest] < _FEWEST:
+    if len(others) < 2 or ends[longest] - starts[longest] < _FEWEST or \
+            spans[longest] < max(_SHARE * duration, _TIMES * float(np.max(others))):
         return None
     return float(times[starts[longest]]), float(times[ends[longest]])
 

@@ -186,9 +186,9 @@ def best_of(results: Sequence[Result]) -> int | None:
     """
     Return the number of the model to keep; None if none was accepted.
 
-    Of the GOOD ones, if there are any, and those that explain unseen data nearly as well as any (the windows they were tested on
-    differ, so that the last percent means nothing), the one with the fewest states; of these the
-    one that explains them best.
+    Of the GOOD ones, if there are any; of those that explain unseen data nearly as well as any
+    (the windows they were tested on differ, so that the last percent means nothing), the one with
+    the fewest states; of these the one that explains them best.
     """
     accepted = [(i, r, r.estimate.model.n) for i, r in enumerate(results) if r.estimate.model]
     accepted = [entry for entry in accepted if entry[1].estimate.good] or accepted

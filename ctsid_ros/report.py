@@ -132,8 +132,8 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
                     for i, name in enumerate(model.output_names))
     tables = [Table(('input', 'excites from [rad/s]', 'to [rad/s]', 'frequencies',
                      'by itself [%]', 'response known to [%]'), inputs, ('input',))]
-    tables.append(Table(('output', 'missing [%]', 'white (p)', 'unseen / own error', 'fresh / own'),
-                        outputs, ('output',)))
+    tables.append(Table(('output', 'missing [%]', 'white (p)', 'unseen / own error',
+                         'fresh / own'), outputs, ('output',)))
     return tables if inputs else []
 
 
@@ -240,7 +240,8 @@ def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
         else f'none: {estimate.status.name}'
     poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''
     order = str(estimate.model.n) if estimate.model else '-'
-    return (str(index), *span, estimate.verdict.grade.name, order, _fits(estimate.fit), _fits(result.next_fit), poles)
+    return (str(index), *span, estimate.verdict.grade.name, order, _fits(estimate.fit),
+            _fits(result.next_fit), poles)
 
 
 def _fits(values: Array) -> str:

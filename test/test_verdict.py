@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+GOOD, WEAK or REJECT, and the right reason.
+
+Counted on windows of which the truth is known: pure noise is never GOOD, well-excited plants
+nearly always are, and what is wrong is told by its name.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+from plants import held, held_response, noisy, random_plant, random_signal
+import pytest
+from verdict_cases import distance, excited, nothing, steps
+
+from ctsid_core import Grade, Record, Settings, Status, identify
+from ctsid_core.errors import DataError
+from ctsid_core.estimate import Estimate
+from ctsid_core.model_json import from_json, to_json
+from ctsid_core.tracking import Tracker
+from ctsid_core.validation import simulation
+from ctsid_core.verdict import UNJUDGED, Verdict
+
+
+def judged(record: Record, settings: Settings | None = None) -> Verdict:
+    found = identify(record, settings)
+    assert (found.verdict.grade is Grade.REJECT) == (found.model is None)
+    assert (found.verdict.grade is Grade.REJECT) == (found.status is not Status.OK)
+    return found.verdict
+
+
+def experiment(seed: int, nu: int = 1, ny: int = 1, n: int = 3, **more) -> Record:
+    rng = np.random.default_rng([20, seed])
+    return held(rng, random_plant(rng, n, nu, ny), 50.0, 100.0, **{'snr': 20, **more})
+
+
+def with_inputs(seed: int, u_of_t, nu: int, n: int = 3) -> Record:
+    """The answer to given inputs, held at 50 Hz from long before the window."""
+    rng = np.random.default_rng([21, seed])
+    p = random_plant(rng, n, nu, 1)
+    t, t_u = np.arange(0.0, 10.0, 0.01), np.arange(-8.0, 10.0, 0.02)
+    u = u_of_t(rng, t_u)
+    y = noisy(rng, held_response(p, t_u, u, t), 20)
+    return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
+
+
+def spoilt(record: Record, spoil) -> Record:
+    (signal,) = record.outputs
+    values = signal.values.copy()
+    spoil(values)
+    return replace(record, outputs=(replace(signal, values=values),))
+
+
+# The word and the model belong together.
+
+
+def test_without_a_model_the_verdict_is_reject():
+    model = identify(experiment(0)).model
+    good = Verdict(grade=Grade.GOOD, reason='x')
+    assert Estimate(status=Status.OK, settings=Settings(), model=model, verdict=good).good
+    bare = Estimate(status=Status.GAPS, settings=Settings(), verdict=good)
+    assert (bare.verdict.grade, bare.verdict.reason) == (Grade.REJECT, Status.GAPS.value)
+    assert Estimate(status=Status.OK, settings=Settings(), model=model).verdict is UNJUDGED
+    assert UNJUDGED.grade is Grade.WEAK
+    with pytest.raises(DataError, match='`verdict` is REJECT but `model` is given'):
+        Estimate(status=Status.OK, settings=Settings(), model=model,
+                 verdict=replace(good, grade=Grade.REJECT))
+
+
+def test_a_verdict_comes_back_from_a_file_to_the_last_bit():
+    whole = identify(experiment(1, 2, 2))
+    again = from_json(to_json(whole)).verdict
+    assert repr(again) == repr(whole.verdict)
+    assert len(again.excitation) == 2
+
+
+# What is wrong is told.
+
+
+def test_a_well_excited_window_is_good():
+    verdict = judged(experiment(2, 2, 2))
+    assert verdict.grade is Grade.GOOD
+    assert [x.name for x in verdict.excitation] == ['u1', 'u2']
+    assert all(x.uncertainty < 0.02 and 0.0 <= x.low < 3.0 < x.high for x in verdict.excitation)
+
+
+def test_no_excitation_is_named():
+    u = np.ones((501, 2))
+    t = np.linspace(0.0, 10.0, 501)
+    verdict = judged(Record.from_arrays(t, u, t, np.sin(t), input_names=('gas', 'brake')))
+    assert verdict.grade is Grade.REJECT
+    assert verdict.reason.startswith('No input moves within the window (gas, brake)')
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_a_constant_sensor_among_good_ones_is_named(seed):
+    def dead(y):
+        y[:, 1] = 4.0
+    verdict = judged(spoilt(experiment(seed, ny=3), dead))
+    assert verdict.grade is Grade.REJECT
+    assert verdict.reason.startswith('Output y2 does not move within the window')
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_sensor_of_noise_only_among_good_ones_is_named(seed):
+    def dead(y):
+        y[:, 1] = np.random.default_rng(seed).standard_normal(len(y))
+    verdict = judged(spoilt(experiment(seed, ny=3), dead))
+    assert verdict.grade is Grade.REJECT
+    assert verdict.reason.startswith('Output y2 does not follow the inputs')
+
+
+@pytest.mark.parametrize(('seed', 'share'), [(0, 0.1), (1, 0.3), (2, 0.5), (3, 0.7), (4, 0.85)])
+def test_a_sensor_that_sticks_halfway_is_named(seed, share):
+    def stick(y):
+        y[int(share * len(y)):, 1] = y[int(share * len(y)), 1]
+    verdict = judged(spoilt(experiment(seed, ny=3), stick))
+    assert verdict.grade is Grade.REJECT
+    assert verdict.reason.startswith('Output y2 does not change by a bit')
+
+
+@pytest.mark.parametrize('levels', [3, 10, 100])
+def test_a_coarse_sensor_is_not_stuck(levels):
+    def quantise(y):
+        y[:, 0] = np.round(y[:, 0] / np.ptp(y[:, 0]) * levels)
+    assert 'by a bit' not in judged(spoilt(experiment(3), quantise)).reason
+
+
+def test_a_plant_at_rest_is_not_stuck():
+    """Nothing moves for the first half, input and output alike, and the sensor is coarse."""
+    rng = np.random.default_rng(0)
+    p, t = random_plant(rng, 2, 1, 1), np.arange(0.0, 10.0, 0.01)
+    u = steps(rng, len(t), 1) * (t > 5.0)[:, np.newaxis]
+    y = held_response(p, t, u, t)
+    y = np.round(y / np.ptp(y) * 200)
+    verdict = judged(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert 'by a bit' not in verdict.reason
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_an_input_that_does_not_move_is_named(seed):
+    record = experiment(seed, 2)
+    (signal,) = record.inputs
+    rest = replace(signal, values=signal.values * [1.0, 0.0])
+    verdict = judged(replace(record, inputs=(rest,)))
+    assert verdict.grade is not Grade.GOOD
+    if verdict.grade is Grade.WEAK:
+        assert verdict.reason.startswith('Input u2 does not move within the window')
+
+
+@pytest.mark.parametrize('own', [0.0, 0.01, 0.03])
+@pytest.mark.parametrize('seed', range(1))
+def test_inputs_that_move_together_are_told(seed, own):
+    def together(rng, t):
+        u = random_signal(rng, 2, 3.0).at(t)
+        u[:, 1] = u[:, 0] + own * u[:, 1]
+        return u
+    verdict = judged(with_inputs(seed, together, 2))
+    assert verdict.grade is Grade.WEAK
+    assert 'move it without the other inputs' in verdict.reason
+    assert all(x.own < 0.05 for x in verdict.excitation)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_an_input_that_hardly_moves_is_named(seed):
+    def weak(rng, t):
+        return random_signal(rng, 2, 3.0).at(t) * [1.0, 0.003]
+    verdict = judged(with_inputs(seed, weak, 2))
+    assert verdict.grade is Grade.WEAK
+    assert verdict.reason.startswith('The response to input u2 is ')
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_one_sine_is_never_good(seed):
+    def sine(rng, t):
+        return np.sin(rng.uniform(2.0, 10.0) * t)[:, np.newaxis]
+    verdict = judged(with_inputs(seed, sine, 1))
+    assert verdict.grade is not Grade.GOOD
+    assert verdict.excitation[0].frequencies < 1.3
+
+
+@pytest.mark.parametrize('signal', ['step', 'doublet', 'sweep'])
+def test_the_usual_experiments_consist_of_more_than_one_frequency(signal):
+    def of(rng, t):
+        return {'step': (t > 3.0) * 1.0,
+                'doublet': ((t > 3.0) & (t < 4.0)) * 1.0 - ((t > 4.0) & (t < 5.0)),
+                'sweep': np.sin(0.5 * np.maximum(t, 0.0) ** 2)}[signal][:, np.newaxis]
+    assert judged(with_inputs(0, of, 1, n=2)).excitation[0].frequencies > 2.5
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_an_order_that_is_too_low_is_told(seed):
+    """Or what it misses is less than the noise, and no data can tell."""
+    rng = np.random.default_rng([22, seed])
+    n = int(rng.integers(3, 6))
+    p = random_plant(rng, n, 1, 2)
+    found = identify(held(rng, p, 50.0, 100.0, snr=30), Settings(order=n - 1 - seed % (n - 2)))
+    if found.good:
+        clean = simulation(found.model, held(rng, p, 50.0, 100.0), trim='refit')
+        assert clean.fit.min() > 100.0 - 100.0 * 10 ** (-30 / 20)
+
+
+def test_a_model_without_a_test_is_weak_until_the_next_window():
+    rng = np.random.default_rng(5)
+    whole = held(rng, random_plant(rng, 2, 1, 1), 50.0, 100.0, snr=20, duration=14.0)
+    tracker = Tracker(Settings(held_out=0.0, order=2))
+    first, second = (tracker.take(whole.between(k, k + 10.0)).estimate for k in (0.5, 2.5))
+    assert first.verdict.grade is Grade.WEAK
+    assert 'has not been tested' in first.verdict.reason
+    assert second.verdict.grade is Grade.GOOD
+
+
+# Agreement with the window before.
+
+
+def changing(seed: int, gain: float, at: float, duration: float = 24.0) -> Record:
+    """A plant whose input gain changes at an instant."""
+    rng = np.random.default_rng([23, seed])
+    p = random_plant(rng, 2, 1, 1)
+    t, t_u = np.arange(0.0, duration, 0.01), np.arange(-8.0, duration, 0.02)
+    u = random_signal(rng, 1, 3.0).at(t_u)
+    other = u * np.where(t_u < at, 1.0, gain)[:, np.newaxis]
+    y = noisy(rng, held_response(p, t_u, other, t), 20)
+    return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
+
+
+@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_windows_over_a_change_are_not_good(seed):
+    at, whole = 12.4, changing(seed, 1.5, 12.4)
+    tracker = Tracker(Settings(order=2))
+    for k in range(14):
+        found = tracker.take(whole.between(k, k + 10.0)).estimate
+        part = (k + 10.0 - at) / 10.0
+        if 0.1 < part < 0.9:
+            assert not found.good, part
+        elif part < 0.0:
+            assert found.good, found.verdict.reason
+            assert k == 0 or found.verdict.fresh_ratio[0] < 1.5
+
+
+def test_the_agreement_is_of_both_models():
+    whole = changing(0, 1.0, 99.0)
+    tracker = Tracker(Settings(order=2))
+    first, second = (tracker.take(whole.between(k, k + 10.0)).estimate for k in (0.0, 1.0))
+    assert np.isnan(first.verdict.moved)
+    away = np.abs(second.model.poles - first.model.poles)
+    both = np.hypot(first.pole_std, second.pole_std)
+    assert second.verdict.moved == pytest.approx(np.max(away / both), rel=1e-6)
+
+
+# Counted.
+
+
+@pytest.mark.parametrize('seed', [0, 1, 4, 5, 8, 9, 20, 29, 50])
+def test_noise_is_rejected(seed):
+    assert judged(nothing(seed)[1]).grade is Grade.REJECT
+
+
+@pytest.mark.slow
+def test_noise_is_never_good():
+    grades = Counter(judged(nothing(seed)[1]).grade for seed in range(1000))
+    print(grades)
+    assert grades[Grade.GOOD] == 0
+    assert grades[Grade.WEAK] <= 3
+
+
+@pytest.mark.slow
+def test_well_excited_windows_are_good():
+    """At 20 dB: held inputs, own stamps, not at rest, flexible, in closed loop."""
+    grades: Counter[Grade] = Counter()
+    for seed in range(200):
+        name, record, truth = excited(seed)
+        found = identify(record)
+        grades[found.verdict.grade] += 1
+        if not found.good:
+            print(f'{name}: {distance(found, truth):.1f} std off; {found.verdict.reason}')
+    print(grades)
+    assert grades[Grade.GOOD] >= 190
+    assert grades[Grade.REJECT] == 0
+
+
