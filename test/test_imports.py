@@ -34,7 +34,7 @@ LEVELS = {
         ['bases.base', 'bases.quadrature'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
-        ['pole_fit', 'prediction_errors'], ['levenberg_marquardt', 'joint'],
+        ['pole_fit', 'prediction_errors'], ['levenberg_marquardt', 'joint'], ['record_equations'],
         ['refine'], ['steadiness', 'process_noise'], ['deviation', 'sameness'],
         ['order'], ['selection'],
         ['identify'], ['tracking']],
