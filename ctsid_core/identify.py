@@ -61,7 +61,7 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 
     Of several records: the trim and the noise of the model are those of the record that ends last
     (of several, the last given), those of all are in `Estimate.records`. The order does not matter
-    otherwise. The last `held_out` part of every record is what the model of the rest is tested on.
+    otherwise. What is held out is the last part of every record; of four and more, whole ones.
 
     References
     ----------
@@ -234,7 +234,7 @@ def _held_out(part: Joint, found: _Found) -> Array:
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
-    return unseen_fit(last, model)
+    return unseen_fit(last, model, trimmed=not part.many)
 
 
 def _judge(part: Joint, found: _Found) -> Estimate:

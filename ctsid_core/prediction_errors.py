@@ -256,7 +256,7 @@ def line_fit(projection: Projection, m: Matrices) -> Array:
     return _nrmse(error, _without(as_real(projection.y), as_real(projection.ones)))
 
 
-def unseen_fit(projection: Projection, m: Matrices) -> Array:
+def unseen_fit(projection: Projection, m: Matrices, *, trimmed: bool = True) -> Array:
     """
     Return how much of each output the inputs explain in data that the model has not seen [%].
 
@@ -264,6 +264,8 @@ def unseen_fit(projection: Projection, m: Matrices) -> Array:
     ----------
     projection : Projection
     m : Matrices
+    trimmed : bool
+        Whether the model knows the trim of the data; else it is estimated, too.
 
     Notes
     -----
@@ -273,12 +275,16 @@ def unseen_fit(projection: Projection, m: Matrices) -> Array:
     """
     y, ones = as_real(projection.y), as_real(projection.ones)
     unit = np.maximum(np.linalg.norm(_without(y, ones), axis=1, keepdims=True), 1e-300)
+    if not trimmed:
+        m = replace(m, x_trim=np.zeros((len(m.A), len(ones))),
+                    y_trim=np.zeros((len(m.C), len(ones))))
     still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
     error = (y - as_real(simulate_lines(projection, still))) / unit
     modes = [(as_real(_free(projection, m, i, part)) / unit).ravel()
              for i in range(len(m.A)) for part in range(len(projection.tail))]
     levels = [np.kron(row, one) for row in np.eye(len(y)) for one in ones]
-    return _nrmse(_beyond(error, modes), _beyond(y / unit, [*modes, *levels]))
+    return _nrmse(_beyond(error, modes if trimmed else [*modes, *levels]),
+                  _beyond(y / unit, [*modes, *levels]))
 
 
 def _beyond(y: Array, rows: list[Array]) -> Array:
