@@ -58,4 +58,4 @@ def held_out(part: Joint, found: Found) -> HeldOut:
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
-    return HeldOut(*unseen(last, model))
+    return HeldOut(*unseen(last, model, trimmed=not part.many))

@@ -55,7 +55,7 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 
     Of several records: the trim and the noise of the model are those of the record that ends last
     (of several, the last given), those of all are in `Estimate.records`. The order does not matter
-    otherwise. The last `held_out` part of every record is what the model of the rest is tested on.
+    otherwise. What is held out is the last part of every record; of four and more, whole ones.
 
     References
     ----------

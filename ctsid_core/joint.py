@@ -32,6 +32,7 @@ from ctsid_core.verdict import UNJUDGED, Grade
 _UNEVEN = 1.15        # ratio of noise amplitudes of two records from which on it is worth weights
 _MOST = 1e3           # ratio of weights
 _LEAST_NMAX = 8
+_ENOUGH = 4           # records from which on whole ones are held out
 
 
 @dataclass(frozen=True)
@@ -142,13 +143,22 @@ class Joint:
                        for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)],
                       layout.weights)
 
+    @property
+    def many(self) -> bool:
+        """Whether there are so many that whole ones are held out."""
+        return len(self.parts) >= _ENOUGH
+
     def divided(self, settings: Settings, layout: Layout) -> tuple[Projection, Projection]:
         """
-        Return the first parts of all records, and the last ones, `held_out` long.
+        Return what a model is made of that is to be tested, and what it is tested on.
 
-        On bases that reach as far as those of the whole records.
+        Of a few records, the first parts and the last ones, `held_out` long, on bases that reach
+        as far as those of the whole records. Of many, which may be short, some whole ones, evenly
+        spaced in time: their trim is not known then.
         """
         share = settings.held_out
+        if self.many:
+            return self._divided_by_records(settings, layout)
         first: list[Projection] = []
         last: list[Projection] = []
         for p, size in zip(self.parts, layout.sizes, strict=True):
@@ -159,6 +169,21 @@ class Joint:
                                           (last, split, record.end, share)):
                 into.append(_share(record.between(start, end, lead=lead), settings, size, own))
         return joined(first, layout.weights), joined(last, layout.weights)
+
+
+    def _divided_by_records(self, settings: Settings,
+                            layout: Layout) -> tuple[Projection, Projection]:
+        count = len(self.parts)
+        by_time = sorted(range(count), key=lambda i: (
+            self.parts[i].whole.epoch_ns + round(self.parts[i].whole.start * 1e9), i))
+        many = max(round(settings.held_out * count), 1)
+        held = {by_time[(2 * k + 1) * count // (2 * many)] for k in range(many)}
+        found = []
+        for wanted in (sorted(set(by_time) - held), sorted(held)):
+            chosen = replace(self, parts=tuple(self.parts[i] for i in wanted))
+            found.append(chosen.project(settings, Layout(
+                tuple(layout.sizes[i] for i in wanted), tuple(layout.weights[i] for i in wanted))))
+        return found[0], found[1]
 
 
 def _share(record: Record, settings: Settings, size: tuple[int, int], share: float) -> Projection:

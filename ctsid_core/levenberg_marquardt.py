@@ -81,6 +81,13 @@ def normal_equations(rows: Array, error: Array) -> NormalEquations:
     return NormalEquations(gram / norm / norm[:, np.newaxis], (rows @ error) / norm, norm)
 
 
+def scaled_equations(gram: Array, pull: Array) -> NormalEquations:
+    """Return the equations of a step for products of derivatives that are not of unit norm."""
+    norm = np.sqrt(np.diag(gram))
+    norm[norm == 0.0] = np.inf
+    return NormalEquations(gram / norm / norm[:, np.newaxis], pull / norm, norm)
+
+
 def _damped(equations: NormalEquations, damping: float) -> Array:
     """
     Return the solution of (gram + damping) step = pull.

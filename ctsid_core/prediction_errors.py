@@ -276,12 +276,13 @@ def line_fit(projection: Projection, m: Matrices) -> Array:
     return _nrmse(error, _without(as_real(projection.y), as_real(projection.ones)))
 
 
-def unseen_fit(projection: Projection, m: Matrices) -> Array:
+def unseen_fit(projection: Projection, m: Matrices, *, trimmed: bool = True) -> Array:
     """Return the first result of `unseen` [%]."""
-    return unseen(projection, m)[0]
+    return unseen(projection, m, trimmed=trimmed)[0]
 
 
-def unseen(projection: Projection, m: Matrices) -> tuple[Array, Array]:
+def unseen(projection: Projection, m: Matrices, *,
+           trimmed: bool = True) -> tuple[Array, Array]:
     """
     Return how well a model simulates data that it has not seen.
 
@@ -289,6 +290,8 @@ def unseen(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     ----------
     projection : Projection
     m : Matrices
+    trimmed : bool
+        Whether the model knows the trim of the data; else it is estimated, too.
 
     Returns
     -------
@@ -305,13 +308,17 @@ def unseen(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     """
     y, ones = as_real(projection.y), as_real(projection.ones)
     unit = np.maximum(np.linalg.norm(_without(y, ones), axis=1, keepdims=True), 1e-300)
+    if not trimmed:
+        m = replace(m, x_trim=np.zeros((len(m.A), len(ones))),
+                    y_trim=np.zeros((len(m.C), len(ones))))
     still = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
     error = (y - as_real(simulate_lines(projection, still))) / unit
     modes = [(as_real(_free(projection, m, i, part)) / unit).ravel()
              for i in range(len(m.A)) for part in range(len(projection.tail))]
     levels = [np.kron(row, one) for row in np.eye(len(y)) for one in ones]
-    error = _beyond(error, modes)
-    spare = max(projection.count - len(modes) / len(y), 1.0)
+    free = modes if trimmed else [*modes, *levels]
+    error = _beyond(error, free)
+    spare = max(projection.count - len(free) / len(y), 1.0)
     density: Array = projection.unit * np.sum((error * unit) ** 2, axis=1) / spare
     return _nrmse(error, _beyond(y / unit, [*modes, *levels])), density
 

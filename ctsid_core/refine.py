@@ -33,6 +33,7 @@ from ctsid_core.prediction_errors import (
     prediction_errors,
     spread_gradient,
 )
+from ctsid_core.record_equations import equation_work, record_equations
 from ctsid_core.resolvent import resolvent
 
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
@@ -145,6 +146,9 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
     def curvature(m: Matrices, prediction: Prediction) -> NormalEquations:
         error = as_real(prediction.error)
         size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150
+        if projection.members:
+            return record_equations(projection, m, prediction, np.diag(1.0 / size), feedthrough,
+                                    with_noise=False)
         columns = jacobian(projection, m, feedthrough, with_noise=False,
                            whiten=np.diag(1.0 / size), prediction=prediction)
         return normal_equations(by_parameter(columns), (error / size[:, np.newaxis]).ravel())
@@ -196,9 +200,7 @@ def distinct(poles: NDArray[np.complex128]) -> bool:
 
 def affordable(projection: Projection, n: int) -> bool:
     """Return whether models of order n, with so many signals, are refined at all."""
-    ny, driven = len(projection.y), len(projection.u) + len(projection.tail) + len(projection.ones)
-    parameters = n * (n + driven + 2 * ny) + ny * driven
-    return bool(2.0 * len(projection.s) * ny * parameters ** 2 < _WORK)
+    return equation_work(projection, n) < _WORK
 
 
 def by_parameter(columns: Array) -> Array:
@@ -247,12 +249,21 @@ def growth(m: Matrices) -> float:
 def _curvature(projection: Projection, m: Matrices, prediction: Prediction, feedthrough: bool,
                plant: bool) -> NormalEquations | None:
     """Return the equations of an innovation form's step; None at the border of the computable."""
-    rows, error = _whitened(projection, m, prediction, feedthrough, with_noise=True)
-    if not plant:
-        rows *= _noise_entries(m, len(rows))[:, np.newaxis]
-    if not (np.isfinite(rows).all() and np.isfinite(error).all()):
-        return None
-    found = normal_equations(rows, error)
+    if projection.members:
+        count = len(m.A) * (len(m.A) + m.B.shape[1] + m.tail.shape[1] + m.x_trim.shape[1])
+        count += m.C.size + m.D.size * feedthrough + m.y_trim.size + m.K.size
+        found = record_equations(
+            projection, m, prediction, _whitener(projection, as_real(prediction.error)),
+            feedthrough, with_noise=True, free=None if plant else _noise_entries(m, count))
+        if not (np.isfinite(found.gram).all() and np.isfinite(found.pull).all()):
+            return None
+    else:
+        rows, error = _whitened(projection, m, prediction, feedthrough, with_noise=True)
+        if not plant:
+            rows *= _noise_entries(m, len(rows))[:, np.newaxis]
+        if not (np.isfinite(rows).all() and np.isfinite(error).all()):
+            return None
+        found = normal_equations(rows, error)
     gradient = spread_gradient(projection, m, feedthrough, prediction.resolvent)
     return replace(found, pull=found.pull - 0.5 * gradient / found.norm)
 

@@ -38,6 +38,11 @@ class Resolvent:
     inverse: Lines | None
     table: Lines
 
+    def on(self, lines: slice) -> Resolvent:
+        """Return the same on some of the lines."""
+        table = self.table[lines] if self.modes is None else self.table[:, lines]
+        return Resolvent(self.poles, self.modes, self.inverse, table)
+
     def states(self, drive: Lines) -> Lines:
         """Return (s I - A)^-1 drive, of shape (n, L) like the drive."""
         if self.modes is None or self.inverse is None:

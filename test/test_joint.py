@@ -11,6 +11,18 @@ from plants import PLANTS, held, match, plant, random_signal, running
 import pytest
 
 from ctsid_core import DataError, Record, Settings, Status, identify
+from ctsid_core.bases.base import as_real
+from ctsid_core.joint import join_records
+from ctsid_core.pbsid import Matrices
+from ctsid_core.prediction_errors import (
+    innovation_cost,
+    predict,
+    prediction_errors,
+    spread_gradient,
+)
+from ctsid_core.record_equations import record_equations
+from ctsid_core.refine import moved, whitened, whitener
+from ctsid_core.resolvent import resolvent
 from ctsid_core.storage import load_estimate, save_model
 
 QUICK = Settings(held_out=0.0)
@@ -138,6 +150,51 @@ def test_held_inputs_of_other_rates_without_noise():
     np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=2e-3)
 
 
+def test_steps_over_records_are_those_over_all_lines(halves):
+    """The same equations, with and without the zeros."""
+    settings = QUICK.replace(nmax=150)
+    joint = join_records([*halves, halves[0].between(1.0, 5.0)], settings)
+    projection = joint.project(settings, replace(joint.layout(settings)[0], weights=(1, 2, 0.5),
+                                                 sizes=((150, 1), (120, 2), (90, 1))))
+    rng = np.random.default_rng(0)
+    m = Matrices(PLANTS['hd52'].A, *(rng.standard_normal(shape) for shape in (
+        (3, 1), (4, 3), (4, 1), (3, 4), (3, 4), (3, 3), (4, 3))))
+    m = replace(m, K=0.1 * m.K)
+    for feedthrough in (True, False):
+        flat, error = whitened(projection, m, feedthrough, with_noise=True)
+        closed = resolvent(m.A - m.K @ m.C, projection.s)
+        found = record_equations(projection, m, predict(projection, m, closed),
+                                 whitener(projection, m)[0], feedthrough, with_noise=True)
+        norm = np.linalg.norm(flat, axis=0)
+        np.testing.assert_allclose(found.norm, norm, rtol=1e-9)
+        np.testing.assert_allclose(found.gram, (flat / norm).T @ (flat / norm), atol=1e-9)
+        np.testing.assert_allclose(found.pull, (flat / norm).T @ error,
+                                   atol=1e-9 * np.linalg.norm(error))
+
+
+def test_slopes_of_the_likelihood_of_several_records(halves):
+    """Analytic ones against differences, of the part that is not the errors'."""
+    settings = QUICK.replace(nmax=150)
+    joint = join_records([halves[0], halves[1].between(8.0, 11.0)], settings)
+    p = joint.project(settings, joint.layout(settings)[0])
+    rng = np.random.default_rng(0)
+    m = Matrices(PLANTS['hd52'].A, *(rng.standard_normal(shape) for shape in (
+        (3, 1), (4, 3), (4, 1), (3, 4), (3, 2), (3, 2), (4, 2))))
+    m = replace(m, K=0.02 * m.K)
+
+    def owed(model) -> float:
+        covariance = as_real(prediction_errors(p, model))
+        covariance = covariance @ covariance.T / p.count
+        return innovation_cost(p, model) - p.count * np.linalg.slogdet(covariance)[1]
+
+    slope = spread_gradient(p, m, True)
+    for place in (0, 4, 7):
+        step = np.zeros(len(slope))
+        step[place] = 1e-5
+        change = (owed(moved(m, step, True)) - owed(moved(m, -step, True))) / 2e-5
+        assert slope[place] == pytest.approx(change, rel=1e-4, abs=1e-4)
+
+
 # What is each record's own.
 
 
@@ -213,6 +270,7 @@ def test_short_records_that_are_nothing_by_themselves():
     assert found.ok
     assert found.model.n == 1
     assert abs(found.model.poles[0] + 0.5) < 3.0 * pole_bound(p, experiments)[0]
+    assert found.held_out_fit[0] > 60.0
 
 
 def test_records_are_kept_in_the_file(both, tmp_path):
@@ -289,8 +347,8 @@ def test_misuse(halves):
 @pytest.mark.slow
 @pytest.mark.parametrize(('durations', 'rates', 'snr', 'limit'), [
     ([10.0] * 2, [100.0] * 2, [20] * 2, 1.2),
-    ([4.0] * 5, [100.0] * 5, [20] * 5, 1.25),
-    ([10.0, 5.0, 2.0], [100.0, 400.0, 50.0], [20] * 3, 1.25),
+    ([4.0] * 5, [100.0] * 5, [20] * 5, 1.3),
+    ([10.0, 5.0, 2.0], [100.0, 400.0, 50.0], [20] * 3, 1.35),
     ([10.0, 5.0], [100.0, 100.0], [30, 0], 1.25),
 ])
 def test_records_are_worth_what_they_tell(durations, rates, snr, limit):
