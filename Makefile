@@ -35,6 +35,7 @@ lint: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-bench $(VENV)/.tried-ros
 	$(PY) benchmarks/floor.py
 	$(PY) benchmarks/peers.py
+	$(PY) benchmarks/bursty.py
 	$(PY) benchmarks/node.py
 
 bags: $(VENV)/.installed

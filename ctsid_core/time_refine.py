@@ -88,8 +88,7 @@ class _Likelihood:
 
 
 def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
-                   feedthrough: bool, limit: float = np.inf, steps: int = 15,
-                   rival: float = np.inf, stamps: Stamps | None = None) -> InTime | None:
+                   feedthrough: bool, limit: float = np.inf, steps: int = 15) -> InTime | None:
     """
     Take a model to the maximum of the likelihood of the raw output samples.
 
@@ -106,27 +105,50 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
         Steps may not take the real part of a pole beyond this [rad/s].
     steps : int
         At most.
-    rival : float
-        Cost of another model: given up as soon as it is clear that it will not be beaten.
-    stamps : Stamps, optional
-        Of the record, if they are at hand.
 
     Returns
     -------
     InTime or None
-        None if the rival is not beaten; where there are too few samples, or too many for so large
-        a model, where it grows by more than e^5 over the record, or where its poles coincide.
+        None where there are too few samples, or too many for so large a model, where it grows by
+        more than e^5 over the record, or where its poles coincide.
 
     References
     ----------
     Ljung, System Identification, 2nd edition, section 7.5 (output error); local coordinates:
     McKelvey, Helmersson and Ribarits 2004, Automatica 40.
     """
-    stamps = stamps or stamps_of(record, delay, bool(start.x_trim.size))
+    stamps = stamps_of(record, delay, bool(start.x_trim.size))
+    found = climb_in_time(stamps, start, feedthrough, limit=limit, steps=steps)
+    return None if found is None else with_covariance(stamps, *found, feedthrough)
+
+
+def climb_in_time(stamps: Stamps, start: Matrices, feedthrough: bool, *, limit: float = np.inf,
+                  steps: int = 15, rival: float = np.inf) -> tuple[Matrices, float] | None:
+    """
+    Do the same, given the samples, without the covariance.
+
+    Parameters
+    ----------
+    stamps : Stamps
+    start : Matrices
+    feedthrough : bool
+    limit : float
+        [rad/s]
+    steps : int
+    rival : float
+        Cost of another model: given up as soon as it is clear that it will not be beaten.
+
+    Returns
+    -------
+    model : Matrices
+        Its `tail` is the state at the first output sample.
+    cost : float
+        -2 log likelihood. (Or None, as above, and if the rival is not beaten.)
+    """
     model = replace(start, K=np.zeros_like(start.K), tail=np.zeros((len(start.A), 1)))
     length = float(stamps.times[-1] - stamps.times[0])
-    size = _parameters(model, feedthrough)
-    if not (size < stamps.counts.sum() and stamps.counts.sum() * size ** 2 < _WORK
+    size, samples = _parameters(model, feedthrough), stamps.counts.sum()
+    if not (size < samples and samples * size ** 2 < _WORK
             and np.max(np.linalg.eigvals(model.A).real) * length < _GROWTH):
         return None
     best = _linear(stamps, model, feedthrough)
@@ -143,9 +165,7 @@ def refine_in_time(record: Record, start: Matrices, delay: tuple[float, ...], *,
     found, cost = climb(best, likelihood, curvature, lambda m, step: moved(m, step, feedthrough),
                         limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING,
                         rival=rival)
-    if cost >= rival:
-        return None
-    return _with_covariance(stamps, found, cost, feedthrough)
+    return (found, cost) if cost < rival else None
 
 
 def _parameters(m: Matrices, feedthrough: bool) -> int:
@@ -212,8 +232,9 @@ def _linear(stamps: Stamps, m: Matrices, feedthrough: bool) -> Matrices | None:
     return m
 
 
-def _with_covariance(stamps: Stamps, m: Matrices, cost: float,
-                     feedthrough: bool) -> InTime | None:
+def with_covariance(stamps: Stamps, m: Matrices, cost: float,
+                    feedthrough: bool) -> InTime | None:
+    """Return a model at the maximum with the covariance of its entries; None if it explodes."""
     fit = _fit(stamps, m)
     if fit is None:
         return None

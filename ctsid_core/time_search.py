@@ -6,7 +6,8 @@ Where samples come in bursts, what lies between them can only be told by a model
 effect, not by interpolation. Modes are therefore found one after the other: of a grid of real
 poles and pairs, the one whose exact response explains most of what a model leaves of the samples
 joins it, and all of them are taken to the maximum of the likelihood (orthogonal matching pursuit:
-Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27). Schwarz's criterion chooses the order.
+Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27). Schwarz's criterion chooses the order: the
+first one that neither one more pole nor one more pair improves.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from ctsid_core.bases.base import Array, Lines
 from ctsid_core.pbsid import Matrices
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record
-from ctsid_core.time_refine import InTime, errors_in_time, refine_in_time
+from ctsid_core.time_refine import InTime, climb_in_time, errors_in_time, with_covariance
 from ctsid_core.time_responses import Stamps, elementary, responses, slopes, stamps_of
 
 _REAL = 16            # real poles on the grid
@@ -29,7 +30,7 @@ _PAIRS = 24           # natural frequencies on the grid at each damping
 _LIGHT = 300          # lightly damped pairs on the grid at most
 _AT_ONCE = 64         # poles whose responses are computed at a time
 _LARGEST = 1e7        # numbers that the responses of the grid may take
-_PATIENCE = 2         # orders beyond the best one that are tried before giving up
+_STEPS = 8            # of the way to the maximum, while models are compared with others
 _EXPLAINED = 1e-6     # residual power below this fraction needs no further state
 _NYQUIST = 0.8        # part of the Nyquist frequency within bursts that is looked at
 
@@ -68,55 +69,54 @@ def search_in_time(record: Record, delay: tuple[float, ...],
     if 2 * len(grid) * (stamps.nu + 1) * len(stamps.times) > _LARGEST:
         return None
     shapes = _shapes(stamps, grid)
-    best: dict[int, InTime] = {0: _nothing(stamps, settings)}
-    criterion = {0: best[0].cost}
-    charge = float(np.log(stamps.counts.sum()))
-    for n in range(settings.order or settings.max_order):
+    feed, top = settings.feedthrough, settings.order or settings.max_order
+    best = {0: _nothing(stamps, settings)}
+    criterion: dict[int, float] = {}
+    for n in range(top):
         if n not in best:
             continue
-        for start in _extended(stamps, best[n].matrices, grid, shapes):
+        for start in _extended(stamps, best[n][0], grid, shapes):
             order = len(start.A)
-            if order > (settings.order or settings.max_order):
-                continue
-            found = refine_in_time(record, start, delay, feedthrough=settings.feedthrough,
-                                   limit=1.0 / (stamps.times[-1] - stamps.times[0]),
-                                   rival=best[order].cost if order in best else np.inf,
-                                   stamps=stamps)
+            rival = best[order][1] if order in best else np.inf
+            found = climb_in_time(stamps, start, feed, limit=1.0 / stamps.since[-1],
+                                  steps=_STEPS, rival=rival) if order <= top else None
             if found is not None:
                 best[order] = found
-                criterion[order] = found.cost + charge * _count(found.matrices, settings)
-        least = min(criterion, key=lambda k: criterion[k])
-        if not settings.order and (n - least >= _PATIENCE - 1 or _clean(stamps, best[least])):
+                criterion[order] = found[1] + _price(found[0], stamps, feed)
+        chosen = min(criterion, key=lambda k: criterion[k], default=0)
+        if not settings.order and (n >= chosen or _clean(stamps, best[chosen][0])):
             break
-    if settings.order:
-        return Searched(best[settings.order], '') if settings.order in best else None
-    chosen = min((k for k in criterion if k), key=lambda k: criterion[k], default=0)
-    table = ', '.join(f'{k}: {criterion[k] - criterion[chosen]:.0f}'
-                      for k in sorted(criterion) if k)
-    return Searched(best[chosen], table) if chosen else None
+    chosen = settings.order or chosen
+    table = ', '.join(f'{k}: {criterion[k] - criterion[chosen]:.0f}' for k in sorted(criterion)
+                      if not settings.order)
+    if chosen not in criterion:
+        return None
+    found = climb_in_time(stamps, best[chosen][0], feed, limit=1.0 / stamps.since[-1])
+    fit = with_covariance(stamps, *(found or best[chosen]), feed)
+    return None if fit is None else Searched(fit, table)
 
 
-def _count(m: Matrices, settings: Settings) -> int:
-    """Return how many parameters a model has, its gauge apart."""
+def _price(m: Matrices, stamps: Stamps, feedthrough: bool) -> float:
+    """Return what Schwarz's criterion charges for a model, its gauge apart."""
     n, ny = len(m.A), len(m.C)
-    direct = m.B.shape[1] * settings.feedthrough + m.y_trim.shape[1]
-    return int(n * (m.B.shape[1] + 1 + ny) + ny * direct)
+    direct = m.B.shape[1] * feedthrough + m.y_trim.shape[1]
+    return float((n * (m.B.shape[1] + 1 + ny) + ny * direct) * np.log(stamps.counts.sum()))
 
 
-def _clean(stamps: Stamps, found: InTime) -> bool:
-    moving = np.concatenate([np.var(y, axis=1) for y in stamps.y])
-    return bool(np.all(found.variance <= _EXPLAINED * moving))
+def _clean(stamps: Stamps, m: Matrices) -> bool:
+    errors = errors_in_time(stamps, m)
+    return errors is not None and all(
+        (np.mean(e ** 2, axis=1) <= _EXPLAINED * np.var(y, axis=1)).all()
+        for e, y in zip(errors, stamps.y, strict=True))
 
 
-def _nothing(stamps: Stamps, settings: Settings) -> InTime:
+def _nothing(stamps: Stamps, settings: Settings) -> tuple[Matrices, float]:
     """Return the model without states: level and feedthrough are left to what follows."""
     ny, ones = len(stamps.counts), int(settings.trim)
     m = Matrices(A=np.zeros((0, 0)), B=np.zeros((0, stamps.nu)), C=np.zeros((ny, 0)),
                  D=np.zeros((ny, stamps.nu)), K=np.zeros((0, ny)), tail=np.zeros((0, 1)),
                  x_trim=np.zeros((0, ones)), y_trim=np.zeros((ny, ones)))
-    power = np.concatenate([np.var(y, axis=1) for y in stamps.y])
-    return InTime(m, float(stamps.counts @ np.log(power + 1e-300)), power, np.zeros((0, 0)),
-                  float(stamps.times[0]))
+    return m, np.inf
 
 
 def _grid(stamps: Stamps) -> Lines:
