@@ -132,7 +132,8 @@ def _shares(part: Joint, found: Found) -> tuple[RecordShare, ...]:
         x_trim, y_trim = whole_trim(usable, m)
         shares.append(RecordShare(
             part.numbers[i], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
-            x_trim, y_trim, spread_out(line_fit(p, m), usable.y, whole.ny), found.layout.weights[i]))
+            x_trim, y_trim, spread_out(line_fit(p, m), usable.y, whole.ny),
+            found.layout.weights[i]))
     return tuple(shares)
 
 

@@ -337,7 +337,7 @@ class OutputError:
         changes, places = self._changes(factors, rows, theta)
         width = len(self._z)
         blocks = sum(2 if factor[2] else 1 for factor in factors)
-        for j in np.flatnonzero(late):
+        for j in np.flatnonzero(late).tolist():
             own = [j + width * block for block in range(blocks)]
             own += [width * blocks + j] * self.feedthrough
             part = (theta[:, own] @ rows[own]).view(np.complex128)
@@ -378,7 +378,7 @@ def _placed(found: Array, places: list[tuple[int, int]], factors: Array) -> Arra
 
 
 def _norms(rows: Array) -> Array:
-    norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
+    norm: Array = np.sqrt(np.einsum('ij,ij->i', rows, rows))
     norm[norm == 0.0] = 1.0
     return norm
 

@@ -7,7 +7,6 @@ import pytest
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.advice import advise
-from ctsid_core.errors import DataError
 
 LENGTH = 10.0
 FAST = 2 * np.pi * np.array([1.5, 6.0])  # rad/s: the band of the first experiment
