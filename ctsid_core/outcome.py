@@ -49,11 +49,11 @@ def conclude(part: Joint, found: Found, tested: HeldOut) -> Estimate:
     differing = likeliest_difference(
         found.projection, found.matrices, found.settings, found.layout) \
         if steady and np.isfinite(found.matrices.A).all() else Differing()
-    change, notes = differing.change, part.notes
+    change, last = differing.change, ()
     if change.matters:
         reason, note = _changed(part, differing)
         status, verdict = judge(replace(evidence, change=reason))
-        notes = (*notes, note)
+        last = (note,)
     corrupt, counts = part.corrupt()
     return Estimate(
         status=status, settings=found.settings, model=model if status is Status.OK else None,
@@ -62,7 +62,7 @@ def conclude(part: Joint, found: Found, tested: HeldOut) -> Estimate:
         fit=evidence.fit, held_out_fit=evidence.held_out,
         singular_values=found.best.subspace.singular_values,
         condition=found.best.subspace.condition, choices=found.choices, orders=found.orders,
-        notes=(*notes, *corrupt, *_remarks(part, evidence)),
+        notes=(*part.notes, *corrupt, *_remarks(part, evidence), *last),
         statistics={**counts, 'process_noise': float(found.process_noise),
                     'change_p_value': change.p_value, 'change_size': change.size,
                     'change_gain': change.gain, 'change_share': change.share},

@@ -254,7 +254,8 @@ def _curvature(projection: Projection, m: Matrices, prediction: Prediction, feed
         count += m.C.size + m.D.size * feedthrough + m.y_trim.size + m.K.size
         found = record_equations(
             projection, m, prediction,
-            whitener_of(projection, as_real(prediction.error)), feedthrough, with_noise=True, free=None if plant else _noise_entries(m, count))
+            whitener_of(projection, as_real(prediction.error)), feedthrough, with_noise=True,
+            free=None if plant else _noise_entries(m, count))
         if not (np.isfinite(found.gram).all() and np.isfinite(found.pull).all()):
             return None
     else:

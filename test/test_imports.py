@@ -22,7 +22,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 VERBS = [f'verbs.{verb}' for verb in (
-    'advise', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
+    'advise', 'advise', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
 LEVELS = {
     'ctsid_core': [
         ['errors'], ['settings'], ['signals'],
@@ -37,11 +37,11 @@ LEVELS = {
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable', 'colour', 'stuck'],
         ['window_ends'], ['pole_fit', 'prediction_errors', 'delay_columns'],
         ['levenberg_marquardt'],
-        ['refine', 'many_models', 'whole_model'],
+        ['record_equations'], ['refine', 'many_models', 'whole_model'],
         ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
         ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
         ['deviation', 'leftover', 'judgement'], ['examination', 'joint'],
-        ['record_equations'], ['sameness'],
+        ['sameness'],
         ['order'], ['found', 'selection'], ['held_out', 'dead_time'], ['outcome', 'time_identify'],
         ['estimation', 'advice'], ['lateness'],
         ['identify'], ['tracking']],

@@ -283,9 +283,9 @@ def test_reset_forgets_models_but_counts_on(steady):
 def test_a_reset_while_a_window_is_identified_holds(steady, monkeypatch):
     tracker = Tracker(SETTINGS)
 
-    def interrupted(record, settings):
+    def interrupted(record, settings, **how):
         tracker.reset()  # as another thread would
-        return identify(record, settings)
+        return identify(record, settings, **how)
     monkeypatch.setattr(tracking, 'identify', interrupted)
     tracker.take(steady[0])
     monkeypatch.undo()
