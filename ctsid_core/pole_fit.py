@@ -194,55 +194,9 @@ class OutputError:
         sizes = [np.abs(_roots(factor[np.newaxis])).min() for factor in factors]
         return int(np.argmin(sizes)) if min(sizes) < self._slow else None
 
-    def gain_of_colour(self, poles: NDArray[np.complex128], spectrum: NDArray[np.complex128]
-                       ) -> tuple[float, float]:
-        """
-        Return what the likelihood gains if true poles give way to those that fit the noise best.
-
-        Parameters
-        ----------
-        poles : ndarray, shape (n,)
-            Taken for the true ones [rad/s].
-        spectrum : ndarray, shape (ny, ny, L)
-            Of the noise, in any unit.
-
-        Returns
-        -------
-        mean, std : float
-            Of twice the gain of the log likelihood. It is a sum of squares of independent normal
-            numbers, whose variances are the eigenvalues of H^-1 V; H is the information, V the
-            variance of the slope.
-
-        References
-        ----------
-        Vuong 1989, Econometrica 57, theorem 3.3. White noise gains n, coloured noise more: in
-        proportion to its power where it is largest over its mean.
-        """
-        factors = _factors(poles / self._top)
-        rows, theta, q, residual = self._weights(self._regressors(factors))
-        columns, _ = self._slopes(factors, rows, theta, q, residual)
-        size = np.sqrt(np.einsum('iil->i', spectrum).real / spectrum.shape[2])
-        shape = spectrum / np.outer(size, size)[:, :, np.newaxis]
-        basis = np.linalg.qr(columns)[0].T.copy().view(complex).reshape(len(poles), len(size), -1)
-        through = np.einsum('ijl,kjl->kil', shape, basis)
-        sizes = np.linalg.eigvalsh(np.tensordot(basis.conj(), through, axes=((1, 2), (1, 2))).real)
-        return float(sizes.sum()), float(np.sqrt(2.0 * np.sum(sizes ** 2)))
-
     def _step(self, factors: Array, rows: Array, theta: Array, q: Array,
               residual: Array) -> Array:
         """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""
-        jacobian, places = self._slopes(factors, rows, theta, q, residual)
-        norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-        size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
-        found = np.linalg.lstsq(jacobian / norm, (residual / size).ravel(), rcond=1e-8)[0] / norm
-        step = np.zeros_like(factors)
-        for (i, k), value in zip(places, found, strict=True):
-            step[i, k] = value
-        return step
-
-    def _slopes(self, factors: Array, rows: Array, theta: Array, q: Array,
-                residual: Array) -> tuple[Array, list[tuple[int, int]]]:
-        """Return the derivatives of what is explained, over the residuals' size, and by what."""
         size = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
         columns: list[Array] = []
         places: list[tuple[int, int]] = []
@@ -260,7 +214,13 @@ class OutputError:
                 real = as_real(change)
                 columns.append(((real - (real @ q) @ q.T) / size).ravel())
                 places.append((i, k))
-        return np.stack(columns, axis=1), places
+        jacobian = np.stack(columns, axis=1)
+        norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        found = np.linalg.lstsq(jacobian / norm, (residual / size).ravel(), rcond=1e-8)[0] / norm
+        step = np.zeros_like(factors)
+        for (i, k), value in zip(places, found, strict=True):
+            step[i, k] = value
+        return step
 
 
 def _unit_rows(rows: Lines) -> Lines:

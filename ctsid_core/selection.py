@@ -11,6 +11,7 @@ from scipy.linalg import solve_continuous_are
 from ctsid_core.bases.base import Array, Projection, as_real
 from ctsid_core.order import OrderTrial, Pair, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
+from ctsid_core.pole_fit import OutputErrorFit
 from ctsid_core.prediction_errors import simulate_lines
 from ctsid_core.process_noise import with_process_noise
 from ctsid_core.refine import affordable, best_simulation, growth, refine_innovation
@@ -43,8 +44,7 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> tuple[OrderTrial, 
         if found is None:
             continue
         value, model = found
-        if value < least and trial.pair.believes(model, trial.simulation - value,
-                                                 trial.refined.cost):
+        if value < least and trial.pair.believes(model, trial.simulation - value, trial.refined):
             chosen, least = trial, value
             criterion[trial.order] = value
     table = ', '.join(f'{order}: {value - least:.0f}' for order, value in criterion.items())
@@ -101,7 +101,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings) -> tuple
 
 
 def likeliest_simulation(projection: Projection, pair: Pair,
-                         settings: Settings) -> tuple[Matrices, float, float]:
+                         settings: Settings) -> tuple[Matrices, float, OutputErrorFit]:
     """
     Return the model at the maximum of the output-error likelihood, and what it costs.
 
@@ -111,22 +111,22 @@ def likeliest_simulation(projection: Projection, pair: Pair,
     pair : Pair
         The subspace models to start from.
     settings : Settings
-        With `refine` false the subspace model itself is returned, with infinite costs.
+        With `refine` false the subspace model itself is returned, with an infinite cost.
 
     Returns
     -------
     model : Matrices
     cost : float
         -2 log likelihood.
-    free : float
-        The same of a simulation with free residues at these poles.
+    free : OutputErrorFit
+        The best simulation with free residues.
     """
     first = pair.simulating
     if not (settings.refine and affordable(projection, len(first.poles))):
-        return pair.best.matrices, np.inf, np.inf
+        return pair.best.matrices, np.inf, first.simulated
     top = pair.refined()
     return (*best_simulation(projection, first.matrices, top.poles, settings.feedthrough,
-                             pair.limit), top.cost)
+                             pair.limit), top)
 
 
 def _gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:

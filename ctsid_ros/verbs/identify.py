@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.advice import advise
 from ctsid_core.estimate import Estimate
 from ctsid_core.identify import identify
 from ctsid_core.signals import Record
@@ -21,6 +22,7 @@ from ctsid_core.storage import load_model, save_series, to_json
 from ctsid_core.validation import Validation, residual_tests, simulation
 from ctsid_ros.bag import open_bag
 from ctsid_ros.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.experiment import experiment_section
 from ctsid_ros.figures import output_figures
 from ctsid_ros.playback import Recorded, read_record
 from ctsid_ros.progress import progress
@@ -99,6 +101,13 @@ class Outcome:
         """The model, accepted or not."""
         return self.estimate.model or self.estimate.rejected_model
 
+    @property
+    def learnt(self) -> Record:
+        """What the model was identified from."""
+        record = self.data.record
+        return record if math.isnan(self.data.split) else \
+            record.between(record.start, self.data.split)
+
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, tell."""
@@ -169,6 +178,7 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace, notes: tuple[s
     if outcome.model:
         tested = outcome.tested or outcome.data.record
         sections.append(residual_section(residual_tests(outcome.model, tested), outcome.model))
+        sections.append(experiment_section(advise(estimate, outcome.learnt), brief=False))
         sections.append(bode_section(outcome.model,
                                      covariance=estimate.covariance))
     metadata = origin(outcome.data.config, args.bag, _interval(args))
