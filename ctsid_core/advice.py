@@ -159,10 +159,13 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
         return Advice((), seconds, tuple(_without_model(estimate, record)))
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
-    forecast = _forecast(part, model, estimate)
-    size = np.maximum(np.abs(forecast.poles), 1.0 / part.record.duration)
-    poles = tuple(forecast.advice(k, wanted * size[k], seconds)
-                  for k in np.flatnonzero(forecast.poles.imag >= 0).tolist())
+    try:
+        forecast = _forecast(part, model, estimate)
+        size = np.maximum(np.abs(forecast.poles), 1.0 / part.record.duration)
+        poles = tuple(forecast.advice(k, wanted * size[k], seconds)
+                      for k in np.flatnonzero(forecast.poles.imag >= 0).tolist())
+    except np.linalg.LinAlgError as error:       # of the data's making
+        return Advice((), seconds, (f'The arithmetic of the forecast failed: {error}.',))
     return Advice(poles, seconds, tuple(_sentences(poles, wanted, seconds)))
 
 
