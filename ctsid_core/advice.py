@@ -21,7 +21,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.bases.base import Lines, Projection
+from ctsid_core.bases.base import Lines, Projection, real_times
 from ctsid_core.bases.hermite import project_record
 from ctsid_core.deviation import Information, information, trust, without_gain
 from ctsid_core.errors import DataError
@@ -159,10 +159,13 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
         return Advice((), seconds, tuple(_without_model(estimate, record)))
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
-    forecast = _forecast(part, model, estimate)
-    size = np.maximum(np.abs(forecast.poles), 1.0 / part.record.duration)
-    poles = tuple(forecast.advice(k, wanted * size[k], seconds)
-                  for k in np.flatnonzero(forecast.poles.imag >= 0).tolist())
+    try:
+        forecast = _forecast(part, model, estimate)
+        size = np.maximum(np.abs(forecast.poles), 1.0 / part.record.duration)
+        poles = tuple(forecast.advice(k, wanted * size[k], seconds)
+                      for k in np.flatnonzero(forecast.poles.imag >= 0).tolist())
+    except np.linalg.LinAlgError as error:       # of the data's making
+        return Advice((), seconds, (f'The arithmetic of the forecast failed: {error}.',))
     return Advice(poles, seconds, tuple(_sentences(poles, wanted, seconds)))
 
 
@@ -326,14 +329,14 @@ def _added(part: Usable, projection: Projection, m: Matrices, known: Information
 def _response(projection: Projection, m: Matrices, known: Information, settings: Settings, j: int,
               omega: Array, *, noisy: bool) -> tuple[Array, Array]:
     """Return the derivatives for a unit input j at given frequencies, and the errors there."""
-    s, count = np.asarray(1j * omega, dtype=np.complex128), len(omega)
+    s, count = (1j * omega).astype(complex), len(omega)
     u = np.zeros((len(projection.u), count), dtype=complex)
     u[j] = 1.0
     none = np.zeros((max(len(projection.tail), len(projection.ones), len(projection.y)), count),
                     dtype=complex)
     alone = replace(projection, s=s, u=u, y=none[:len(projection.y)],
                     tail=none[:len(projection.tail)], ones=none[:len(projection.ones)])
-    x = resolvent(m.A, s).states(np.asarray(m.B @ u, dtype=np.complex128))
+    x = resolvent(m.A, s).states(real_times(m.B, u))
     rows = _reduced(_rows(projection, m, settings.feedthrough, x, noisy=noisy, s=s, of=alone),
                     known)
     if len(known.size) == 1:

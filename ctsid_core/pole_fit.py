@@ -255,40 +255,6 @@ class OutputError:
         sizes = [np.abs(_roots(factor[np.newaxis])).min() for factor in factors]
         return int(np.argmin(sizes)) if min(sizes) < self._slow else None
 
-    def gain_of_colour(self, poles: NDArray[np.complex128], spectrum: NDArray[np.complex128]
-                       ) -> tuple[float, float]:
-        """
-        Return what the likelihood gains if true poles give way to those that fit the noise best.
-
-        Parameters
-        ----------
-        poles : ndarray, shape (n,)
-            Taken for the true ones [rad/s].
-        spectrum : ndarray, shape (ny, ny, L)
-            Of the noise, in any unit.
-
-        Returns
-        -------
-        mean, std : float
-            Of twice the gain of the log likelihood. It is a sum of squares of independent normal
-            numbers, whose variances are the eigenvalues of H^-1 V; H is the information, V the
-            variance of the slope.
-
-        References
-        ----------
-        Vuong 1989, Econometrica 57, theorem 3.3. White noise gains n, coloured noise more: in
-        proportion to its power where it is largest over its mean.
-        """
-        factors = _factors(poles / self._top)
-        rows, theta, q, residual = self._weights(self._regressors(factors))
-        columns = _columns(self._changes(factors, rows, theta)[0], q, residual)
-        size = np.sqrt(np.einsum('iil->i', spectrum).real / spectrum.shape[2])
-        shape = spectrum / np.outer(size, size)[:, :, np.newaxis]
-        basis = np.linalg.qr(columns)[0].T.copy().view(complex).reshape(len(poles), len(size), -1)
-        through = np.einsum('ijl,kjl->kil', shape, basis)
-        sizes = np.linalg.eigvalsh(np.tensordot(basis.conj(), through, axes=((1, 2), (1, 2))).real)
-        return float(sizes.sum()), float(np.sqrt(2.0 * np.sum(sizes ** 2)))
-
     def _step(self, factors: Array, rows: Array, theta: Array, q: Array,
               residual: Array) -> Array:
         """Return the Gauss-Newton step of the factors (Kaufman's variable projection)."""

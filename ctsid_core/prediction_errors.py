@@ -102,15 +102,15 @@ def _prediction(projection: Projection, m: Matrices, closed: Resolvent,
     return Prediction(closed, x, e)
 
 
-def noise_spectrum(projection: Projection, m: Matrices) -> Lines:
-    """Return the spectrum of the noise that a model's K stands for, (ny, ny, L); in any unit."""
+def noise_power(projection: Projection, m: Matrices) -> Array:
+    """Return the power of the noise that a model's K stands for, (ny, L), each of mean 1."""
     error = as_real(prediction_errors(projection, m))
     covariance = error @ error.T / projection.count
     through = np.tensordot(m.K.T, resolvent(m.A, projection.s).outputs(m.C), axes=1)
     through += np.eye(len(m.C))[:, :, np.newaxis]              # by innovation, output, line
     driven = np.tensordot(covariance, through, axes=1)
-    spectrum: Lines = np.einsum('ail,ajl->ijl', driven, through.conj())
-    return spectrum
+    power: Array = np.sum(driven * through.conj(), axis=0).real
+    return power / np.mean(power, axis=1, keepdims=True)
 
 
 def output_error_cost(projection: Projection, m: Matrices) -> float:

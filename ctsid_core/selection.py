@@ -13,6 +13,7 @@ from ctsid_core.candidates import Pair
 from ctsid_core.estimate import OrderTried
 from ctsid_core.order import OrderTrial, Search, by_innovation, by_simulation
 from ctsid_core.pbsid import Matrices
+from ctsid_core.pole_fit import OutputErrorFit
 from ctsid_core.prediction_errors import innovation_cost, output_error_cost, simulate_lines
 from ctsid_core.process_noise import with_process_noise
 from ctsid_core.refine import affordable, growth, refine_innovation
@@ -63,8 +64,7 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
         if found is None:
             continue
         value, model = found
-        if value < least and trial.pair.believes(model, trial.simulation - value,
-                                                 trial.refined.cost):
+        if value < least and trial.pair.believes(model, trial.simulation - value, trial.refined):
             chosen, least, noisy = trial, value, model
             criterion[trial.order] = value
     return Chosen(chosen, tuple(OrderTried(
@@ -136,7 +136,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings,
 
 
 def likeliest_simulation(projection: Projection, pair: Pair,
-                         settings: Settings) -> tuple[Matrices, float, float]:
+                         settings: Settings) -> tuple[Matrices, float, OutputErrorFit]:
     """
     Return the model at the maximum of the output-error likelihood, and what it costs.
 
@@ -146,20 +146,20 @@ def likeliest_simulation(projection: Projection, pair: Pair,
     pair : Pair
         The subspace models to start from.
     settings : Settings
-        With `refine` false the subspace model itself is returned, with infinite costs.
+        With `refine` false the subspace model itself is returned, with an infinite cost.
 
     Returns
     -------
     model : Matrices
     cost : float
         -2 log likelihood.
-    free : float
-        The same of a simulation with free residues at these poles.
+    free : OutputErrorFit
+        The best simulation with free residues.
     """
     first = pair.simulating
     if not (settings.refine and affordable(projection, len(first.poles))):
-        return pair.best.matrices, np.inf, np.inf
-    return (*pair.simulation, pair.refined.cost)
+        return pair.best.matrices, np.inf, first.simulated
+    return (*pair.simulation, pair.refined)
 
 
 def _gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:

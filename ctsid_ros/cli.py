@@ -25,6 +25,7 @@ _EPILOG = """first steps:
   ctsid identify BAG --params params.yaml     one model of the whole bag
   ctsid replay BAG --params params.yaml       models in sliding windows along it
   ctsid simulate MODEL OTHER_BAG              how well a model explains another bag
+  ctsid advise BAG --params params.yaml       which excitation is missing for a better model
 
 exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted"""
 
@@ -55,15 +56,24 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     from ctsid_ros.origin import package_version
-    from ctsid_ros.verbs import identify, info, init, params, replay, show, simulate
+    from ctsid_ros.verbs import (
+        advise,
+        identify,
+        info,
+        init,
+        params,
+        replay,
+        show,
+        simulate,
+    )
     parser = argparse.ArgumentParser(
         prog='ctsid', description='Continuous-time models from bags: own stamps per topic, no '
         'resampling.', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--version', action='version', version=f'ctsid {package_version()}')
     verbs = parser.add_subparsers(metavar='VERB', required=True)
     for name, verb in (('info', info), ('init', init), ('identify', identify),
-                       ('replay', replay), ('simulate', simulate), ('show', show),
-                       ('params', params)):
+                       ('replay', replay), ('simulate', simulate), ('advise', advise),
+                       ('show', show), ('params', params)):
         own = verbs.add_parser(name, help=verb.HELP, epilog=verb.EPILOG,
                                description=f'{verb.HELP[0].upper()}{verb.HELP[1:]}.',
                                formatter_class=argparse.RawDescriptionHelpFormatter)

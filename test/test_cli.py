@@ -108,6 +108,21 @@ def test_identify_of_an_interval_counts_from_the_start_of_the_bag(ctsid, shared)
     assert estimate.end_ns - START == pytest.approx(11 * S, abs=0.1 * S)
 
 
+def test_reports_tell_deviations_and_the_experiment_that_helps(ctsid, shared):
+    code, out, _ = ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml',
+                         '--out', 'res')
+    assert code == 0
+    assert re.search(r'3\.3\d+ ± 0\.0\d+ .* 0\.4\d+ ± 0\.0\d+', out)    # frequency and damping
+    assert re.search(r'rate \[rad/s\] +[12]\.\d+ ± 0\.0\d+', out)        # steady gain
+    assert 'Which experiment would help' not in out
+    report = Path('res/report.md').read_text()
+    assert 'Which experiment would help' in report
+    assert re.search(r'\| 0\.3\d+ \| 0\.05\d+ \| [56]\.\d+ ± 0\.\d+ \| -\d\.\d+ ± 0\.\d+', report)
+    page = Path('res/report.html').read_text()
+    assert page.count('opacity="0.2"') >= 2       # bands around magnitude and phase
+    assert 'two standard deviations' in page
+
+
 def test_identify_as_json_is_one_document(ctsid, shared):
     code, out, _ = ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml', '--json',
                          '--test-from', 12)
@@ -207,6 +222,26 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     response = json.loads(ctsid('show', shared / 'truth.json', '--json')[1])['frequency_response']
     expected = TRUTH.frequency_response(response['omega'])[:, 0, 0]
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
+
+
+def test_advise_tells_what_is_missing(ctsid, shared):
+    words = 'advise', shared / 'bag', '--params', shared / 'params.yaml', '--duration', '4'
+    code, out, _ = ctsid(*words, '--wanted', '0.1', '--more', '5')
+    assert code == 0
+    assert 'Accuracy of the poles, now and wanted' in out
+    assert 'Standard deviations after 5 s more in one band' in out
+    assert len(re.findall(r'^ *torque +[\d.]+ to', out, flags=re.MULTILINE)) == 6
+    assert re.search(r'5 s more\s+of\s+torque\s+at', out)
+    code, out, _ = ctsid(*words, '--wanted', '90')
+    assert code == 0
+    assert 'nothing is missing' in out
+    code, out, _ = ctsid(*words, '--json')
+    document = json.loads(out)
+    assert document['verb'] == 'advise'
+    assert document['accepted']
+    assert document['poles'][0]['std'] > 0
+    assert len(document['poles'][0]['bands']) == 6
+    assert ctsid(*words, '--wanted', '0')[0] == 2
 
 
 def test_info_measures_rates_jitter_and_gaps(ctsid, tmp_path):

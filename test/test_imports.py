@@ -56,7 +56,8 @@ LEVELS = {
         ['examples.flight', 'examples.tuner_node', 'examples.demo_table',
          'examples.demo_processes'], ['examples.robot_node', 'examples.demo_node'],
         ['examples.simulated_robot', 'examples.gain_tuner', 'examples.live_demo'],
-        ['guess', 'figures', 'results'], ['report'], ['parameters', 'intake', 'worker'],
+        ['guess', 'figures', 'results', 'experiment'], ['report'],
+        ['parameters', 'intake', 'worker'],
         ['session', 'plan'], ['diagnosis'], ['run'], ['identifier'], ['node'],
         ['verbs.arguments'], VERBS, ['cli']],
 }

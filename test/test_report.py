@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from ctsid_core.covariance import Covariance, Entries
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
@@ -24,6 +25,7 @@ from ctsid_ros.figures import (
     bode_figures,
     output_figures,
     response_of,
+    response_std,
     supported_band,
     track_curve,
     track_figures,
@@ -38,7 +40,7 @@ from ctsid_ros.report import (
     window_section,
 )
 from ctsid_ros.svg import Axes, Curve, draw, linear_ticks, log_ticks
-from ctsid_ros.tables import Table, join, number, percent, pole_text, thinned
+from ctsid_ros.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.tracks import Mode, Track, match, modes, tracks
 
 
@@ -64,6 +66,27 @@ def shifted(model: StateSpace, by: float) -> StateSpace:
     (math.nan, 4, '-'), (math.inf, 4, 'inf'), (-math.inf, 4, '-inf'), (0.00123, 2, '0.0012')])
 def test_numbers_have_significant_digits(value, digits, text):
     assert number(value, digits) == text
+
+
+def test_deviations_stand_beside_their_numbers():
+    assert plus_minus(12.3456, 0.04321) == '12.35 ± 0.043'
+    assert plus_minus(12.3456, 0.0) == plus_minus(12.3456, math.nan) == '12.35'
+
+
+def test_bode_bands_are_two_standard_deviations_and_no_wider_than_a_picture():
+    entries = Entries(*(np.ones((1, *shape)) * size for shape, size in (
+        ((TRUTH.n,) * 2, 0.0), (TRUTH.B.shape, 0.0), (TRUTH.C.shape, 0.0), ((1, 1), 0.001),
+        ((1,), 0.0))))
+    known = Covariance(np.hstack([e.reshape(1, -1) for e in entries]), TRUTH.n, 1, 1)
+    omega = np.array([1.0, 5.0, 1e6])
+    response = TRUTH.frequency_response(omega)[:, 0, 0]
+    gain, phase = (std[:, 0, 0] for std in response_std(TRUTH, omega, known))
+    np.testing.assert_allclose(gain, 20 / math.log(10) * np.abs((0.001 / response).real))
+    np.testing.assert_allclose(phase, np.degrees(np.abs((0.001 / response).imag)))
+    plain, banded = (bode_figures(TRUTH, None, None, c) for c in (None, known))
+    assert [f.svg.count('opacity="0.2"') for f in (*plain, *banded)] == [0, 0, 1, 1]
+    row = to_text([bode_section(TRUTH, 5, known)]).splitlines()[-1]
+    assert row.count('±') == 2
 
 
 def test_fits_poles_and_lists():

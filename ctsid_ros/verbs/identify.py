@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.advice import advise
 from ctsid_core.dead_time import LONGEST
 from ctsid_core.errors import BagError, SettingsError
 from ctsid_core.estimate import Estimate
@@ -24,6 +25,7 @@ from ctsid_core.validation import Validation, residual_tests, simulation
 from ctsid_ros.bag import open_bag
 from ctsid_ros.channels import Config
 from ctsid_ros.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.experiment import experiment_section
 from ctsid_ros.figures import output_figures
 from ctsid_ros.playback import Advance, Interval, Recorded, read_record
 from ctsid_ros.progress import progress
@@ -294,6 +296,9 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
         for number, record in _shown(outcome):
             own = estimate.trimmed(outcome.model, number)
             sections.append(residual_section(residual_tests(own, record), own))
+        if len(outcome.sources) == 1:
+            advice = advise(estimate, outcome.sources[0].learnt)
+            sections.append(experiment_section(advice, brief=False))
         sections.append(bode_section(outcome.model, covariance=estimate.covariance))
     write_results(out, {
         MODEL: to_json(estimate, _origin(outcome, args)),

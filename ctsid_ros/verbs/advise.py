@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid advise`: which experiment would make a model as accurate as it is wanted."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+from ctsid_core.advice import advise
+from ctsid_core.identify import identify
+from ctsid_ros.bag import open_bag
+from ctsid_ros.document import to_text
+from ctsid_ros.experiment import accuracy_section, band_section, experiment_section
+from ctsid_ros.playback import read_record
+from ctsid_ros.progress import progress
+from ctsid_ros.verbs.arguments import (
+    ACCEPTED,
+    NO_MODEL,
+    add_bag,
+    add_interval,
+    add_params,
+    add_style,
+    config_for,
+    interval_of,
+    named,
+    positive_seconds,
+    tell,
+)
+
+HELP = 'tell which excitation is missing for a wanted accuracy'
+EPILOG = ('example: ctsid advise flight.mcap --params params.yaml --wanted 2\n'
+          '         (what it takes to know every pole to 2 % of its size)')
+
+
+def percentage(text: str) -> float:
+    """Parse a positive number of percent."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= 100.0:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number of percent, more than 0 and '
+                                         'at most 100')
+    return value
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_bag(parser)
+    add_params(parser)
+    add_interval(parser)
+    parser.add_argument('--wanted', type=percentage, default=5.0, metavar='PERCENT',
+                        help='standard deviation of each pole over its size [%%, default 5]')
+    parser.add_argument('--more', type=positive_seconds, default=10.0, metavar='S',
+                        help='how long further excitation would last [s, default 10]')
+    add_style(parser)
+
+
+def command(args: argparse.Namespace) -> int:
+    """Read, identify, tell."""
+    with open_bag(args.bag) as bag:
+        config = config_for(args, bag)
+        with progress('reading', quiet=args.quiet) as advance:
+            data = read_record(bag, config, interval_of(args), advance=advance)
+    estimate = identify(data.record, config.settings)
+    advice = advise(estimate, data.record, args.wanted / 100, args.more)
+    if args.json:
+        tell({'verb': 'advise', 'bag': named(args.bag), 'status': estimate.status.name,
+              'accepted': estimate.ok, **asdict(advice)})
+    else:
+        print(to_text([accuracy_section(advice), band_section(advice),
+                       experiment_section(advice)]))
+    return ACCEPTED if estimate.ok else NO_MODEL
