@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Is there a dead time, and roughly which?
+The search for dead time: is there any, and roughly which.
 
 A model without dead time imitates it: with zeros in the right half plane and some states too many.
 So order and dead time are looked for together. From the best poles of the order n0 that was chosen
@@ -27,7 +27,6 @@ from ctsid_core.bases.base import Array, Projection
 from ctsid_core.bases.hermite import project_inputs
 from ctsid_core.order import Search
 from ctsid_core.pole_fit import OutputError, OutputErrorFit
-from ctsid_core.settings import Settings
 from ctsid_core.signals import Record, Signal
 from ctsid_core.window_ends import ends_cost_of_simulation
 
@@ -84,7 +83,7 @@ class LateFit:
 
     def why(self, order: int) -> str:
         """Return why it is believed, beside a model of another order without dead time."""
-        return (f'with {len(self.poles)} states and dead time, Schwarz\'s criterion is '
+        return (f"with {len(self.poles)} states and dead time, Schwarz's criterion is "
                 f'{self.gain:.0f} less than with {order} and none'
                 + ('' if self.direct else '; D is not needed beside it'))
 
