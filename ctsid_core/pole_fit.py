@@ -302,7 +302,7 @@ class OutputError:
         rows, theta, q, residual = self._weights(self._regressors(factors))
         changes, places = self._changes(factors, rows, theta)
         width = len(self._z)
-        blocks = sum(2 if factor[2] else 1 for factor in factors)
+        blocks = sum(2 if quadratic else 1 for quadratic in (factors[:, 2] != 0.0).tolist())
         for j in np.flatnonzero(late).tolist():
             own = [j + width * block for block in range(blocks)]
             own += [width * blocks + j] * self.feedthrough
@@ -320,7 +320,9 @@ class OutputError:
 def _columns(changes: list[Array], q: Array, residual: Array) -> Array:
     """Return the columns of a Jacobian, each output in units of its residual."""
     size = _sizes(residual)
-    return np.stack([((real - (real @ q) @ q.T) / size).ravel() for real in changes], axis=1)
+    columns: Array = np.stack(
+        [((real - (real @ q) @ q.T) / size).ravel() for real in changes], axis=1)
+    return columns
 
 
 def _sizes(residual: Array) -> Array:
@@ -333,7 +335,8 @@ def _solved(jacobian: Array, residual: Array) -> tuple[Array, Array]:
     norm, size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), _sizes(residual)
     found: Array = np.linalg.lstsq(
         jacobian / norm, (residual / size).ravel(), rcond=1e-8)[0] / norm
-    return found, residual - size * (jacobian @ found).reshape(residual.shape)
+    left: Array = residual - size * (jacobian @ found).reshape(residual.shape)
+    return found, left
 
 
 def _placed(found: Array, places: list[tuple[int, int]], factors: Array) -> Array:

@@ -193,7 +193,7 @@ def test_a_held_input_declared_as_straight_lines_is_half_a_period_late():
 
 def bound(given: Record, p, delay: float, sigma) -> np.ndarray:
     """Return the Cramer-Rao bound of (poles, dead time), shape (n + 1,), from simulations."""
-    values, modes = np.linalg.eig(p.A)
+    values, modes = (part.real for part in np.linalg.eig(p.A))
     b = np.linalg.solve(modes, p.B)[:, 0]
     n, ny, t = len(values), len(p.C), given.outputs[0].time
     theta = np.concatenate((values, [delay], (p.C @ modes * b).ravel(), np.zeros(n + ny)))
