@@ -116,7 +116,7 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
     _check_times(inputs, times)
     if not len(times):
         return np.empty((0, len(A))), np.empty((0, B.shape[1]))
-    knots = _knots(inputs, delay, times)
+    knots = knots_between(inputs, delay, times)
     u = input_polynomials(inputs, delay, knots)
     rows = np.searchsorted(knots, times)
     h = np.diff(knots)
@@ -139,7 +139,8 @@ def _check_times(inputs: Sequence[Signal], times: Array) -> None:
                         'not decrease; sort them')
 
 
-def _knots(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
+def knots_between(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
+    """Return the times and, between them, all stamps of inputs with their dead time, sorted."""
     stamps, first = [times], 0
     for signal in inputs:
         for d in set(delay[first:first + signal.width]):
