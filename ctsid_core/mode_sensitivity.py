@@ -11,6 +11,8 @@ and its derivative by p, with phi_j' = phi_j - j phi_(j+1), by
 
     s+ = phi_0(p h) (s + h z) + sum_j h^(j+2) phi_(j+1)'(p h) v^(j).
 
+Growing modes are followed backwards, from rest at the end: then nothing grows.
+
 Where no poles coincide, the poles together with all entries of B, C, D, of the trim and of the
 first state move a model in every direction there is.
 """
@@ -36,7 +38,7 @@ ComplexArray = NDArray[np.complex128]
 @dataclass(frozen=True, eq=False)
 class ModeResponses:
     """
-    What inputs do to modes that start at rest.
+    What inputs do to modes that start at rest; growing ones end at rest.
 
     Parameters
     ----------
@@ -46,20 +48,20 @@ class ModeResponses:
         Their derivatives by the pole.
     inputs : ndarray, shape (M, nu + 1)
         The inputs themselves.
-    elapsed : ndarray, shape (M,)
-        Time since the start [s].
+    away : ndarray, shape (M, m)
+        Time since where each mode is at rest; negative for growing modes [s].
     """
 
     responses: ComplexArray
     slopes: ComplexArray
     inputs: Array
-    elapsed: Array
+    away: Array
 
 
 def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Sequence[float],
                    times: Array) -> ModeResponses:
     """
-    Return what inputs do to modes that are at rest at the first of the wanted times.
+    Return what inputs do to modes that are at rest at the first, growing ones at the last time.
 
     Parameters
     ----------
@@ -88,13 +90,30 @@ def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Sequenc
         fall = (f - (j + 1) * functions[j + 2]) * power * h[:, np.newaxis]
         drive += (power * f)[place][:, :, np.newaxis] * v[j][:-1, np.newaxis]
         slope += fall[place][:, :, np.newaxis] * v[j][:-1, np.newaxis]
-    decay = np.repeat(functions[0][place], width, axis=1)
-    rest = np.zeros(m * width, dtype=complex)
-    z = recursion(decay, drive.reshape(-1, m * width), rest)
-    slope = slope.reshape(-1, m * width) + decay * h[place][:, np.newaxis] * z[:-1]
-    s = recursion(decay, slope, rest)
-    return ModeResponses(z[rows].reshape(-1, m, width), s[rows].reshape(-1, m, width),
-                         v[0][rows], times - times[0])
+    grows = poles.real > 0.0
+    step = np.exp(np.where(grows, -1.0, 1.0) * h[:, np.newaxis] * poles)[place]
+    # Backwards: z = (z+ - drive) / phi_0, and s = (s+ - slope) / phi_0 - h z.
+    drive[:, grows] *= -step[:, grows, np.newaxis]
+    slope[:, grows] *= -step[:, grows, np.newaxis]
+    z = _follow(step, drive, grows)
+    carried = h[place][:, np.newaxis, np.newaxis] * np.where(
+        grows[:, np.newaxis], -z[:-1], step[:, :, np.newaxis] * z[:-1])
+    s = _follow(step, slope + carried, grows)
+    away = times[:, np.newaxis] - np.where(grows, times[-1], times[0])
+    return ModeResponses(z[rows], s[rows], v[0][rows], away)
+
+
+def _follow(step: ComplexArray, drive: ComplexArray, grows: NDArray[np.bool_]) -> ComplexArray:
+    """Return z of z+ = step z + drive, or backwards z = step z+ + drive, from rest (K + 1, ...)."""
+    count, m, width = drive.shape
+    found = np.empty((count + 1, m, width), dtype=complex)
+    for chosen, order in ((~grows, slice(None)), (grows, slice(None, None, -1))):
+        if chosen.any():
+            flat = drive[order, chosen].reshape(count, -1)
+            decay = np.repeat(step[order, chosen], width, axis=1)
+            path = recursion(decay, flat, np.zeros(flat.shape[1], dtype=complex))
+            found[order, chosen] = path.reshape(count + 1, -1, width)
+    return found
 
 
 def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
@@ -117,7 +136,7 @@ def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
     y : ndarray, shape (M, ny)
     columns : ndarray, shape (M, ny, parameters)
         By the n real numbers that the poles are (of a pair: real part, imaginary part; in the
-        order of `modes(model.A)`), then by the entries of x0, [B x_trim], C, [D y_trim]. B and C
+        order of `modes(model.A)`), then by the entries of the state, [B x_trim], C, [D y_trim]. B and C
         share n directions, that change the states' units only.
     split : int
         Where D begins: the columns from there on.
@@ -126,6 +145,11 @@ def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
     ------
     DataError
         If poles coincide.
+
+    Notes
+    -----
+    What is differentiated at is the state where each mode is at rest otherwise: the first state
+    for decaying modes, the last one for growing modes.
     """
     found = modes(model.A, 1e10)
     if found is None:
@@ -134,10 +158,10 @@ def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
     at = mode_responses(found.values, inputs, model.delay, times)
     gain = model.C @ found.right                                          # (ny, m)
     force = found.left @ np.column_stack((model.B, model.x_trim))         # (m, nu + 1)
-    start = found.left @ x0
-    free = np.exp(at.elapsed[:, np.newaxis] * found.values)
+    free = np.exp(at.away * found.values)
+    start = (found.left @ x0 - (at.responses[0] * force).sum(axis=1)) / free[0]
     z = free * start + np.einsum('kmj,mj->km', at.responses, force)
-    s = at.elapsed[:, np.newaxis] * free * start + np.einsum('kmj,mj->km', at.slopes, force)
+    s = at.away * free * start + np.einsum('kmj,mj->km', at.slopes, force)
     x = (z @ found.right.T).real
     direct = np.column_stack((model.D, model.y_trim))
     M, ny, n = len(times), model.ny, model.n
