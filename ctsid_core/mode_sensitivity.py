@@ -116,10 +116,9 @@ def _follow(step: ComplexArray, drive: ComplexArray, grows: NDArray[np.bool_]) -
     return found
 
 
-def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
-                         times: Array) -> tuple[Array, Array, int]:
+def rest_state(model: StateSpace, x0: Array, inputs: Sequence[Signal], times: Array) -> Array:
     """
-    Return the outputs of a simulation, and their derivatives by all that it depends on.
+    Return the state that each mode has where it is at rest in `mode_responses`.
 
     Parameters
     ----------
@@ -130,13 +129,47 @@ def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
     inputs : sequence of Signal
     times : ndarray, shape (M,)
         [s]
+    """
+    found = _modes(model)
+    at = mode_responses(found.values, inputs, model.delay, times)
+    force = found.left @ np.column_stack((model.B, model.x_trim))
+    start = (found.left @ x0 - (at.responses[0] * force).sum(axis=1)
+             ) * np.exp(-at.away[0] * found.values)
+    state: Array = (found.right @ start).real
+    return state
+
+
+def _modes(model: StateSpace) -> Modes:
+    found = modes(model.A, 1e10)
+    if found is None:
+        raise DataError('`model` has poles that coincide: there are no derivatives by each of '
+                        'them; move one of them a little')
+    return found
+
+
+def output_sensitivities(model: StateSpace, rest: Array, inputs: Sequence[Signal], times: Array,
+                         *, derivatives: bool = True) -> tuple[Array, Array, int]:
+    """
+    Return the outputs of a simulation, and their derivatives by all that it depends on.
+
+    Parameters
+    ----------
+    model : StateSpace
+        Without coinciding poles.
+    rest : ndarray, shape (n,)
+        State that each mode has where it is at rest in `mode_responses` (see `rest_state`).
+    inputs : sequence of Signal
+    times : ndarray, shape (M,)
+        [s]
+    derivatives : bool
+        Whether they are wanted; else they are empty.
 
     Returns
     -------
     y : ndarray, shape (M, ny)
     columns : ndarray, shape (M, ny, parameters)
         By the n real numbers that the poles are (of a pair: real part, imaginary part; in the
-        order of `modes(model.A)`), then by the entries of the state, [B x_trim], C, [D y_trim]. B and C
+        order of `modes(model.A)`), then by the entries of `rest`, [B x_trim], C, [D y_trim]. B and C
         share n directions, that change the states' units only.
     split : int
         Where D begins: the columns from there on.
@@ -145,26 +178,21 @@ def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
     ------
     DataError
         If poles coincide.
-
-    Notes
-    -----
-    What is differentiated at is the state where each mode is at rest otherwise: the first state
-    for decaying modes, the last one for growing modes.
     """
-    found = modes(model.A, 1e10)
-    if found is None:
-        raise DataError('`model` has poles that coincide: there are no derivatives by each of '
-                        'them; move one of them a little')
+    found = _modes(model)
     at = mode_responses(found.values, inputs, model.delay, times)
     gain = model.C @ found.right                                          # (ny, m)
     force = found.left @ np.column_stack((model.B, model.x_trim))         # (m, nu + 1)
     free = np.exp(at.away * found.values)
-    start = (found.left @ x0 - (at.responses[0] * force).sum(axis=1)) / free[0]
+    start = found.left @ rest
     z = free * start + np.einsum('kmj,mj->km', at.responses, force)
     s = at.away * free * start + np.einsum('kmj,mj->km', at.slopes, force)
     x = (z @ found.right.T).real
     direct = np.column_stack((model.D, model.y_trim))
     M, ny, n = len(times), model.ny, model.n
+    y = x @ model.C.T + at.inputs @ direct.T
+    if not derivatives:
+        return y, np.empty((M, ny, 0)), 0
     by_pole = _by_pole(found, gain[np.newaxis] * s[:, np.newaxis])
     by_start = np.einsum('om,km,mi->koi', gain, free, found.left).real
     by_B = np.einsum('om,kmj,mi->koij', gain, at.responses, found.left, optimize=True).real
@@ -172,7 +200,7 @@ def output_sensitivities(model: StateSpace, x0: Array, inputs: Sequence[Signal],
     by_C = np.einsum('op,ki->kopi', each, x).reshape(M, ny, ny * n)
     by_D = np.einsum('op,kj->kopj', each, at.inputs).reshape(M, ny, -1)
     columns = np.concatenate((by_pole, by_start, by_B.reshape(M, ny, -1), by_C, by_D), axis=2)
-    return x @ model.C.T + at.inputs @ direct.T, columns, columns.shape[2] - by_D.shape[2]
+    return y, columns, columns.shape[2] - by_D.shape[2]
 
 
 def _by_pole(found: Modes, change: ComplexArray) -> Array:

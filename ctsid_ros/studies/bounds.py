@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, expm_frechet, solve_discrete_are
 
 from ctsid_core.matrix_functions import modes
-from ctsid_core.mode_sensitivity import output_sensitivities
+from ctsid_core.mode_sensitivity import output_sensitivities, rest_state
 from ctsid_core.signals import Signal
 from ctsid_core.statespace import StateSpace
 
@@ -65,7 +65,8 @@ def output_error_bound(model: StateSpace, x0: Array, inputs: Sequence[Signal], t
     ndarray, shape (n,)
         sqrt(E |error|^2) of each pole, in the order of `model.poles` [rad/s].
     """
-    _, columns, direct = output_sensitivities(model, x0, inputs, times)
+    rest = rest_state(model, x0, inputs, times)
+    _, columns, direct = output_sensitivities(model, rest, inputs, times)
     unknown = np.ones(columns.shape[2], dtype=bool)
     driven = columns[:, :, direct:].shape[2] // model.ny
     unknown[direct:] = feedthrough
