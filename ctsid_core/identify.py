@@ -11,11 +11,18 @@ from numpy.typing import NDArray
 from ctsid_core.bandwidth import choose_nmax
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record
+from ctsid_core.closed_loop import by_prediction
 from ctsid_core.deviation import pole_deviation
 from ctsid_core.estimate import Choice, Estimate, Status
 from ctsid_core.order import Candidate, Search
 from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import line_fit, prediction_errors, unseen_fit
+from ctsid_core.prediction_errors import (
+    line_fit,
+    predicted_fit,
+    prediction_errors,
+    unseen_fit,
+    unseen_predicted_fit,
+)
 from ctsid_core.refine import affordable
 from ctsid_core.selection import choose_order, likeliest_simulation, most_likely
 from ctsid_core.settings import Settings
@@ -101,6 +108,7 @@ class _Found:
     best: Candidate
     process_noise: bool
     choices: tuple[Choice, ...]
+    by_prediction: bool = False   # an unstable plant with process noise: simulations mean nothing
 
 
 def _estimate(part: Usable, settings: Settings) -> _Found | None:
@@ -122,6 +130,14 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
         choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
                               f'the most likely of {tried} subspace models'))
     matrices, process_noise = most_likely(search.projection, pair, own)
+    told = by_prediction(part.record, search, matrices) \
+        if settings.refine and process_noise else None
+    if told is not None:
+        matrices, order = told, len(told.A)
+        pair = search.pair(order) or pair
+        choices = [c for c in choices if c.name != 'order']
+        choices.append(Choice('order', order, 'the plant is unstable, with process noise: told by '
+                              'one-step predictions of the samples'))
     if settings.refine and not affordable(projection, order):
         choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
                               'the likelihood takes too long; this is the subspace estimate'))
@@ -131,7 +147,8 @@ def _estimate(part: Usable, settings: Settings) -> _Found | None:
             'the likelier of process noise (innovation form) and measurement noise alone'))
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
-    return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices))
+    return _Found(used, projection, matrices, pair.best, process_noise, tuple(choices),
+                  told is not None)
 
 
 def _without_outliers(part: Usable, found: _Found,
@@ -192,12 +209,17 @@ def _held_out(part: Usable, found: _Found) -> Array:
     own = _own_delays(part, found.settings)
     split = record.end - share * record.duration
     lead = max(own.delays(record.nu), default=0.0)
-    first, last = (_share(record.between(start, end, lead=lead), own, share)
-                   for start, end, share in ((record.start, split, 1.0 - share),
-                                             (split, record.end, share)))
-    pair = Search(first, own).pair(own.order)
+    early, late = (record.between(start, end, lead=lead)
+                   for start, end in ((record.start, split), (split, record.end)))
+    first, last = _share(early, own, 1.0 - share), _share(late, own, share)
+    search = Search(first, own)
+    pair = search.pair(own.order)
     if pair is None:
         return np.full(record.ny, np.nan)
+    if found.by_prediction:
+        model = most_likely(first, pair, own)[0]
+        told = by_prediction(early, search, model)
+        return unseen_predicted_fit(last, model if told is None else told)
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
@@ -213,7 +235,8 @@ def _share(record: Record, settings: Settings, share: float) -> Projection:
 
 def _judge(part: Usable, found: _Found) -> Estimate:
     model = _to_statespace(part, found)
-    fit, held_out = line_fit(found.projection, found.matrices), _held_out(part, found)
+    fit = (predicted_fit if found.by_prediction else line_fit)(found.projection, found.matrices)
+    held_out = _held_out(part, found)
     deviation = pole_deviation(found.projection, found.matrices, found.settings.feedthrough,
                                process_noise=found.process_noise)
     poles = np.linalg.eigvals(found.matrices.A).astype(complex)

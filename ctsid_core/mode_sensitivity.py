@@ -59,7 +59,7 @@ class ModeResponses:
 
 
 def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Sequence[float],
-                   times: Array) -> ModeResponses:
+                   times: Array, *, derivatives: bool = True) -> ModeResponses:
     """
     Return what inputs do to modes that are at rest at the first, growing ones at the last time.
 
@@ -73,6 +73,8 @@ def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Sequenc
         [s]
     times : ndarray, shape (M,)
         Not decreasing [s].
+    derivatives : bool
+        Whether the slopes are wanted; else they are empty.
     """
     knots = knots_between(inputs, delay, times)
     v = input_polynomials(inputs, delay, knots)
@@ -82,24 +84,30 @@ def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Sequenc
     rows = np.searchsorted(knots, times)
     m, width = len(poles), v.shape[2]
     h, place = np.unique(np.diff(knots), return_inverse=True)
+    if np.ptp(h) < 1e-9 * h[-1]:                # a uniform grid, but for rounding
+        h, place = h.mean(keepdims=True), np.zeros_like(place)
     functions = phi(h[:, np.newaxis] * poles, len(v) + 1)
     drive = np.zeros((len(knots) - 1, m, width), dtype=complex)
-    slope = np.zeros_like(drive)
     for j in range(len(v)):
-        f, power = functions[j + 1], h[:, np.newaxis] ** (j + 1)
-        fall = (f - (j + 1) * functions[j + 2]) * power * h[:, np.newaxis]
-        drive += (power * f)[place][:, :, np.newaxis] * v[j][:-1, np.newaxis]
-        slope += fall[place][:, :, np.newaxis] * v[j][:-1, np.newaxis]
+        gain = functions[j + 1] * h[:, np.newaxis] ** (j + 1)
+        drive += gain[place][:, :, np.newaxis] * v[j][:-1, np.newaxis]
     grows = poles.real > 0.0
     step = np.exp(np.where(grows, -1.0, 1.0) * h[:, np.newaxis] * poles)[place]
     # Backwards: z = (z+ - drive) / phi_0, and s = (s+ - slope) / phi_0 - h z.
     drive[:, grows] *= -step[:, grows, np.newaxis]
-    slope[:, grows] *= -step[:, grows, np.newaxis]
     z = _follow(step, drive, grows)
-    carried = h[place][:, np.newaxis, np.newaxis] * np.where(
-        grows[:, np.newaxis], -z[:-1], step[:, :, np.newaxis] * z[:-1])
-    s = _follow(step, slope + carried, grows)
     away = times[:, np.newaxis] - np.where(grows, times[-1], times[0])
+    if not derivatives:
+        return ModeResponses(z[rows], z[:0], v[0][rows], away)
+    slope = np.zeros_like(drive)
+    for j in range(len(v)):
+        fall = functions[j + 1] - (j + 1) * functions[j + 2]
+        gain = fall * h[:, np.newaxis] ** (j + 2)
+        slope += gain[place][:, :, np.newaxis] * v[j][:-1, np.newaxis]
+    slope[:, grows] *= -step[:, grows, np.newaxis]
+    slope += h[place][:, np.newaxis, np.newaxis] * np.where(
+        grows[:, np.newaxis], -z[:-1], step[:, :, np.newaxis] * z[:-1])
+    s = _follow(step, slope, grows)
     return ModeResponses(z[rows], s[rows], v[0][rows], away)
 
 
@@ -180,19 +188,19 @@ def output_sensitivities(model: StateSpace, rest: Array, inputs: Sequence[Signal
         If poles coincide.
     """
     found = _modes(model)
-    at = mode_responses(found.values, inputs, model.delay, times)
+    at = mode_responses(found.values, inputs, model.delay, times, derivatives=derivatives)
     gain = model.C @ found.right                                          # (ny, m)
     force = found.left @ np.column_stack((model.B, model.x_trim))         # (m, nu + 1)
     free = np.exp(at.away * found.values)
     start = found.left @ rest
     z = free * start + np.einsum('kmj,mj->km', at.responses, force)
-    s = at.away * free * start + np.einsum('kmj,mj->km', at.slopes, force)
     x = (z @ found.right.T).real
     direct = np.column_stack((model.D, model.y_trim))
     M, ny, n = len(times), model.ny, model.n
     y = x @ model.C.T + at.inputs @ direct.T
     if not derivatives:
         return y, np.empty((M, ny, 0)), 0
+    s = at.away * free * start + np.einsum('kmj,mj->km', at.slopes, force)
     by_pole = _by_pole(found, gain[np.newaxis] * s[:, np.newaxis])
     by_start = np.einsum('om,km,mi->koi', gain, free, found.left).real
     by_B = np.einsum('om,kmj,mi->koij', gain, at.responses, found.left, optimize=True).real

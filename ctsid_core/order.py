@@ -224,6 +224,11 @@ class Search:
         p = self.projection
         return (p.end - p.start) / max(len(p.tail), 1)
 
+    @property
+    def resolution(self) -> float:
+        """Growth that the window cannot tell from none [rad/s]."""
+        return 1.0 / self._length
+
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
         top, settings = float(np.abs(self.projection.s[-1])), self.settings
@@ -282,7 +287,7 @@ class Search:
         found = list(self.candidates(n, tunings))
         if not found:
             return None
-        limit = 1.0 / self._length
+        limit = self.resolution
         if len(found) == 1:
             limit = limit if found[0].growth <= limit else np.inf
             return Pair(found[0], found[0], limit, process_noise=True)

@@ -120,6 +120,23 @@ def prediction_cost(samples: Samples, p: Predictor) -> float:
     return float(len(e) * value) if sign > 0 and np.isfinite(value) else np.inf
 
 
+def settled(samples: Samples, p: Predictor) -> Predictor:
+    """Return the predictor with the state to begin with that suits the samples best."""
+    found = _filtered(samples, p)
+    if found is None:
+        return p
+    n, e = p.model.n, found[0]
+    closed = expm(p.model.A * samples.step) - p.L @ p.model.C
+    moved = _follow(closed, np.zeros((len(e) - 1, n, n)), np.eye(n))
+    if moved is None:
+        return p
+    # The errors of the second half, where what the predictor began with is forgotten.
+    size = np.sqrt(np.mean(e[len(e) // 2:] ** 2, axis=0)) + 1e-300
+    rows = (np.einsum('oi,kip->kop', p.model.C, moved) / size[:, np.newaxis]).reshape(-1, n)
+    step = np.linalg.lstsq(rows, (e / size).ravel(), rcond=_RANK)[0]
+    return replace(p, start=p.start + step)
+
+
 def refine_in_time(samples: Samples, p: Predictor, *, feedthrough: bool, trim: bool,
                    steps: int = 12) -> tuple[Predictor, float]:
     """
@@ -315,7 +332,7 @@ def likeliest(samples: Samples, starts: Sequence[StateSpace], *, feedthrough: bo
     cost : float
         -2 log likelihood. None if there is no admissible start.
     """
-    made = [predictor(model, samples.step) for model in starts]
+    made = [settled(samples, predictor(model, samples.step)) for model in starts]
     costs = np.array([prediction_cost(samples, p) for p in made])
     best = [i for i in np.argsort(costs, kind='stable')[:few] if np.isfinite(costs[i])]
     found = [refine_in_time(samples, made[i], feedthrough=feedthrough, trim=trim, steps=steps)
