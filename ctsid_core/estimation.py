@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.base import as_real
+from ctsid_core.closed_loop import by_prediction
 from ctsid_core.estimate import Choice, with_fit
 from ctsid_core.found import Found, own_delays
 from ctsid_core.held_out import HeldOut, held_out
@@ -67,6 +68,14 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
                               f'the most likely of {pair.tried} subspace models'))
     matrices, process_noise = most_likely(search.projection, pair, own,
                                           chosen.noisy if chosen else None)
+    told = by_prediction(part.parts[0].record, search, matrices) \
+        if settings.refine and process_noise and not part.several else None
+    if told is not None:
+        matrices, order = told, len(told.A)
+        pair = search.pair(order) or pair
+        choices[:] = [c for c in choices if c.name != 'order']
+        choices.append(Choice('order', order, 'the plant is unstable, with process noise: told by '
+                              'one-step predictions of the samples'))
     if settings.refine and not affordable(projection, order):
         choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
                               'the likelihood takes too long; this is the subspace estimate'))
@@ -77,7 +86,7 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
     return Found(used, projection, search, matrices, pair.best, process_noise, tuple(choices),
-                 layout, chosen.tried if chosen else ())
+                 layout, chosen.tried if chosen else (), told is not None)
 
 
 def without_outliers(part: Joint, found: Found,
@@ -135,8 +144,8 @@ def confirmed(part: Joint, found: Found, settings: Settings) -> tuple[Found, Hel
     tested = held_out(part, found)
     rows = [one for one in found.orders if one.order != found.settings.order
             and one.criterion < _CLOSE]
-    late = found.projection.slopes is not None
-    if late or not (found.process_noise and rows and np.isfinite(tested.fit).all()):
+    settled = found.projection.slopes is not None or found.by_prediction
+    if settled or not (found.process_noise and rows and np.isfinite(tested.fit).all()):
         return found, tested
     order = min(rows, key=lambda one: one.criterion).order
     other = estimate(part, settings.with_known_delays().replace(order=order), order, found.layout)

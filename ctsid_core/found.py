@@ -36,6 +36,8 @@ class Found:
     choices : tuple of Choice
     layout : Layout
         How the records were projected.
+    by_prediction : bool
+        Whether the plant is unstable, with process noise: simulations mean nothing.
     orders : tuple of OrderTried
         Empty if the order was given.
     """
@@ -49,6 +51,7 @@ class Found:
     choices: tuple[Choice, ...]
     layout: Layout
     orders: tuple[OrderTried, ...] = ()
+    by_prediction: bool = False
 
 
 def own_delays(part: Usable, settings: Settings) -> Settings:

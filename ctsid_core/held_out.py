@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ctsid_core.closed_loop import by_prediction
 from ctsid_core.found import Found, own_delays
 from ctsid_core.joint import Joint
 from ctsid_core.order import Search
-from ctsid_core.prediction_errors import unseen
+from ctsid_core.prediction_errors import unseen, unseen_predicted_fit
 from ctsid_core.selection import likeliest_simulation, most_likely
-from ctsid_core.signals import Array
+from ctsid_core.settings import Settings
+from ctsid_core.signals import Array, Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +54,21 @@ def held_out(part: Joint, found: Found) -> HeldOut:
         return HeldOut(unknown, unknown)
     own = own_delays(part.parts[0], found.settings)
     first, last = part.divided(own, found.layout)
-    pair = Search(first, own).pair(own.order)
+    search = Search(first, own)
+    pair = search.pair(own.order)
     if pair is None:
         return HeldOut(unknown, unknown)
+    if found.by_prediction:
+        model = most_likely(first, pair, own)[0]
+        early = _first_part(part.parts[0].record, own)
+        told = by_prediction(early, search, model)
+        return HeldOut(unseen_predicted_fit(last, model if told is None else told), unknown)
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
     return HeldOut(*unseen(last, model, trimmed=not part.many))
+
+
+def _first_part(record: Record, settings: Settings) -> Record:
+    split = record.end - settings.held_out * record.duration
+    return record.between(record.start, split, lead=max(settings.delays(record.nu), default=0.0))

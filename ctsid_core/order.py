@@ -112,6 +112,11 @@ class Search:
         """Length of the record, or of one of its parts [s]."""
         return self.projection.length
 
+    @property
+    def resolution(self) -> float:
+        """Growth that the window cannot tell from none [rad/s]."""
+        return 1.0 / self._length
+
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
         top, settings = max(float(np.abs(p.s[-1])) for p in self.projection.records), self.settings
@@ -163,7 +168,7 @@ class Search:
             kept = {pasts[0], pasts[len(pasts) // 2]} if pasts else set()
             tunings = [t for t in tunings if t.past in kept]
         found = self.candidates(n, tunings)
-        return best_pair(found, 1.0 / self._length) if found else None
+        return best_pair(found, self.resolution) if found else None
 
     def price(self, n: int) -> float:
         """Return what Schwarz's criterion charges for an innovation form of order n."""

@@ -17,7 +17,7 @@ from ctsid_core.found import Found
 from ctsid_core.held_out import HeldOut
 from ctsid_core.joint import Joint
 from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty
-from ctsid_core.prediction_errors import line_fit, prediction_errors
+from ctsid_core.prediction_errors import line_fit, predicted_fit, prediction_errors
 from ctsid_core.sameness import Differing, likeliest_difference
 from ctsid_core.signals import Array
 from ctsid_core.statespace import StateSpace
@@ -92,7 +92,8 @@ def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.comp
         fixed_inputs=tuple(j for j in range(whole.nu) if j not in last.u),
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
-        fit=everywhere(line_fit(projection, m)), held_out=everywhere(tested.fit),
+        fit=everywhere((predicted_fit if found.by_prediction else line_fit)(projection, m)),
+        held_out=everywhere(tested.fit),
         poles=poles, deviation=deviation, resolution=resolution, change='',
         process_noise=found.process_noise,
         numbers=replace(

@@ -323,6 +323,50 @@ def unseen(projection: Projection, m: Matrices, *,
     return _nrmse(error, _beyond(y / unit, [*modes, *levels])), density
 
 
+def predicted_fit(projection: Projection, m: Matrices) -> Array:
+    """
+    Return by how much the inputs make predictions of each output better [%].
+
+    Parameters
+    ----------
+    projection : Projection
+    m : Matrices
+        With its K.
+
+    Notes
+    -----
+    100 (1 - |E| / |E if inputs do nothing|). For an unstable plant with process noise: a
+    simulation of it means nothing.
+    """
+    error, blind = _with_and_without(projection, m)
+    return _nrmse(error, blind)
+
+
+def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
+    """
+    Return the same in data that the model has not seen.
+
+    What the unknown state at the ends of the data can explain counts for neither.
+    """
+    m = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
+    closed = resolvent(m.A - m.K @ m.C, projection.s)
+    error, blind = _with_and_without(projection, m)
+    unit = np.maximum(np.linalg.norm(blind, axis=1, keepdims=True), 1e-300)
+    modes = []
+    for tail in projection.tail:
+        for state in np.eye(len(m.A)):
+            response = real_times(m.C, closed.states(state[:, np.newaxis] * tail))
+            modes.append((as_real(response) / unit).ravel())
+    return _nrmse(_beyond(error / unit, modes), _beyond(blind / unit, modes))
+
+
+def _with_and_without(projection: Projection, m: Matrices) -> tuple[Array, Array]:
+    """Return the prediction errors of a model, and of the same without effect of inputs."""
+    silent = replace(m, B=np.zeros_like(m.B), D=np.zeros_like(m.D))
+    return (as_real(prediction_errors(projection, m)),
+            as_real(prediction_errors(projection, silent)))
+
+
 def _beyond(y: Array, rows: list[Array]) -> Array:
     """Return what a least-squares fit of rows, each over all outputs, leaves of the outputs."""
     if not rows:

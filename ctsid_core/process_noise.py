@@ -122,8 +122,9 @@ def _shares(shapes: Array, power: Array, lengths: list[int]) -> Array:
     return np.asarray(found / scale)
 
 
-def driven(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
-    """Return the model with the B, D, trim and tail that are best at its A, C and K."""
+def driven(projection: Projection, m: Matrices, feedthrough: bool, *,
+           ends_only: bool = False) -> Matrices:
+    """Return the model with the B, D, trim and tail (or tail) that are best at all else."""
     n, ny = len(m.A), len(m.C)
     prediction = predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s))
     error = as_real(prediction.error)
@@ -133,6 +134,11 @@ def driven(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
     linear = np.ones(len(rows), dtype=bool)
     C = n * n + n * (m.B.shape[1] + m.tail.shape[1] + m.x_trim.shape[1])
     linear[:n * n], linear[C:C + ny * n] = False, False
+    if ends_only:
+        tail = np.zeros((n, (C - n * n) // n), dtype=bool)
+        tail[:, m.B.shape[1]:m.B.shape[1] + m.tail.shape[1]] = True
+        linear[:] = False
+        linear[n * n:C] = tail.ravel()
     step = np.zeros(len(rows))
     whitened = (error / size[:, np.newaxis]).reshape(1, -1)
     step[linear] = least_norm(rows[linear], whitened, 1e-9)[0]

@@ -41,9 +41,9 @@ LEVELS = {
         ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
         ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
         ['deviation', 'leftover', 'judgement'], ['examination', 'joint'],
-        ['sameness'],
-        ['order'], ['found', 'selection'], ['held_out', 'dead_time'], ['outcome', 'time_identify'],
-        ['estimation', 'advice'], ['lateness'],
+        ['mode_sensitivity', 'sameness'], ['time_prediction'],
+        ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
+        ['outcome', 'time_identify'], ['estimation', 'advice'], ['lateness'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
