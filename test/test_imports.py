@@ -78,7 +78,7 @@ USERS = {
     'yaml': ['ctsid_ros.config_file', 'ctsid_ros.bag*'],
     'zstandard': ['ctsid_ros.bag*'],
     'numpy': ['ctsid_core*', 'ctsid_ros*'],
-    'scipy': ['ctsid_core*', 'ctsid_ros.examples.*'],
+    'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*'],
 }
 
 
