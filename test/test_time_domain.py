@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from plants import PLANTS, running
+from plants import PLANTS, asynchronous, running
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -17,6 +17,7 @@ from ctsid_core.simulation import respond
 from ctsid_core.time_estimate import in_bursts
 from ctsid_core.time_refine import poles_in_time, refine_in_time
 from ctsid_core.time_responses import derivatives, outputs, responses, stamps_of
+from ctsid_core.time_search import search_in_time
 
 TRUTH = np.array([-2.0, -4.0, -0.3 + 6.3j, -0.3 - 6.3j])
 A = np.zeros((4, 4))
@@ -161,6 +162,17 @@ def test_bursty_outputs_with_nothing_set():
     assert 'bursts' in ' '.join(c.why for c in estimate.choices)
     again = identify(bursty(1))
     np.testing.assert_array_equal(estimate.model.A, again.model.A)
+
+
+def test_lightly_damped_modes_are_found_from_nothing():
+    """Three pairs from a grid; that of 9 Hz is seldom found in interpolated samples."""
+    p = PLANTS['flexible']
+    record = asynchronous(np.random.default_rng(0), p, 100.0, 60.0, snr=20.0)
+    found = search_in_time(record, (0.0, 0.0), Settings(max_order=7))
+    poles, deviation = poles_in_time(found.fit)
+    assert len(poles) == 6, found.table
+    off = np.abs(p.poles[:, np.newaxis] - poles)
+    np.testing.assert_array_less(off.min(axis=1), 4.0 * deviation[off.argmin(axis=1)])
 
 
 def test_bursts_of_noise_are_not_explained():
