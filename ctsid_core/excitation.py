@@ -10,6 +10,8 @@ it, line by line; the sum over lines of that ratio is what the data say about th
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real, real_times
@@ -124,9 +126,16 @@ def tapered(record: Record, highest: float) -> tuple[Array, Lines]:
     count = max(_FEWEST, 3 * lines)
     times = record.start + record.duration * (np.arange(count) + 0.5) / count
     u = np.hstack([_values(signal, times) for signal in record.inputs]).T
-    u = (u - u.mean(axis=1, keepdims=True)) * np.kaiser(count, _TAPER)
+    u = (u - u.mean(axis=1, keepdims=True)) * _taper(count)
     omega = np.asarray(step * np.arange(lines), dtype=np.float64)
     return omega, np.fft.rfft(u, axis=1)[:, :lines]
+
+
+@lru_cache(maxsize=16)
+def _taper(count: int) -> Array:
+    taper = np.kaiser(count, _TAPER)
+    taper.flags.writeable = False  # it is shared
+    return taper
 
 
 def _breadth(u: Lines) -> float:

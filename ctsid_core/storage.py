@@ -180,7 +180,7 @@ def _named(estimates: Sequence[Estimate], ny: int) -> list[str]:
 def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
     orders = [e.model.n if e.model else 0 for e in estimates]
     ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
-    head = ['start_ns', 'end_ns', 'status', 'verdict', 'reason', 'order']
+    head = ['start_ns', 'end_ns', 'status', 'verdict', 'order']
     for k in range(1, max(orders, default=0) + 1):
         head += [f'pole{k}_re [rad/s]', f'pole{k}_im [rad/s]', f'pole{k}_std [rad/s]',
                  f'pole{k}_natural_frequency [rad/s]', f'pole{k}_natural_frequency_std [rad/s]',
@@ -199,7 +199,7 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
 
 def _csv_row(estimate: Estimate, order: int, ny: int, more: Sequence[float]) -> list[object]:
     row: list[object] = [estimate.start_ns, estimate.end_ns, estimate.status.name,
-                         estimate.verdict.grade.name, estimate.verdict.reason,
+                         estimate.verdict.grade.name,
                          estimate.model.n if estimate.model else '']
     cells: list[float] = []
     if estimate.model:

@@ -12,6 +12,7 @@ import pytest
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.settings import Settings
 from ctsid_core.tracking import Tracked
+from ctsid_core.verdict import UNJUDGED, Grade, Verdict
 from ctsid_ros.examples.acceptance import Limits, objection
 from ctsid_ros.examples.lqr import Weights, compute_gains
 from ctsid_ros.examples.quadrotor_roll import Plant
@@ -21,7 +22,9 @@ TRUTH = Plant().true_model()
 LIMITS = Limits(('torque',), ('rate',))
 GOOD = Estimate(status=Status.OK, settings=Settings(), model=TRUTH,
                 pole_std=0.01 * abs(TRUTH.poles), fit=np.array([97.0]),
-                held_out_fit=np.array([95.0]), start_ns=100 * S, end_ns=108 * S)
+                held_out_fit=np.array([95.0]),
+                verdict=Verdict(grade=Grade.GOOD, reason='Every test is passed.'),
+                start_ns=100 * S, end_ns=108 * S)
 FRESH = np.array([93.0])
 
 
@@ -33,7 +36,8 @@ def test_good_model_meets_no_objection():
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
-    ({'status': Status.GAPS, 'model': None}, 'no model: Too much of the window lies in gaps'),
+    ({'status': Status.GAPS, 'model': None}, 'REJECT: Too much of the window lies in gaps'),
+    ({'verdict': replace(UNJUDGED, reason='A reason.')}, 'WEAK: A reason'),
     ({'status': Status.OK, 'model': replace(TRUTH, input_names=('other',))},
      'from other to rate; wanted is from torque to rate'),
     ({'end_ns': 80 * S, 'start_ns': 72 * S}, 'ended 29.0 s ago'),
@@ -102,7 +106,9 @@ def test_node_tunes_by_good_models_and_keeps_the_gains_through_bad_ones(live):
     assert tuned.give(encoded(GOOD)).startswith('Window 7: Accepted: disc margin 1.7')
     live.wait(lambda: tuned.controllers, 'a controller')
     for bad, words in (
-            (encoded(replace(GOOD, status=Status.NO_EXCITATION, model=None)), 'no model'),
+            (encoded(replace(GOOD, status=Status.NO_EXCITATION, model=None)),
+             'REJECT: No input moves'),
+            (encoded(replace(GOOD, verdict=UNJUDGED)), 'WEAK: Nobody has judged'),
             (encoded(GOOD, fresh=10.0), 'did the plant change?'),
             (encoded(replace(GOOD, pole_std=0.03 * abs(TRUTH.poles))), 'disc margin of 0.00'),
             (String(data='nonsense'), 'not a model')):

@@ -117,13 +117,13 @@ def test_a_rejected_window_says_so_and_leaves_the_matrices(live):
     estimates = node.wait_models(8)
     assert estimates[0].ok
     assert not estimates[-1].ok
-    status = estimates[-1].status
-    said = node.wait_health('identification', lambda h: h.message.startswith(status.name),
+    reason = estimates[-1].verdict.reason
+    said = node.wait_health('identification', lambda h: reason in h.message,
                             'the rejection')
     assert said.level == Level.ERROR
-    assert status.value in said.message
-    assert status.value in node.log
-    accepted = node.accepted()
+    assert said.message.startswith('REJECT: ')
+    assert 'REJECT: ' in node.log
+    accepted = [e for e in node.accepted() if e.good]
     assert len(node.matrices['a']) == len(accepted)
     np.testing.assert_array_equal(decode_matrix(node.matrices['a'][-1]), accepted[-1].model.A)
 

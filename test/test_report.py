@@ -20,6 +20,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
 from ctsid_core.tracking import Tracked
 from ctsid_core.validation import Validation
+from ctsid_core.verdict import Excitation, Grade, Verdict
 from ctsid_ros.document import Bullets, Figure, Section, to_html, to_markdown, to_text
 from ctsid_ros.figures import (
     bode_figures,
@@ -43,12 +44,16 @@ from ctsid_ros.svg import Axes, Curve, draw, linear_ticks, log_ticks
 from ctsid_ros.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.tracks import Mode, Track, match, modes, tracks
 
+GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.',
+               excitation=(Excitation('torque', 0.1, 30.0, 12.0, 1.0, 0.01),),
+               missing=np.array([0.003]), next_ratio=np.array([1.2]))
+
 
 def estimate(model: StateSpace | None = TRUTH, std: float = 0.1, start: float = 0.0,
              **more) -> Estimate:
     given = {'status': Status.OK, 'settings': Settings(), 'model': model,
              'pole_std': np.full(model.n if model else 0, std), 'fit': np.array([95.0]),
-             'held_out_fit': np.array([93.0]), 'start_ns': round(start * 1e9),
+             'held_out_fit': np.array([93.0]), 'verdict': GOOD, 'start_ns': round(start * 1e9),
              'end_ns': round((start + 5) * 1e9)}
     return Estimate(**(given | more))
 
@@ -341,8 +346,9 @@ def test_windows_are_told_with_what_became_of_them():
     results = [Result(Tracked(estimate(start=2.0)), np.array([91.0])),
                Result(Tracked(gaps), np.array([math.nan]))]
     lines = to_text([window_section(results, 0)]).splitlines()
-    assert lines[3].split() == ['1', '2.0', '7.0', '2', '95.0', '91.0', '-1.50', '±', '3.00j']
-    assert lines[4].split() == ['2', '3.0', '8.0', '-', '-', '-', 'none:', 'GAPS']
+    assert lines[3].split() == ['1', '2.0', '7.0', 'GOOD', '2', '95.0', '91.0', '-1.50', '±',
+                                '3.00j']
+    assert lines[4].split() == ['2', '3.0', '8.0', 'REJECT', '-', '-', '-', 'none:', 'GAPS']
     many = to_text([window_section([results[0]] * 300, 0)])
     assert '40 of 300 windows are shown' in many
 
@@ -351,7 +357,9 @@ def test_a_rejected_model_is_shown_as_such():
     rejected = estimate(None, status=Status.UNEXPLAINED, rejected_model=TRUTH,
                         pole_std=np.full(2, 0.3), fit=np.array([12.0]))
     text = to_text([model_section(rejected, 'Model')])
-    assert 'NOT ACCEPTED. No linear model explains' in text
+    assert 'REJECT. No linear model explains' in text
+    assert 'NOT ACCEPTED (UNEXPLAINED)' in text
+    assert 'response known to [%]' in text
     assert '-1.500 ± 3.000j' in text
     assert '12.0' in text
     text = to_text([model_section(estimate(None, status=Status.TOO_SHORT), 'Model')])

@@ -327,6 +327,7 @@ def test_csv_series(tmp_path):
     with open(path, encoding='utf-8', newline='') as stream:
         rows = list(csv.DictReader(stream))
     assert [row['status'] for row in rows] == ['OK', 'GAPS', 'OK', 'TOO_SHORT']
+    assert [row['verdict'] for row in rows] == ['WEAK', 'REJECT', 'WEAK', 'REJECT']
     assert [row['order'] for row in rows] == ['3', '', '2', '']
     assert int(rows[0]['start_ns']) == series()[0].start_ns
     first = series()[2].model
@@ -344,7 +345,7 @@ def test_csv_series(tmp_path):
     assert rows[0]['fit_y1 [%]'] == '99.9'
     assert rows[0]['held_out_fit_y1 [%]'] == ''
     save_series(tmp_path / 'none.csv', [])
-    assert Path(tmp_path / 'none.csv').read_text() == 'start_ns,end_ns,status,order\n'
+    assert Path(tmp_path / 'none.csv').read_text() == 'start_ns,end_ns,status,verdict,order\n'
 
 
 def test_csv_names_outputs_even_with_commas(tmp_path):
