@@ -188,6 +188,8 @@ def _with_dead_time(part: Usable, found: _Found, settings: Settings) -> tuple[Us
     if rough is None or not _likelier(hunt, rough, found):
         return part, found
     known = _known(part, settings, rough.delays).replace(feedthrough=rough.direct)
+    if not found.process_noise:         # else some states may stand for that
+        known = known.replace(order=len(rough.poles))
     shorter = usable(part.whole, known)
     if isinstance(shorter, Status):
         return part, found
