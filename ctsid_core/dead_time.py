@@ -139,6 +139,12 @@ class DeadTimeSearch:
         unclear = self._at(first).fit(first.poles).residual > _UNCLEAR
         looked = [self._climbed(fit, self._late, _GLANCE, first.criterion)
                   for fits in (without, with_direct)[:1 + first.direct] for fit in fits.values()]
+        more = self._search.trial(n0 + 1) if alone else None
+        if more is not None:
+            higher = self._rated(more.refined, self._known, np.zeros_like(self._late),
+                                 self._search.settings.feedthrough)
+            if higher.criterion < first.criterion - MARGIN:     # the order is not enough
+                looked += self._from_above(without[n0], n0)
         if not unclear and min(fit.criterion for fit in looked) > first.criterion:
             return None
         lower = {} if alone else {n: self._still(n, alone, poles, False)
@@ -150,6 +156,12 @@ class DeadTimeSearch:
         margin = MARGIN if alone or found.parameters < first.parameters else _COSTLY * MARGIN
         gain = first.criterion - found.criterion
         return replace(found, gain=gain) if gain > margin else None
+
+    def _from_above(self, still: LateFit, n0: int) -> list[LateFit]:
+        """Return climbs of a given order from the poles of higher ones."""
+        trials = [self._search.trial(n) for n in range(n0 + 1, n0 + 1 + _ORDERS)]
+        return [self._climbed(replace(still, poles=_slowest(trial.refined.poles, n0)), self._late)
+                for trial in trials if trial is not None]
 
     def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> LateFit:
         """Return the best fit of an order without dead time."""
@@ -212,11 +224,14 @@ class DeadTimeSearch:
                   looked: list[LateFit]) -> LateFit:
         """Return the best fit of all orders and starts."""
         best, spare = min(looked, key=_criterion), 0
+        last = best
         for n in sorted(without, reverse=True):
             starts = [fit for fit in looked if len(fit.poles) == n]
             starts += [replace(fits[n], delays=best.delays, late=best.late)
                        for fits in (without, with_direct)[:1 + best.direct] if n in fits]
-            found = min((self._climbed(start, self._late, rival=best.criterion)
+            if len(last.poles) > n:
+                starts.append(replace(last, poles=_slowest(last.poles, n)))
+            last = found = min((self._climbed(start, self._late, rival=best.criterion)
                          for start in starts), key=_criterion)
             spare = 0 if found.criterion < best.criterion else spare + 1
             best = min(best, found, key=_criterion)
@@ -275,6 +290,20 @@ class DeadTimeSearch:
         delays = np.array(fit.delays)
         delays[j] = self._known[j]
         return self._climbed(replace(fit, delays=delays), others)
+
+
+def _slowest(poles: _Poles, n: int) -> _Poles:
+    """Return the n slowest poles; of a pair that is too many by one, a real pole of its size."""
+    kept = list(poles[np.argsort(np.abs(poles), kind='stable')])
+    while len(kept) > n:
+        fastest = kept[-1]
+        if fastest.imag == 0.0:
+            kept.pop()
+        elif len(kept) == n + 1:
+            kept[-2:] = [complex(-abs(fastest))]
+        else:
+            del kept[-2:]
+    return np.array(kept, dtype=complex)
 
 
 def _criterion(fit: LateFit) -> float:
