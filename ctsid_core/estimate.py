@@ -65,7 +65,8 @@ class Estimate:
         Standard deviation of each pole [rad/s], in the order of `model.poles`: the square root
         of the expected squared distance |estimate - truth| in the complex plane; NaN if unknown.
     fit : ndarray, shape (ny,)
-        Simulation fit (NRMSE) of each output on the window itself [%].
+        Simulation fit (NRMSE) of each output on the window itself [%]. Of an unstable plant with
+        process noise: by how much its inputs make one-step predictions better (`predicted_fit`).
     held_out_fit : ndarray, shape (ny,)
         How much of each output the inputs explain on a part of the window that was kept from a
         second model (`unseen_fit`) [%]; NaN if none was kept.

@@ -35,6 +35,7 @@ _VAGUE = 0.5            # standard deviation over size above which a pole is not
 _ROUNDS = 2             # of removing corrupt samples by the model found without them
 _LITTLE = 1.1           # errors' power over that without outliers that changes no choice
 _EXPLAINED = 30.0       # fit [%] below which an output counts as not explained
+_FORETOLD = 10.0        # the same where predictions are judged: by chance it is 1
 
 
 def identify(record: Record, settings: Settings | None = None) -> Estimate:
@@ -252,7 +253,7 @@ def _judge(part: Usable, found: _Found) -> Estimate:
     worst = np.fmin(fit, held_out)
     corrupt, counts = part.corrupt()
     notes = [f'output {part.whole.output_names[j]} is not explained: fit {worst[i]:.0f} %'
-             for i, j in enumerate(part.y) if worst[i] < _EXPLAINED]
+             for i, j in enumerate(part.y) if worst[i] < _enough(found)]
     if status is Status.CHANGED:
         notes.append(f'the likeliest time of the change is {change.share * 100:.0f} % of the '
                      f'window, {change.share * part.record.duration:.2g} s after its start')
@@ -274,7 +275,12 @@ def _status(found: _Found, fit: Array, held_out: Array) -> Status:
         return Status.UNRELIABLE
     tested = held_out[np.isfinite(held_out)]
     best = min(np.max(fit), np.max(tested)) if len(tested) else np.max(fit)
-    return Status.OK if best >= _EXPLAINED else Status.UNEXPLAINED
+    return Status.OK if best >= _enough(found) else Status.UNEXPLAINED
+
+
+def _enough(found: _Found) -> float:
+    """Return the fit above which an output counts as explained [%]."""
+    return _FORETOLD if found.by_prediction else _EXPLAINED
 
 
 def _vague(part: Usable, poles: NDArray[np.complex128], deviation: Array) -> bool:
