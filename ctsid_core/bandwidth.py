@@ -3,8 +3,8 @@
 How many Hermite functions a window needs: its time-bandwidth product.
 
 The span of h_0 .. h_nmax is (nearly) the disc of radius R = sqrt(2 nmax + 1) in the
-time-frequency plane: a window of half-length tau reaches R^2 / tau rad/s, at its centre. Twice
-that product keeps the band over most of the window.
+time-frequency plane: a window of half-length tau reaches R^2 / tau rad/s, at its centre. Two and
+a half times that product keeps the band over nearly all of the window.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from ctsid_core.bases.quadrature import smooth_values
 from ctsid_core.signals import Array, Record, Signal
 
-_REACH = 2.0            # times tau omega / 2
+_REACH = 2.5            # times tau omega / 2
 _NYQUIST = 0.8          # part of the slowest signal's Nyquist frequency that is used
 _LEAST, _MOST = 200, 1500
 _MOST_PARTS = 10        # of a long record

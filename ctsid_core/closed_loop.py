@@ -72,7 +72,7 @@ def by_prediction(record: Record, search: Search, found: Matrices) -> Matrices |
 def _unstable(search: Search, n: int, found: Matrices) -> bool:
     """Return whether there are models at all with a pole that grows within the window."""
     poles = [np.linalg.eigvals(found.A)]
-    poles += [c.poles for c in search.candidates(n, search.tunings(n))]
+    poles += [c.poles for c in search.candidates(n, search.some_tunings(n))]
     return any(np.max(p.real) > search.resolution for p in poles)
 
 
@@ -90,7 +90,7 @@ def _price(samples: Samples, model: StateSpace) -> float:
 
 def _likeliest(record: Record, search: Search, samples: Samples, order: int,
                found: Matrices) -> tuple[Predictor, float] | None:
-    starts = [c.matrices for c in search.candidates(order, search.tunings(order))]
+    starts = [c.matrices for c in search.candidates(order, search.some_tunings(order))]
     if len(found.A) == order:
         starts.append(found)
     delay = search.settings.delays(record.nu)

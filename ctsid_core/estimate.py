@@ -138,7 +138,8 @@ class Estimate:
         Of the entries of the model, or of the rejected one if there is no other; None if unknown.
         Further properties of the estimate follow from it.
     fit : ndarray, shape (ny,)
-        Simulation fit (NRMSE) of each output on the window itself [%].
+        Simulation fit (NRMSE) of each output on the window itself [%]. Of an unstable plant with
+        process noise: by how much its inputs make one-step predictions better (`predicted_fit`).
     held_out_fit : ndarray, shape (ny,)
         How much of each output the inputs explain on a part of the window that was kept from a
         second model (`unseen_fit`) [%]; NaN if none was kept.

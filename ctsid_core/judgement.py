@@ -21,6 +21,7 @@ from ctsid_core.stuck import Stuck
 from ctsid_core.verdict import Grade, Verdict
 
 EXPLAINED = 30.0        # fit [%] below which an output counts as not explained
+FORETOLD = 10.0         # the same where predictions are judged: by chance it is 1
 _DEAD = 10.0            # fit [%] below which nothing of an output is
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _UNKNOWN = 0.05         # the same of the response to an input
@@ -61,6 +62,8 @@ class Evidence:
     change : str
         What to do about a change of the plant; empty if there was none.
     process_noise : bool
+    enough : float
+        Fit above which an output counts as explained [%].
     numbers : Verdict
         With the numbers that have a place in it.
     """
@@ -78,6 +81,7 @@ class Evidence:
     change: str
     process_noise: bool
     numbers: Verdict
+    enough: float = EXPLAINED
 
     @property
     def worst(self) -> Array:
@@ -121,17 +125,17 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
 def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
     tested = e.held_out[np.isfinite(e.held_out)]
     best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
-    if best < EXPLAINED:
+    if best < e.enough:
         own, shown = float(np.nanmax(e.fit)), max(float(best), -999.0)
         what = f'The model fits its own data ({own:.0f} %), but not the part of the window that ' \
-            f'was held out ({shown:.0f} %)' if own >= EXPLAINED else \
+            f'was held out ({shown:.0f} %)' if own >= e.enough else \
             f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} ' \
             f'(the best fit is {shown:.0f} %)'
         yield Status.UNEXPLAINED, (
             f'{what}; check that these are the right signals, that nothing else drives the plant '
             'and that it is linear over the window, or take a longer window with more excitation.')
     # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
-    erring = (e.fit < EXPLAINED) | (e.numbers.next_ratio > _NEXT)
+    erring = (e.fit < e.enough) | (e.numbers.next_ratio > _NEXT)
     dead = np.flatnonzero((e.worst < _DEAD) & erring)
     if len(dead):
         least = int(dead[np.argmin(e.worst[dead])])
@@ -143,7 +147,7 @@ def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
 
 def _weaknesses(e: Evidence) -> Iterator[str]:
     yield from _of_inputs(e)
-    for i in np.flatnonzero(e.worst < EXPLAINED):
+    for i in np.flatnonzero(e.worst < e.enough):
         yield (f'Output {e.output_names[i]} is hardly explained, fit {e.worst[i]:.0f} %; check '
                'its sensor, reduce its noise, or leave it out.')
     numbers, names = e.numbers, e.output_names

@@ -56,6 +56,8 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     if rough is None or not _likelier(hunt, rough, found):
         return part, found
     known = _known(part, settings, rough.delays).replace(feedthrough=rough.direct)
+    if not found.process_noise:         # else some states may stand for that
+        known = known.replace(order=len(rough.poles))
     shorter = join_records(records, known)
     if isinstance(shorter, Estimate):
         return part, found

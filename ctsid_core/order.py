@@ -128,6 +128,13 @@ class Search:
         return [Tuning(b, settings.gamma or _GAMMA * b, p, settings.future or p)
                 for b in shifts for p in pasts]
 
+    def some_tunings(self, n: int) -> list[Tuning]:
+        """Return a part of the grid: two values of p."""
+        tunings = self.tunings(n)
+        pasts = sorted({t.past for t in tunings})
+        kept = {pasts[0], pasts[len(pasts) // 2]} if pasts else set()
+        return [t for t in tunings if t.past in kept]
+
     def _pasts(self, n: int) -> tuple[int, ...]:
         needed = n // len(self.projection.y) + 2
         return _PASTS if needed <= _PASTS[-1] else (needed, needed + 4)
@@ -162,12 +169,7 @@ class Search:
         thorough : bool
             Try the whole grid, not a part of it.
         """
-        tunings = self.tunings(n)
-        if not thorough:
-            pasts = sorted({t.past for t in tunings})
-            kept = {pasts[0], pasts[len(pasts) // 2]} if pasts else set()
-            tunings = [t for t in tunings if t.past in kept]
-        found = self.candidates(n, tunings)
+        found = self.candidates(n, self.tunings(n) if thorough else self.some_tunings(n))
         return best_pair(found, self.resolution) if found else None
 
     def price(self, n: int) -> float:

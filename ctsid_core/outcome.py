@@ -16,7 +16,7 @@ from ctsid_core.examination import examine
 from ctsid_core.found import Found
 from ctsid_core.held_out import HeldOut
 from ctsid_core.joint import Joint
-from ctsid_core.judgement import EXPLAINED, Evidence, judge, pole_uncertainty
+from ctsid_core.judgement import EXPLAINED, FORETOLD, Evidence, judge, pole_uncertainty
 from ctsid_core.prediction_errors import line_fit, predicted_fit, prediction_errors
 from ctsid_core.sameness import Differing, likeliest_difference
 from ctsid_core.signals import Array
@@ -73,7 +73,7 @@ def _remarks(part: Joint, evidence: Evidence) -> list[str]:
     """Return a sentence on each output that is not explained."""
     names, worst = evidence.output_names, evidence.worst
     return [f'output {names[j]} is not explained: fit {worst[j]:.0f} %'
-            for j in part.parts[0].y if worst[j] < EXPLAINED]
+            for j in part.parts[0].y if worst[j] < evidence.enough]
 
 
 def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.complex128],
@@ -96,6 +96,7 @@ def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.comp
         held_out=everywhere(tested.fit),
         poles=poles, deviation=deviation, resolution=resolution, change='',
         process_noise=found.process_noise,
+        enough=FORETOLD if found.by_prediction else EXPLAINED,
         numbers=replace(
             numbers, missing=everywhere(numbers.missing),
             missing_p_value=everywhere(numbers.missing_p_value),

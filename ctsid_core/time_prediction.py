@@ -113,28 +113,30 @@ def continuous_gain(model: StateSpace, L: Array, step: float) -> Array:
 def prediction_cost(samples: Samples, p: Predictor) -> float:
     """Return -2 log likelihood, up to a constant; infinite if the predictor is unstable."""
     found = _filtered(samples, p)
-    if found is None:
-        return np.inf
-    e = found[0]
-    sign, value = np.linalg.slogdet(e.T @ e / len(e))
-    return float(len(e) * value) if sign > 0 and np.isfinite(value) else np.inf
+    return np.inf if found is None else _cost(found[0])
 
 
-def settled(samples: Samples, p: Predictor) -> Predictor:
-    """Return the predictor with the state to begin with that suits the samples best."""
+def settled(samples: Samples, p: Predictor) -> tuple[Predictor, float]:
+    """Return the predictor with the state to begin with that suits the samples best, and cost."""
     found = _filtered(samples, p)
     if found is None:
-        return p
+        return p, np.inf
     n, e = p.model.n, found[0]
     closed = expm(p.model.A * samples.step) - p.L @ p.model.C
     moved = _follow(closed, np.zeros((len(e) - 1, n, n)), np.eye(n))
     if moved is None:
-        return p
-    # The errors of the second half, where what the predictor began with is forgotten.
+        return p, np.inf
+    # Weighted by the errors of the second half, where what it began with is forgotten.
     size = np.sqrt(np.mean(e[len(e) // 2:] ** 2, axis=0)) + 1e-300
-    rows = (np.einsum('oi,kip->kop', p.model.C, moved) / size[:, np.newaxis]).reshape(-1, n)
+    effect = np.einsum('oi,kip->kop', p.model.C, moved)
+    rows = (effect / size[:, np.newaxis]).reshape(-1, n)
     step = np.linalg.lstsq(rows, (e / size).ravel(), rcond=_RANK)[0]
-    return replace(p, start=p.start + step)
+    return replace(p, start=p.start + step), _cost(e - effect @ step)
+
+
+def _cost(e: Array) -> float:
+    sign, value = np.linalg.slogdet(e.T @ e / len(e))
+    return float(len(e) * value) if sign > 0 and np.isfinite(value) else np.inf
 
 
 def refine_in_time(samples: Samples, p: Predictor, *, feedthrough: bool, trim: bool,
@@ -333,8 +335,7 @@ def likeliest(samples: Samples, starts: Sequence[StateSpace], *, feedthrough: bo
         -2 log likelihood. None if there is no admissible start.
     """
     made = [settled(samples, predictor(model, samples.step)) for model in starts]
-    costs = np.array([prediction_cost(samples, p) for p in made])
-    best = [i for i in np.argsort(costs, kind='stable')[:few] if np.isfinite(costs[i])]
-    found = [refine_in_time(samples, made[i], feedthrough=feedthrough, trim=trim, steps=steps)
-             for i in best]
+    best = sorted((pair for pair in made if np.isfinite(pair[1])), key=lambda pair: pair[1])
+    found = [refine_in_time(samples, p, feedthrough=feedthrough, trim=trim, steps=steps)
+             for p, _ in best[:few]]
     return min(found, key=lambda pair: pair[1]) if found else None

@@ -65,7 +65,8 @@ def lines(found: Summary, q: float) -> list[tuple[str, ...]]:
         cells = found.rmse[i], least[i]
         rows.append((f'{q:g}', pole, f'{found.bias[i]:.3g}', f'{found.std[i]:.3g}',
                      f'{found.bias[i] / found.std[i]:.2f}', *(f'{x:.3g}' for x in cells),
-                     f'{found.rmse[i] / least[i]:.2f}', f'{found.deviation[i] / found.rmse[i]:.2f}',
+                     f'{found.rmse[i] / least[i]:.2f}',
+                     f'{found.deviation[i] / found.rmse[i]:.2f}',
                      f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %'))
     return rows
 

@@ -6,7 +6,7 @@ The quadrotor of [HD] 5.2 (10 s, 500 Hz, input low-passed at 8 Hz) and a flexibl
 6th order (modes at 2, 5 and 9 Hz; 2 inputs low-passed at 15 Hz, 3 outputs; 10 s, 200 Hz), both
 running since long before the window. Noise per output. The bound is of the raw samples (unknown
 beside the poles are the other entries of the model with D, the state at the first sample, trim,
-and noise levels), its mean square over the first ten runs; RMSE is that of the runs with the
+and noise levels), its mean square over the first forty runs; RMSE is that of the runs with the
 right order.
 """
 
@@ -49,7 +49,7 @@ def one(seed: int, name: str, snr: float) -> Outcome:
     return outcome(experiment(seed, name, snr))
 
 
-def bound(name: str, snr: float, count: int = 10) -> Array:
+def bound(name: str, snr: float, count: int = 40) -> Array:
     """Return the bound of each pole, its mean square over some runs."""
     squares = []
     for seed in range(count):
@@ -64,7 +64,8 @@ def lines(found: Summary, name: str, snr: float) -> list[tuple[str, ...]]:
     for pole, i in of_poles(experiment(0, name, snr).model):
         cells = found.bias[i], found.std[i], found.rmse[i], least[i]
         rows.append((name, f'{snr} dB', pole, *(f'{x:.3g}' for x in cells),
-                     f'{found.rmse[i] / least[i]:.2f}', f'{found.deviation[i] / found.rmse[i]:.2f}',
+                     f'{found.rmse[i] / least[i]:.2f}',
+                     f'{found.deviation[i] / found.rmse[i]:.2f}',
                      f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %'))
     return rows
 
