@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# make demo | demo-live | test | test-all | lint | bench | bags | clean
+# make demo | demo-live | test | test-all | lint | bench | study-table1 | bags | clean
 # Everything happens in $(VENV); PYTHON= chooses the interpreter that makes it (3.11 or later).
 
 # On a sourced ROS 2 the environment is another one, which sees ROS and the NumPy it was built for.
@@ -11,7 +11,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
 PYTHON ?=
 PACKAGING := setup.py setup.cfg pyproject.toml
 
-.PHONY: demo demo-live test test-all lint bench bags clean
+.PHONY: demo demo-live test test-all lint bench study-table1 bags clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.installed
@@ -31,6 +31,9 @@ test-all: $(VENV)/.installed-test $(VENV)/.tried-ros
 lint: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+study-table1: $(VENV)/.installed
+	$(PY) -m ctsid_ros.studies.table1
 
 bench: $(VENV)/.installed-bench $(VENV)/.tried-ros
 	$(PY) benchmarks/floor.py

@@ -106,12 +106,15 @@ def to_statespace(m: Matrices, delay: tuple[float, ...]) -> StateSpace:
                       y_trim=m.y_trim[:, 0] if m.y_trim.size else np.zeros(ny))
 
 
-def to_matrices(projection: Projection, p: Predictor, step: float, *, trim: bool) -> Matrices:
-    """Return a predictor's model in the projected domain, with the tail that goes with it."""
-    model = p.model
+def to_matrices(projection: Projection, p: Predictor, step: float, *,
+                trim: bool) -> Matrices | None:
+    """Return a predictor's model in the projected domain, with its tail; None if it has none."""
+    model, K = p.model, continuous_gain(p.model, p.L, step)
+    if not np.isfinite(K).all():
+        return None
     ones = len(projection.ones) * trim
     m = Matrices(
-        A=model.A, B=model.B, C=model.C, D=model.D, K=continuous_gain(model, p.L, step),
+        A=model.A, B=model.B, C=model.C, D=model.D, K=K,
         tail=np.zeros((model.n, len(projection.tail))),
         x_trim=np.repeat(model.x_trim[:, np.newaxis], ones, axis=1),
         y_trim=np.repeat(model.y_trim[:, np.newaxis], ones, axis=1))

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from ctsid_core.errors import DataError
 from ctsid_core.matrix_functions import Modes, modes, phi
@@ -112,16 +113,43 @@ def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Sequenc
 
 
 def _follow(step: ComplexArray, drive: ComplexArray, grows: NDArray[np.bool_]) -> ComplexArray:
-    """Return z of z+ = step z + drive, or backwards z = step z+ + drive, from rest (K + 1, ...)."""
+    """Return z (K + 1, ...) of z+ = step z + drive, backwards of z = step z+ + drive."""
     count, m, width = drive.shape
     found = np.empty((count + 1, m, width), dtype=complex)
+    uniform = not np.ptp(step, axis=0).any()
     for chosen, order in ((~grows, slice(None)), (grows, slice(None, None, -1))):
-        if chosen.any():
-            flat = drive[order, chosen].reshape(count, -1)
+        if not chosen.any():
+            continue
+        part, start = drive[order, chosen], np.zeros((chosen.sum(), width), dtype=complex)
+        if uniform:
+            found[order, chosen] = steady_recursion(step[0, chosen], part, start)
+        else:
             decay = np.repeat(step[order, chosen], width, axis=1)
-            path = recursion(decay, flat, np.zeros(flat.shape[1], dtype=complex))
+            path = recursion(decay, part.reshape(count, -1), start.ravel())
             found[order, chosen] = path.reshape(count + 1, -1, width)
     return found
+
+
+def steady_recursion(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray:
+    """
+    Return z of z_(k+1) = a z_k + g_k, of the same factor at each step.
+
+    Parameters
+    ----------
+    a : ndarray, shape (m,)
+    g : ndarray, shape (K, m, P)
+    z0 : ndarray, shape (m, P)
+
+    Returns
+    -------
+    ndarray, shape (K + 1, m, P)
+    """
+    z = np.empty((len(g) + 1, *z0.shape), dtype=complex)
+    z[0] = z0
+    for i, factor in enumerate(a):
+        z[1:, i], _ = lfilter([1.0], [1.0, -factor], g[:, i], axis=0,
+                              zi=factor * z0[np.newaxis, i])
+    return z
 
 
 def rest_state(model: StateSpace, x0: Array, inputs: Sequence[Signal], times: Array) -> Array:
@@ -177,8 +205,8 @@ def output_sensitivities(model: StateSpace, rest: Array, inputs: Sequence[Signal
     y : ndarray, shape (M, ny)
     columns : ndarray, shape (M, ny, parameters)
         By the n real numbers that the poles are (of a pair: real part, imaginary part; in the
-        order of `modes(model.A)`), then by the entries of `rest`, [B x_trim], C, [D y_trim]. B and C
-        share n directions, that change the states' units only.
+        order of `modes(model.A)`), then by the entries of `rest`, [B x_trim], C, [D y_trim]. B
+        and C share n directions, that change the states' units only.
     split : int
         Where D begins: the columns from there on.
 

@@ -27,9 +27,13 @@ import numpy as np
 from scipy.linalg import expm
 
 from ctsid_core.matrix_functions import Modes, modes
-from ctsid_core.mode_sensitivity import Array, ComplexArray, output_sensitivities
+from ctsid_core.mode_sensitivity import (
+    Array,
+    ComplexArray,
+    output_sensitivities,
+    steady_recursion,
+)
 from ctsid_core.signals import Record, Signal
-from ctsid_core.simulation import recursion
 from ctsid_core.statespace import StateSpace
 
 _UNEVEN = 0.02        # of an interval between outputs: more and the gain is not constant
@@ -102,9 +106,11 @@ def predictor(model: StateSpace, step: float) -> Predictor:
 
 
 def continuous_gain(model: StateSpace, L: Array, step: float) -> Array:
-    """Return the K of which `predictor` makes L, by fixed-point iteration."""
+    """Return the K of which `predictor` makes L, by fixed-point iteration; NaN if it fails."""
     K = L / step
     for _ in range(30):
+        if not np.isfinite(K).all():
+            return np.full_like(L, np.nan)
         held = predictor(replace(model, K=K), step).L
         K = K + (L - held) / step
     return K
@@ -204,11 +210,9 @@ def _follow(closed: Array, drive: Array, start: Array) -> Array | None:
     if not np.linalg.cond(vectors) < _CONDITION:
         return None
     inverse = np.linalg.inv(vectors)
-    count, n, width = drive.shape
-    flat = (inverse @ drive).reshape(count, n * width)
-    decay = np.broadcast_to(np.repeat(values, width).astype(complex), flat.shape)
-    path = recursion(decay, flat.astype(complex), (inverse @ start).ravel().astype(complex))
-    found: Array = (vectors @ path.reshape(count + 1, n, width)).real
+    path = steady_recursion(values.astype(complex), (inverse @ drive).astype(complex),
+                            (inverse @ start).astype(complex))
+    found: Array = (vectors @ path).real
     return found
 
 
