@@ -79,7 +79,7 @@ def _unstable(search: Search, n: int, found: Matrices) -> bool:
 def _affordable(samples: Samples, n: int) -> bool:
     ny, nu = samples.y.shape[1], sum(signal.width for signal in samples.inputs)
     parameters = n * (3 + nu + 2 * ny) + ny * (nu + 1)
-    return len(samples.times) * ny * parameters ** 2 < _LARGEST
+    return bool(len(samples.times) * ny * parameters ** 2 < _LARGEST)
 
 
 def _price(samples: Samples, model: StateSpace) -> float:

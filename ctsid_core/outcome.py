@@ -49,7 +49,8 @@ def conclude(part: Joint, found: Found, tested: HeldOut) -> Estimate:
     differing = likeliest_difference(
         found.projection, found.matrices, found.settings, found.layout) \
         if steady and np.isfinite(found.matrices.A).all() else Differing()
-    change, last = differing.change, ()
+    change = differing.change
+    last: tuple[str, ...] = ()
     if change.matters:
         reason, note = _changed(part, differing)
         status, verdict = judge(replace(evidence, change=reason))

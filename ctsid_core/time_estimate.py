@@ -21,6 +21,7 @@ from ctsid_core.bases.quadrature import (
     smooth_values,
     spline_degree,
 )
+from ctsid_core.estimate import OrderTried
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record, Signal
@@ -46,7 +47,7 @@ class Told:
     Parameters
     ----------
     fit : InTime
-    table : str
+    table : tuple of OrderTried
         The criterion by order, if the order was chosen.
     simulated, unseen : ndarray, shape (ny,)
         Fit of the simulation, and how much of the last part of the record the inputs explain to a
@@ -54,7 +55,7 @@ class Told:
     """
 
     fit: InTime
-    table: str
+    table: tuple[OrderTried, ...]
     simulated: Array
     unseen: Array
 
@@ -169,7 +170,7 @@ def tell(record: Record, delay: tuple[float, ...], settings: Settings,
     found = search_in_time(record, delay, settings)
     if found is not None:
         return Told(found.fit, found.table, *_fits(record, delay, settings, found.fit))
-    return None if start is None else _from(record, delay, settings, start, '')
+    return None if start is None else _from(record, delay, settings, start, ())
 
 
 def again(record: Record, delay: tuple[float, ...], settings: Settings, told: Told) -> Told | None:
@@ -178,7 +179,7 @@ def again(record: Record, delay: tuple[float, ...], settings: Settings, told: To
 
 
 def _from(record: Record, delay: tuple[float, ...], settings: Settings, start: Matrices,
-          table: str) -> Told | None:
+          table: tuple[OrderTried, ...]) -> Told | None:
     fit = refine_in_time(record, start, delay, feedthrough=settings.feedthrough,
                          limit=1.0 / record.duration)
     return None if fit is None else Told(fit, table, *_fits(record, delay, settings, fit))

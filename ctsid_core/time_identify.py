@@ -128,7 +128,7 @@ def _judged(part: Usable, told: Told, settings: Settings, why: str,
         status=status, settings=settings.replace(order=model.n), model=model if ok else None,
         rejected_model=None if ok else model, pole_std=deviation, covariance=covariance,
         verdict=verdict, fit=evidence.fit, held_out_fit=evidence.held_out,
-        choices=_choices(told, model.n, why),
+        choices=_choices(told, model.n, why), orders=told.table,
         notes=(*(n.replace(': bridged by straight lines', '') for n in part.notes), *corrupt,
                *notes),
         statistics={**counts, 'process_noise': 0.0})
@@ -137,8 +137,9 @@ def _judged(part: Usable, told: Told, settings: Settings, why: str,
 def _choices(told: Told, order: int, why: str) -> tuple[Choice, ...]:
     choices = [Choice('domain', 'time', f'{why}; the model was made from the samples themselves')]
     if told.table:
+        table = ', '.join(f'{one.order}: {one.criterion:.0f}' for one in told.table)
         choices.append(Choice('order', order, "Schwarz's criterion, above its smallest value, "
-                              f'by order: {told.table}'))
+                              f'by order: {table}'))
     return (*choices, Choice('noise', 'measurement', 'the only kind that is looked for in samples '
                              'that cannot be interpolated'))
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.base import Array, Lines
+from ctsid_core.estimate import OrderTried
 from ctsid_core.pbsid import Matrices
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record
@@ -43,12 +44,12 @@ class Searched:
     Parameters
     ----------
     fit : InTime
-    table : str
+    table : tuple of OrderTried
         Schwarz's criterion above its smallest value, by order.
     """
 
     fit: InTime
-    table: str
+    table: tuple[OrderTried, ...]
 
 
 def search_in_time(record: Record, delay: tuple[float, ...],
@@ -87,8 +88,8 @@ def search_in_time(record: Record, delay: tuple[float, ...],
         if not settings.order and (n >= chosen or _clean(stamps, best[chosen][0])):
             break
     chosen = settings.order or chosen
-    table = ', '.join(f'{k}: {criterion[k] - criterion[chosen]:.0f}' for k in sorted(criterion)
-                      if not settings.order)
+    table = tuple(OrderTried(k, criterion[k] - criterion[chosen], float('nan'))
+                  for k in sorted(criterion) if not settings.order)
     if chosen not in criterion:
         return None
     found = climb_in_time(stamps, best[chosen][0], feed, limit=1.0 / stamps.since[-1])
