@@ -232,16 +232,25 @@ class DeadTimeSearch:
             if len(last.poles) > n:
                 starts.append(replace(last, poles=_slowest(last.poles, n)))
             last = found = min((self._climbed(start, self._late, rival=best.criterion)
-                         for start in starts), key=_criterion)
+                                for start in starts), key=_criterion)
             spare = 0 if found.criterion < best.criterion else spare + 1
             best = min(best, found, key=_criterion)
             if spare > _ORDERS:
                 break
-        others = self._from_grid(without[len(best.poles)])
-        if not best.direct and self._search.settings.feedthrough:
-            others.append(replace(best, direct=True))
-        return min((best, *(self._climbed(fit, fit.late, rival=best.criterion)
-                            for fit in others)), key=_criterion)
+        for start in self._from_grid(without[len(best.poles)]):
+            best = min(best, self._climbed(start, start.late, rival=best.criterion),
+                       key=_criterion)
+        return best if best.direct else self._with_direct(best)
+
+    def _with_direct(self, fit: LateFit) -> LateFit:
+        """Return a fit with D free if that is clearly better, of the same order or one less."""
+        if not self._search.settings.feedthrough:
+            return fit
+        n = len(fit.poles)
+        found = min((self._climbed(replace(fit, direct=True, poles=_slowest(fit.poles, m)),
+                                   fit.late, rival=fit.criterion)
+                     for m in range(max(n - 1, 1), n + 1)), key=_criterion)
+        return found if found.criterion < fit.criterion - MARGIN else fit
 
     def _from_grid(self, still: LateFit) -> list[LateFit]:
         """Return the two likeliest of several starts with these poles, after two steps each."""

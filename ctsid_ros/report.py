@@ -341,8 +341,8 @@ def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> I
     if (model.poles.real > 0).any():
         yield ('The model is unstable: right for a plant that a controller holds upright; else '
                'lower `max_order` or take a longer interval.')
-    if not any(model.delay) and model.n > 1 and not isinstance(settings.delay, str):
-        yield ('If commands act late, set the `delay` of the input to auto or to the dead time; '
-               'the model otherwise spends states on it.')
+    if not any(model.delay) and model.n > 1:
+        yield ('No dead time was given or found; if commands act late all the same, set the '
+               '`delay` of the input: the model otherwise spends states on it.')
     if complaints:
         yield 'Mend what the notes on the data say, or choose an interval without it.'
