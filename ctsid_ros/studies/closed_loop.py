@@ -46,7 +46,7 @@ def one(seed: int, q: float) -> Outcome:
     return outcome(flown(seed, q), Settings(feedthrough=False))
 
 
-def bound(q: float, references: int = 10, noises: int = 10) -> Array:
+def bound(q: float, references: int = 10, noises: int = 5) -> Array:
     """Return the bound of each pole: the mean square of those of some references."""
     squares = []
     for seed in range(references):
