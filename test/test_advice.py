@@ -2,15 +2,16 @@
 """Advice against truth: experiments as advised, and what they really make of the deviations."""
 
 import numpy as np
-from plants import PLANTS, Multisine, _stationary, held_response, match
+from plants import PLANTS, Multisine, _stationary, match
 import pytest
+from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.advice import advise
 from ctsid_core.errors import DataError
 
 LENGTH = 10.0
-FAST = 2 * np.pi * np.array([1.5, 6.0])  # rad/s: the band of the first experiment
+FAST = 2 * np.pi * np.array([1.0, 5.0])  # rad/s: the band of the first experiment
 
 
 def excitation(seed: int, band, t: np.ndarray) -> np.ndarray:
@@ -22,15 +23,22 @@ def excitation(seed: int, band, t: np.ndarray) -> np.ndarray:
 
 
 def experiment(seed: int, parts, *, name: str, gusts: float, noise: float) -> Record:
-    """Return a record of parts (size, band) of 10 s each, input held at 100 Hz, output 200 Hz."""
+    """
+    Return a record of parts (size, band) of 10 s each, output at 200 Hz.
+
+    The input is held at 1 kHz, so that its steps leave no kinks in the output worth mentioning.
+    """
     p, rng = PLANTS[name], np.random.default_rng(1000 + seed)
-    lead = 400  # samples: so that it does not begin at rest
-    rows = [size * excitation(17 * seed + i, band, np.arange(1000) / 100)
+    lead = 4000  # samples: so that it does not begin at rest
+    rows = [size * excitation(17 * seed + i, band, np.arange(10000) / 1000)
             for i, (size, band) in enumerate(parts)]
     u = np.concatenate((rows[0][-lead:], *rows))
-    t_u = (np.arange(len(u)) - lead) / 100
-    t_y = np.arange(200 * LENGTH * len(parts) + 1) / 200
-    y = held_response(p, t_u, u, t_y)
+    t_u = (np.arange(len(u)) - lead) / 1000
+    step = expm(np.block([[p.A, p.B], [np.zeros((1, len(p.A) + 1))]]) / 1000)[:-1]
+    x = np.zeros((len(u), len(p.A)))
+    for k in range(len(u) - 1):
+        x[k + 1] = step[:, :-1] @ x[k] + step[:, -1] * u[k, 0]
+    t_y, y = t_u[lead::5], x[lead::5] @ p.C.T
     y = y + _stationary(rng, p.A, gusts ** 2 * p.B @ p.B.T + 1e-12 * np.eye(len(p.A)), 1 / 200,
                         len(t_y)) @ p.C.T
     y += noise * rng.standard_normal(y.shape)
@@ -38,7 +46,7 @@ def experiment(seed: int, parts, *, name: str, gusts: float, noise: float) -> Re
     return Record.from_arrays(t_u[kept], u[kept], t_y, y, input_hold='zoh')
 
 
-CASES = {'measurement noise': {'name': 'hd51', 'gusts': 0.0, 'noise': 0.05},
+CASES = {'measurement noise': {'name': 'hd51', 'gusts': 0.0, 'noise': 0.01},
          'process noise': {'name': 'shaken', 'gusts': 0.02, 'noise': 0.01}}
 
 
@@ -90,17 +98,30 @@ def test_a_forecast_of_nothing_new_is_the_deviation_itself():
     assert all(b.ratio == pytest.approx(1.0, abs=1e-4) for p in little.poles for b in p.bands)
 
 
+@pytest.mark.parametrize('case', CASES.values(), ids=CASES)
+def test_more_of_the_same_is_as_good_as_longer(case):
+    """Excited in one band only, further excitation of that band doubles the information."""
+    band = 2.8, 5.0
+    for _ in range(3):  # the edges depend on the model found a little
+        record = experiment(3, [(1.0, band)], **case)
+        one = advise(identify(record, settings(case)), record).poles[0]
+        near = min(one.bands, key=lambda b: abs(np.log(b.low * b.high / (band[0] * band[1]))))
+        band = near.low, near.high
+    assert near.share > 0.7
+    assert near.ratio == pytest.approx(np.sqrt(0.5), rel=0.12)
+
+
 def test_what_is_enough_gives_what_is_wanted():
     case = CASES['measurement noise']
     record = experiment(0, [(1.0, FAST)], **case)
     estimate = identify(record, settings(case))
-    one = advise(estimate, record, wanted=0.05).poles[0]
+    one = advise(estimate, record, wanted=0.01).poles[0]
     assert one.std > one.wanted
     assert one.larger == pytest.approx(one.std / one.wanted, rel=0.02)  # noise of measurement
-    again = advise(estimate, record, wanted=0.05, seconds=one.enough).poles[0]
+    again = advise(estimate, record, wanted=0.01, seconds=one.enough).poles[0]
     best = next(b for b in again.bands if b.low == one.bands[0].low)
     assert best.ratio * one.std == pytest.approx(one.wanted, rel=0.02)
-    words = advise(estimate, record, wanted=0.05).sentences
+    words = advise(estimate, record, wanted=0.01).sentences
     assert f'Pole {one.pole.real:.3g}' in words[0]
     assert 'would divide it by' in words[0]
     assert 'nothing is missing' in advise(estimate, record, wanted=0.9).sentences[0]
@@ -135,7 +156,7 @@ def test_numbers_and_channels_have_to_fit():
 
 @pytest.mark.parametrize(('case', 'seeds'), [
     pytest.param(CASES['measurement noise'], 25, id='few'),
-    *(pytest.param(case, 150, id=name, marks=pytest.mark.slow) for name, case in CASES.items())])
+    *(pytest.param(case, 80, id=name, marks=pytest.mark.slow) for name, case in CASES.items())])
 def test_deviations_fall_as_foretold(case, seeds):
     """What is foretold of further excitation in a band, and of more amplitude, is what comes."""
     pole, band, ratio, larger = foretold(case, 10)
