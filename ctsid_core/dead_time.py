@@ -223,8 +223,7 @@ class DeadTimeSearch:
     def _thorough(self, without: dict[int, LateFit], with_direct: dict[int, LateFit],
                   looked: list[LateFit]) -> LateFit:
         """Return the best fit of all orders and starts."""
-        best, spare = min(looked, key=_criterion), 0
-        last = best
+        best = last = min(looked, key=_criterion)
         for n in sorted(without, reverse=True):
             starts = [fit for fit in looked if len(fit.poles) == n]
             starts += [replace(fits[n], delays=best.delays, late=best.late)
@@ -233,9 +232,8 @@ class DeadTimeSearch:
                 starts.append(replace(last, poles=_slowest(last.poles, n)))
             last = found = min((self._climbed(start, self._late, rival=best.criterion)
                                 for start in starts), key=_criterion)
-            spare = 0 if found.criterion < best.criterion else spare + 1
             best = min(best, found, key=_criterion)
-            if spare > _ORDERS:
+            if len(best.poles) - n >= _ORDERS:
                 break
         for start in self._from_grid(without[len(best.poles)]):
             best = min(best, self._climbed(start, start.late, rival=best.criterion),
