@@ -36,7 +36,7 @@ LEVELS = {
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable'], ['window_ends'],
         ['pole_fit', 'prediction_errors'], ['levenberg_marquardt'],
         ['refine'], ['steadiness', 'process_noise'], ['deviation'],
-        ['order', 'advice'], ['selection'],
+        ['order', 'forecast'], ['selection', 'advice'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
