@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 
-from ctsid_core.advice import Advice, Band, PoleAdvice
+from ctsid_core.advice import Advice, PoleAdvice
+from ctsid_core.forecast import Band
 from ctsid_ros.document import Bullets, Section
 from ctsid_ros.tables import Table, number, pole_text
 

@@ -43,7 +43,7 @@ LEVELS = {
         ['deviation', 'leftover', 'judgement'], ['examination', 'joint'],
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
-        ['outcome', 'time_identify'], ['estimation', 'advice'], ['lateness'],
+        ['outcome', 'time_identify'], ['estimation', 'forecast'], ['lateness', 'advice'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
