@@ -132,6 +132,8 @@ class Pair:
         Whether the second is to be believed.
     tried : int
         How many candidates there were.
+    lenient : bool
+        Whether process noise is believed even where simulations lose much by it.
     """
 
     simulating: Candidate
@@ -139,6 +141,7 @@ class Pair:
     limit: float
     process_noise: bool
     tried: int
+    lenient: bool = True
 
     @property
     def best(self) -> Candidate:
@@ -175,7 +178,7 @@ class Pair:
         poles = np.linalg.eigvals(m.A).astype(complex)
         allowed = _COLOURED * len(poles)
         loss = plain.fit(poles).cost - simulated.cost
-        if loss < allowed or loss > _PAID * gain:
+        if not self.lenient or loss < allowed or loss > _PAID * gain:
             return loss < min(gain, allowed)
         p = plain.projection
         size = 1.0 / np.sqrt(np.mean(noise_power(p, m), axis=0))
@@ -184,6 +187,10 @@ class Pair:
         best = min(weighted.fit(start, _STEPS, self.limit).cost
                    for start in (poles, simulated.poles))
         return weighted.fit(poles).cost - best < allowed
+
+    def doubts(self, m: Matrices) -> bool:
+        """Return whether process noise is believed for want of a better explanation only."""
+        return not replace(self, lenient=False).believes(m, np.inf, self.refined)
 
     @cached_property
     def refined(self) -> OutputErrorFit:
@@ -210,7 +217,7 @@ class Pair:
                                good=free.cost + fewer + _CHANCE * np.sqrt(2.0 * fewer))
 
 
-def best_pair(found: Sequence[Candidate], limit: float) -> Pair:
+def best_pair(found: Sequence[Candidate], limit: float, *, lenient: bool = True) -> Pair:
     """
     Return the best of the candidates of one order.
 
@@ -220,10 +227,12 @@ def best_pair(found: Sequence[Candidate], limit: float) -> Pair:
         Not empty.
     limit : float
         Largest real part of a pole that counts as stable [rad/s].
+    lenient : bool
+        See `Pair`.
     """
     if len(found) == 1:
         limit = limit if found[0].growth <= limit else np.inf
-        return Pair(found[0], found[0], limit, process_noise=True, tried=1)
+        return Pair(found[0], found[0], limit, process_noise=True, tried=1, lenient=lenient)
     stable = [c for c in found if c.growth <= limit]
     first = min(found, key=_by_simulation)
     if stable and first.growth > limit:
@@ -236,7 +245,7 @@ def best_pair(found: Sequence[Candidate], limit: float) -> Pair:
     else:
         group = stable
     second = min(group, key=_by_innovation)
-    both = Pair(first, second, limit, process_noise=False, tried=len(found))
+    both = Pair(first, second, limit, process_noise=False, tried=len(found), lenient=lenient)
     return replace(both, process_noise=both.believes(
         second.matrices, first.simulated.cost - second.innovation, first.simulated))
 

@@ -28,7 +28,7 @@ _LITTLE = 1.1           # errors' power over that without outliers that changes 
 
 
 def estimate(part: Joint, settings: Settings, first: int,
-              layout: Layout | None = None) -> Found | None:
+             layout: Layout | None = None, *, lenient: bool = True) -> Found | None:
     """
     Return the model of records, or None if they are too short for any.
 
@@ -38,7 +38,7 @@ def estimate(part: Joint, settings: Settings, first: int,
     if layout is None:
         layout, why = part.layout(settings)
         choices += [Choice('hermite.nmax', max(layout.sizes)[0], why)] if why else []
-    found = _estimate_on(layout, part, settings, list(choices), first)
+    found = _estimate_on(layout, part, settings, list(choices), first, lenient)
     for _ in range(_REWEIGHTED * part.several):
         if found is None:
             break
@@ -47,16 +47,16 @@ def estimate(part: Joint, settings: Settings, first: int,
             break
         weighted = ', '.join(f'{w:.2g}' for w in better.weights)
         found = _estimate_on(better, part, settings, [*choices, Choice(
-            'weights', weighted, 'the noise of the records differs')], first)
+            'weights', weighted, 'the noise of the records differs')], first, lenient)
     return found
 
 
 def _estimate_on(layout: Layout, part: Joint, settings: Settings,
-                 choices: list[Choice], first: int) -> Found | None:
+                 choices: list[Choice], first: int, lenient: bool) -> Found | None:
     nmax, parts = max(layout.sizes)
     own = own_delays(part.parts[0], settings.replace(parts=parts))
     projection = part.project(own, layout)
-    search = Search(projection, own)
+    search = Search(projection, own, lenient=lenient)
     chosen = None if settings.order else _best_order(search, choices, first)
     pair = chosen.trial.pair if chosen else search.pair(settings.order) if settings.order else None
     if pair is None:
@@ -86,7 +86,8 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
     return Found(used, projection, search, matrices, pair.best, process_noise, tuple(choices),
-                 layout, chosen.tried if chosen else (), told is not None)
+                 layout, chosen.tried if chosen else (), told is not None,
+                 told is None and process_noise and pair.doubts(matrices))
 
 
 def without_outliers(part: Joint, found: Found,
@@ -131,6 +132,25 @@ def _best_order(search: Search, choices: list[Choice], first: int) -> Chosen | N
     choices.append(Choice('order', chosen.trial.order, "Schwarz's criterion, above its smallest "
                           f'value, by order: {table}'))
     return chosen
+
+
+def undoubted(part: Joint, found: Found, settings: Settings, first: int) -> Found:
+    """
+    Return the model without process noise, if there is doubt about that and next data are for it.
+
+    Strong gusts make simulations with the right poles worse than those with others, and so do
+    dynamics that K has taken up instead of the plant. Data held out tell the two apart: gusts
+    that some poles happened to explain do not come again.
+    """
+    if not found.doubtful:
+        return found
+    tested = held_out(part, found)
+    other = estimate(part, settings, first, found.layout, lenient=False) \
+        if np.isfinite(tested.fit).all() else None
+    if other is None or not held_out(part, other).left < _BETTER * tested.left:
+        return found
+    before = [c for c in found.choices if c.name in ('hermite.nmax', 'weights')]
+    return replace(other, choices=(*before, *other.choices))
 
 
 def confirmed(part: Joint, found: Found, settings: Settings) -> tuple[Found, HeldOut]:

@@ -38,6 +38,8 @@ class Found:
         How the records were projected.
     by_prediction : bool
         Whether the plant is unstable, with process noise: simulations mean nothing.
+    doubtful : bool
+        Whether process noise is believed for want of a better explanation only.
     orders : tuple of OrderTried
         Empty if the order was given.
     """
@@ -52,6 +54,7 @@ class Found:
     layout: Layout
     orders: tuple[OrderTried, ...] = ()
     by_prediction: bool = False
+    doubtful: bool = False
 
 
 def own_delays(part: Usable, settings: Settings) -> Settings:

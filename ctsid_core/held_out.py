@@ -54,7 +54,7 @@ def held_out(part: Joint, found: Found) -> HeldOut:
         return HeldOut(unknown, unknown)
     own = own_delays(part.parts[0], found.settings)
     first, last = part.divided(own, found.layout)
-    search = Search(first, own)
+    search = Search(first, own, lenient=found.search.lenient)
     pair = search.pair(own.order)
     if pair is None:
         return HeldOut(unknown, unknown)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.estimate import Estimate, Status
-from ctsid_core.estimation import confirmed, estimate, without_outliers
+from ctsid_core.estimation import confirmed, estimate, undoubted, without_outliers
 from ctsid_core.joint import check_alike, join_records
 from ctsid_core.lateness import with_dead_time
 from ctsid_core.order import FIRST
@@ -93,6 +93,7 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
         part, found = without_outliers(part, found, known)
+        found = undoubted(part, found, known, first)
         part, found = with_dead_time(records, part, found, settings)
         return undistorted(part, found) or conclude(part, *confirmed(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it

@@ -93,11 +93,15 @@ class Search:
     projection : Projection
     settings : Settings
         Values other than 0 of order, beta, gamma, past and future are kept as they are.
+    lenient : bool
+        See `Pair`.
     """
 
-    def __init__(self, projection: Projection, settings: Settings) -> None:
+    def __init__(self, projection: Projection, settings: Settings, *,
+                 lenient: bool = True) -> None:
         self.projection = projection
         self.settings = settings
+        self.lenient = lenient
         self._subspace = lru_cache(maxsize=None)(self._regress)
         self._levels = lru_cache(maxsize=None)(self._stack)
         self.trial = lru_cache(maxsize=None)(self._trial)
@@ -170,7 +174,7 @@ class Search:
             Try the whole grid, not a part of it.
         """
         found = self.candidates(n, self.tunings(n) if thorough else self.some_tunings(n))
-        return best_pair(found, self.resolution) if found else None
+        return best_pair(found, self.resolution, lenient=self.lenient) if found else None
 
     def price(self, n: int) -> float:
         """Return what Schwarz's criterion charges for an innovation form of order n."""
