@@ -73,7 +73,7 @@ def _unstable(search: Search, n: int, found: Matrices) -> bool:
     """Return whether there are models at all with a pole that grows within the window."""
     poles = [np.linalg.eigvals(found.A)]
     poles += [c.poles for c in search.candidates(n, search.some_tunings(n))]
-    return any(float(np.max(p.real)) > search.resolution for p in poles)
+    return bool(max(float(np.max(p.real)) for p in poles) > search.resolution)
 
 
 def _affordable(samples: Samples, n: int) -> bool:

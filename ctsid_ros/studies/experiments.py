@@ -61,8 +61,10 @@ def quadrotor() -> StateSpace:
         [[0.0], [0.0], [0.0], [-10.1647]])
 
 
-def _model(*matrices: list[list[float]]) -> StateSpace:
-    return StateSpace(*(np.array(m) for m in matrices))
+def _model(A: list[list[float]], B: list[list[float]], C: list[list[float]],
+           D: list[list[float]] | None = None) -> StateSpace:
+    feed = np.zeros((len(C), len(B[0]))) if D is None else np.array(D)
+    return StateSpace(np.array(A), np.array(B), np.array(C), feed)
 
 
 def flexible(damping: float) -> StateSpace:
