@@ -73,13 +73,14 @@ def _unstable(search: Search, n: int, found: Matrices) -> bool:
     """Return whether there are models at all with a pole that grows within the window."""
     poles = [np.linalg.eigvals(found.A)]
     poles += [c.poles for c in search.candidates(n, search.some_tunings(n))]
-    return any(np.max(p.real) > search.resolution for p in poles)
+    fastest = max(float(np.max(p.real)) for p in poles)
+    return fastest > search.resolution
 
 
 def _affordable(samples: Samples, n: int) -> bool:
     ny, nu = samples.y.shape[1], sum(signal.width for signal in samples.inputs)
     parameters = n * (3 + nu + 2 * ny) + ny * (nu + 1)
-    return bool(len(samples.times) * ny * parameters ** 2 < _LARGEST)
+    return bool(samples.y.size * parameters ** 2 < _LARGEST)
 
 
 def _price(samples: Samples, model: StateSpace) -> float:

@@ -54,11 +54,17 @@ class Run:
 
 def quadrotor() -> StateSpace:
     """Return the longitudinal motion of a quadrotor, poles -5 and -1 +- i ([HD] 5.2)."""
-    return StateSpace(
-        np.array([[-0.2588, 0.2115, -9.5751], [0.7629, -6.7412, -10.4169], [0.0, 1.0, 0.0]]),
-        np.array([[-10.1647], [450.71], [0.0]]),
-        np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-0.1068, 0.1192, 0.0]]),
-        np.array([[0.0], [0.0], [0.0], [-10.1647]]))
+    return _model(
+        [[-0.2588, 0.2115, -9.5751], [0.7629, -6.7412, -10.4169], [0.0, 1.0, 0.0]],
+        [[-10.1647], [450.71], [0.0]],
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-0.1068, 0.1192, 0.0]],
+        [[0.0], [0.0], [0.0], [-10.1647]])
+
+
+def _model(A: list[list[float]], B: list[list[float]], C: list[list[float]],
+           D: list[list[float]] | None = None) -> StateSpace:
+    feed = np.zeros((len(C), len(B[0]))) if D is None else np.array(D)
+    return StateSpace(np.array(A), np.array(B), np.array(C), feed)
 
 
 def flexible(damping: float) -> StateSpace:
@@ -74,8 +80,7 @@ def flexible(damping: float) -> StateSpace:
 
 def unstable() -> StateSpace:
     """Return x'' = -x' + 6 x + u, poles 2 and -3."""
-    return StateSpace(np.array([[0.0, 1.0], [6.0, -1.0]]), np.array([[0.0], [1.0]]),
-                      np.array([[1.0, 0.0]]))
+    return _model([[0.0, 1.0], [6.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 
 def from_rest(seed: int, snr: float, count: int = 2001, eta: int = 250) -> Run:
