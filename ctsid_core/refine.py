@@ -38,6 +38,7 @@ from ctsid_core.resolvent import resolvent
 
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _DAMPING = 1e-5       # of an innovation form's first step, relative
+_ON_LINE = 1e-9       # stands for s - p on a line that a pole lies on [rad/s]
 _WORK = 1e9           # multiplications of one step beyond which models are not refined
 
 
@@ -87,10 +88,16 @@ def _shape(pole: complex, s: Lines, part: int) -> Lines:
     r1 and r2 belong to the residue r1 - i r2 at p: Re r / ((s-p)(s-p*)) in partial fractions.
     """
     if pole.imag == 0.0:
-        return 1.0 / (s - pole.real)
-    first, second = 1.0 / (s - pole), 1.0 / (s - pole.conjugate())
+        return _inverse(s - pole.real)
+    first, second = _inverse(s - pole), _inverse(s - pole.conjugate())
     shape: Lines = first + second if part == 0 else -1j * (first - second)
     return shape
+
+
+def _inverse(distance: Lines) -> Lines:
+    """Return 1 / (s - p), finite even on a line that the pole lies on."""
+    found: Lines = 1.0 / np.where(distance == 0.0, complex(_ON_LINE), distance)
+    return found
 
 
 def _modal(rows: list[tuple[complex, NDArray[np.complex128], NDArray[np.complex128]]],
