@@ -96,8 +96,8 @@ def _shape(pole: complex, s: Lines, part: int) -> Lines:
 
 def _inverse(distance: Lines) -> Lines:
     """Return 1 / (s - p), finite even on a line that the pole lies on."""
-    found: Lines = 1.0 / np.where(distance == 0.0, complex(_ON_LINE), distance)
-    return found
+    safe = np.where(distance == 0.0, complex(_ON_LINE), distance)
+    return np.asarray(1.0 / safe, dtype=np.complex128)
 
 
 def _modal(rows: list[tuple[complex, NDArray[np.complex128], NDArray[np.complex128]]],
