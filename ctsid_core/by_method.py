@@ -51,8 +51,7 @@ def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
     settings : Settings
         `refine` does not count, nor do dead times that are to be found: they are 0.
     """
-    auto = any(part.parts[0].whole.nu and settings.unknown_delays(part.parts[0].whole.nu))
-    if auto:
+    if any(settings.unknown_delays(part.parts[0].whole.nu)):
         part = replace(part, remarks=(
             *part.remarks, f'{settings.method} does not look for dead times: those not given '
             'count as 0'))
