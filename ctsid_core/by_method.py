@@ -55,6 +55,9 @@ def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
         part = replace(part, remarks=(
             *part.remarks, f'{settings.method} does not look for dead times: those not given '
             'count as 0'))
+    part = replace(part, remarks=(
+        *part.remarks, 'deviations are the least that the data allow with such a model; a '
+        'subspace estimate scatters more'))
     settings = settings.with_known_delays().replace(refine=False)
     layout, why = part.layout(settings)
     own = own_delays(part.parts[0], settings)
