@@ -134,6 +134,18 @@ def test_several_inputs_and_outputs_with_trim(method):
 
 
 @BOTH
+def test_axes_alike_are_not_taken_for_one(method):
+    """Roll and pitch alike: one pair of poles fits both, but no model of order 2 does."""
+    A, Z = np.array([[-1.0, 4.0], [-4.0, -1.0]]), np.zeros((2, 2))
+    p = plants.plant(np.block([[A, Z], [Z, A]]), [[0, 0], [1, 0], [0, 0], [0, 1]],
+                     [[1, 0, 0, 0], [0, 0, 1, 0]])
+    record = plants.running(np.random.default_rng(1), p, 30.0, rate=200.0)
+    estimate = identify(record, Settings(method=method, delay=0.0, max_order=6))
+    assert any_model(estimate).n == 4
+    assert pole_error(any_model(estimate), p.poles) < 0.05
+
+
+@BOTH
 def test_several_records(method):
     p = plants.PLANTS['hd52']
     records = [plants.running(np.random.default_rng(k), p, 40.0, duration=6.0) for k in (9, 10)]
