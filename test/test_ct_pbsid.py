@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import plants
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from ctsid_core import Record, Settings, Status, identify
 from ctsid_core.ct_pbsid import instants, laguerre_levels, to_continuous
@@ -30,7 +31,9 @@ def any_model(estimate) -> StateSpace:
 
 
 def pole_error(model: StateSpace, truth) -> float:
-    return float(np.abs(np.sort_complex(model.poles) - np.sort_complex(truth)).max())
+    truth = np.asarray(truth, dtype=complex)
+    rows, columns = linear_sum_assignment(np.abs(truth[:, np.newaxis] - model.poles))
+    return float(np.abs(truth[rows] - model.poles[columns]).max())
 
 
 def response_error(model: StateSpace, p: plants.Plant) -> float:
