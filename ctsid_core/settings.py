@@ -78,7 +78,9 @@ class Settings:
     """
 
     method: str = parameter(
-        'hd-pbsid', 'Identification method.', choices=('hd-pbsid',), structural=True)
+        'hd-pbsid', 'Identification method; all but hd-pbsid give their plain subspace estimate, '
+        'and do not look for dead times.', structural=True,
+        choices=('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter'))
     order: int = parameter(
         0, 'Number of states of the model.', low=0, high=50, auto='chosen from the data',
         when='Set it when the physics say how many states there are.')
@@ -128,6 +130,10 @@ class Settings:
     rank_tolerance: float = parameter(
         1e-10, 'Singular values below this fraction of the largest count as zero.',
         name='pbsid.rank_tolerance', low=1e-15, high=1e-2)
+    laguerre_pole: float = parameter(
+        0.0, 'Pole of the Laguerre functions (methods ct-pbsid and ct-pbsid-filter).',
+        name='laguerre.pole', unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',
+        when='A few times the fastest pole of interest, in steps of two if the model is poor.')
     held_out: float = parameter(
         0.3, 'Last part of every window on which a model of the rest is tested; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,
