@@ -23,6 +23,11 @@ from ctsid_core.usable import usable
 _MOST = 1e4           # times as long or as large: never
 _SMALL = 0.97         # of the deviation: a band that leaves more than this does not help
 
+_NO_FORECAST = ('There is no forecast for models that were made from the raw samples, or from '
+                'several records; identify one record of densely sampled outputs.')
+_AS_KNOWN = ('The dead time that was found is taken as known here; as it is not, it takes some '
+             'more data.')
+
 
 @dataclass(frozen=True)
 class PoleAdvice:
@@ -108,6 +113,8 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
     part = usable(record, estimate.settings)
     if model is None or isinstance(part, Status):
         return Advice((), seconds, tuple(_without_model(estimate, record)))
+    if any(c.name == 'domain' for c in estimate.choices) or estimate.records:
+        return Advice((), seconds, (_NO_FORECAST,))
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
     try:
@@ -117,7 +124,10 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
                       for k in np.flatnonzero(of.poles.imag >= 0).tolist())
     except np.linalg.LinAlgError as error:       # of the data's making
         return Advice((), seconds, (f'The arithmetic of the forecast failed: {error}.',))
-    return Advice(poles, seconds, tuple(_sentences(poles, wanted, seconds)))
+    sentences = tuple(_sentences(poles, wanted, seconds))
+    if estimate.delay_std.any():
+        sentences += (_AS_KNOWN,)
+    return Advice(poles, seconds, sentences)
 
 
 def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:

@@ -62,20 +62,20 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
     if pair is None:
         return None
     order = len(pair.best.poles)
-    tuning = pair.best.subspace.tuning
-    if pair.tried > 1:
-        choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
-                              f'the most likely of {pair.tried} subspace models'))
     matrices, process_noise = most_likely(search.projection, pair, own,
                                           chosen.noisy if chosen else None)
     told = by_prediction(part.parts[0].record, search, matrices) \
         if settings.refine and process_noise and not part.several else None
     if told is not None:
         matrices, order = told, len(told.A)
-        pair = search.pair(order) or pair
+        pair, chosen = search.pair(order) or pair, None
         choices[:] = [c for c in choices if c.name != 'order']
         choices.append(Choice('order', order, 'the plant is unstable, with process noise: told by '
                               'one-step predictions of the samples'))
+    tuning = pair.best.subspace.tuning
+    if pair.tried > 1:
+        choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
+                              f'the most likely of {pair.tried} subspace models'))
     if settings.refine and not affordable(projection, order):
         choices.append(Choice('refine', False, 'with so many states and signals the maximum of '
                               'the likelihood takes too long; this is the subspace estimate'))

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ctsid_core.bases.base import Array, Projection, as_real
-from ctsid_core.excitation import Foreseen, excitations
+from ctsid_core.excitation import Foreseen, excitations, together
 from ctsid_core.leftover import leftover
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import simulate_lines
@@ -16,7 +17,7 @@ from ctsid_core.signals import Record
 from ctsid_core.verdict import UNJUDGED, Verdict
 
 
-def examine(projection: Projection, m: Matrices, record: Record, unseen: Array, *,
+def examine(projection: Projection, m: Matrices, records: Sequence[Record], unseen: Array, *,
             feedthrough: bool) -> Verdict:
     """
     Return a verdict of which the numbers are those of a model, and the grade is still open.
@@ -26,22 +27,24 @@ def examine(projection: Projection, m: Matrices, record: Record, unseen: Array, 
     projection : Projection
     m : Matrices
         Made of it.
-    record : Record
-        That was projected.
+    records : sequence of Record
+        That were projected.
     unseen : ndarray, shape (ny,)
         Density of the errors on data held out [unit^2 s].
     feedthrough : bool
         Whether D is free.
     """
     with np.errstate(over='ignore', invalid='ignore'):  # of absurdly small or large signals
-        return _examine(projection, m, record, unseen, feedthrough)
+        return _examine(projection, m, records, unseen, feedthrough)
 
 
-def _examine(projection: Projection, m: Matrices, record: Record, unseen: Array,
-             feedthrough: bool) -> Verdict:
+def _examine(projection: Projection, m: Matrices, records: Sequence[Record],
+             unseen: Array, feedthrough: bool) -> Verdict:
     n, nu, ny = len(m.A), len(projection.u), len(projection.y)
     foreseen = Foreseen(projection, m)
-    excitation = excitations(foreseen, record, n + ny * feedthrough)
+    excitation = together([
+        excitations(Foreseen(p, own), record, n + ny * feedthrough) for p, own, record in
+        zip(projection.records, m.of_records(projection), records, strict=True)])
     highest = max((x.high for x in excitation if x.high > 0.0), default=0.0)
     found = leftover(foreseen, highest or float(np.abs(projection.s).max()), n * (nu + 2 * ny)
                      + ny * nu * feedthrough)

@@ -10,6 +10,7 @@ it, line by line; the sum over lines of that ratio is what the data say about th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -108,6 +109,18 @@ def excitations(foreseen: Foreseen, record: Record, parameters: int) -> tuple[Ex
             name, float(low), float(high), _breadth(u[j]) / _LOBE,
             float(own.sum() / max(float(size.sum()), 1e-300)),
             float(np.sqrt(parameters / max(float(ratio.sum()), 1e-300)))))
+    return tuple(found)
+
+
+def together(records: Sequence[tuple[Excitation, ...]]) -> tuple[Excitation, ...]:
+    """Return what several records say together of the response to each input."""
+    found = []
+    for own in zip(*records, strict=True):
+        known = 1.0 / float(np.sqrt(sum(x.uncertainty ** -2.0 for x in own)) + 1e-300)
+        lows, highs = ([getattr(x, end) for x in own if x.high > 0.0] for end in ('low', 'high'))
+        best = max(own, key=lambda x: x.frequencies)
+        found.append(Excitation(own[0].name, min(lows, default=np.nan),
+                                max(highs, default=np.nan), best.frequencies, best.own, known))
     return tuple(found)
 
 

@@ -62,7 +62,7 @@ class Found:
 
 def own_delays(part: Usable, settings: Settings) -> Settings:
     """Return the settings with the dead times of the moving inputs only."""
-    delays = settings.delays(part.whole.nu)
-    if len(set(delays)) == 1:
+    if not isinstance(settings.delay, tuple):
         return settings
+    delays = settings.delays(part.whole.nu)
     return settings.replace(delay=tuple(delays[j] for j in part.u))

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.closed_loop import by_prediction
 from ctsid_core.found import Found, own_delays
 from ctsid_core.joint import Joint
 from ctsid_core.order import Search
-from ctsid_core.prediction_errors import unseen, unseen_predicted_fit
+from ctsid_core.prediction_errors import unseen, unseen_predicted_fit, without_level
 from ctsid_core.selection import likeliest_simulation, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
+
+_STILL = 0.01         # of an input's motion in the whole: too little to tell a model
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,8 @@ def held_out(part: Joint, found: Found) -> HeldOut:
         return nothing
     own = own_delays(part.parts[0], found.settings)
     first, last = part.divided(own, found.layout)
+    if not _moving(first, found.projection):
+        return nothing
     search = Search(first, own, lenient=found.search.lenient)
     pair = search.pair(own.order)
     if pair is None:
@@ -78,3 +83,10 @@ def nothing_held_out(outputs: int) -> HeldOut:
 def _first_part(record: Record, settings: Settings) -> Record:
     split = record.end - settings.held_out * record.duration
     return record.between(record.start, split, lead=max(settings.delays(record.nu), default=0.0))
+
+
+def _moving(first: Projection, whole: Projection) -> bool:
+    """Return whether every input moves in the first part, measured by what it does in all."""
+    sizes = [np.linalg.norm(without_level(as_real(p.u), as_real(p.ones)), axis=1)
+             for p in (first, whole)]
+    return bool(np.all(sizes[0] > _STILL * sizes[1]))

@@ -20,6 +20,10 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals import Record
 from ctsid_core.statespace import StateSpace
 from ctsid_core.time_identify import told_in_time, undistorted
+from ctsid_core.verdict import UNJUDGED, Grade
+
+_NO_SEARCH = ('dead time is not looked for in outputs that come in bursts, and counts as 0; give '
+              'it if there is one')
 
 
 def identify(record: Record | Sequence[Record], settings: Settings | None = None, *,
@@ -92,7 +96,8 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         if settings.method in METHODS:
             return identify_by(METHODS[settings.method], part, settings)
         if told := told_in_time(part, known):
-            return told
+            unknown = any(settings.unknown_delays(records[0].nu))
+            return replace(told, notes=(*told.notes, _NO_SEARCH)) if unknown else told
         found = estimate(part, known, first)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
@@ -101,5 +106,6 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         part, found = with_dead_time(records, part, found, settings)
         return undistorted(part, found) or conclude(part, *confirmed(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
-        return Estimate(status=Status.UNRELIABLE, settings=settings,
-                        notes=(*part.notes, f'the arithmetic failed: {error}'))
+        return Estimate(status=Status.UNRELIABLE, settings=settings, verdict=replace(
+            UNJUDGED, grade=Grade.REJECT, reason=f'The arithmetic failed ({error}); check the '
+            'signals, their sizes and units.'), notes=part.notes)

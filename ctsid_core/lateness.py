@@ -47,8 +47,8 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     """
     late = np.array(settings.unknown_delays(records[0].nu))[list(part.parts[0].u)]
     order = len(found.matrices.A)
-    if not (late.any() and settings.refine and settings.edges == 'exact'
-            and affordable(found.projection, order)):
+    if found.by_prediction or not (late.any() and settings.refine and settings.edges == 'exact'
+                                   and affordable(found.projection, order)):
         return part, found
     hunt = DeadTimeSearch(part, found.layout, found.search, late)
     rough = hunt.best(order, alone=bool(settings.order),

@@ -66,7 +66,7 @@ def conclude(part: Joint, found: Found, tested: HeldOut) -> Estimate:
         notes=(*part.notes, *corrupt, *_remarks(part, evidence), *last),
         statistics={**counts, 'process_noise': float(found.process_noise),
                     'change_p_value': change.p_value, 'change_size': change.size,
-                    'change_gain': change.gain, 'change_share': change.share},
+                    'change_gain': change.gain, 'change_share': _share(part, differing)},
         records=_shares(part, found) if part.several else ())
 
 
@@ -82,7 +82,7 @@ def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.comp
     """Return what is known of a model, but for a change of the plant."""
     last, projection, m = part.parts[part.last], found.projection, found.matrices
     whole, resolution = last.whole, 2.0 * np.pi / part.length
-    numbers = examine(projection, m, last.record, tested.density,
+    numbers = examine(projection, m, [p.record for p in part.parts], tested.density,
                       feedthrough=found.settings.feedthrough)
 
     def everywhere(values: Array) -> Array:
@@ -105,6 +105,13 @@ def _evidence(part: Joint, found: Found, tested: HeldOut, poles: NDArray[np.comp
             pole_uncertainty=pole_uncertainty(poles, deviation, resolution)))
 
 
+def _share(part: Joint, differing: Differing) -> float:
+    """Return where the change lies, as a part of the whole record: it may begin earlier."""
+    own = part.parts[differing.place]
+    at = own.record.start + differing.change.share * own.record.duration
+    return (at - own.whole.start) / own.whole.duration
+
+
 def _changed(part: Joint, differing: Differing) -> tuple[str, str]:
     """Return a sentence on a change of the plant that says what to do, and a note."""
     change, place = differing.change, differing.place
@@ -117,12 +124,13 @@ def _changed(part: Joint, differing: Differing) -> tuple[str, str]:
         note = (f'{who}: the responses to the inputs differ by {100 * change.size:.0f} %; '
                 f'identify {cure} by itself')
         return f'{note[0].upper()}{note[1:]}.', note
-    at = f'{change.share * part.parts[place].record.duration:.2g} s after'
+    share = _share(part, differing)
+    at = f'{share * part.parts[place].whole.duration:.2g} s after'
     where = f'record {part.numbers[place]}' if part.several else 'the window'
     prefix = f'{where}: ' if part.several else ''
     return (f'The plant, or the offset of a signal, changed about {at} the start of {where}; take '
             'a window before or after that, or wait until it has left the window.',
-            f'{prefix}the likeliest time of the change is {change.share * 100:.0f} % of the '
+            f'{prefix}the likeliest time of the change is {share * 100:.0f} % of the '
             f'window, {at} its start')
 
 

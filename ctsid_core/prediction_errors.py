@@ -273,7 +273,7 @@ def line_fit(projection: Projection, m: Matrices) -> Array:
     m : Matrices
     """
     error = as_real(projection.y - simulate_lines(projection, m))
-    return _nrmse(error, _without(as_real(projection.y), as_real(projection.ones)))
+    return _nrmse(error, without_level(as_real(projection.y), as_real(projection.ones)))
 
 
 def unseen_fit(projection: Projection, m: Matrices, *, trimmed: bool = True) -> Array:
@@ -307,7 +307,7 @@ def unseen(projection: Projection, m: Matrices, *,
     leave of the outputs with no input at all: 100 (1 - |error| / |left without inputs|).
     """
     y, ones = as_real(projection.y), as_real(projection.ones)
-    unit = np.maximum(np.linalg.norm(_without(y, ones), axis=1, keepdims=True), 1e-300)
+    unit = np.maximum(np.linalg.norm(without_level(y, ones), axis=1, keepdims=True), 1e-300)
     if not trimmed:
         m = replace(m, x_trim=np.zeros((len(m.A), len(ones))),
                     y_trim=np.zeros((len(m.C), len(ones))))
@@ -338,7 +338,7 @@ def predicted_fit(projection: Projection, m: Matrices) -> Array:
     100 (1 - |E| / |E if inputs do nothing|). For an unstable plant with process noise: a
     simulation of it means nothing.
     """
-    error, blind = _with_and_without(projection, m)
+    error, blind = _with_andwithout_level(projection, m)
     return _nrmse(error, blind)
 
 
@@ -350,7 +350,7 @@ def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
     """
     m = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
     closed = resolvent(m.A - m.K @ m.C, projection.s)
-    error, blind = _with_and_without(projection, m)
+    error, blind = _with_andwithout_level(projection, m)
     unit = np.maximum(np.linalg.norm(blind, axis=1, keepdims=True), 1e-300)
     modes = []
     for tail in projection.tail:
@@ -360,7 +360,7 @@ def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
     return _nrmse(_beyond(error / unit, modes), _beyond(blind / unit, modes))
 
 
-def _with_and_without(projection: Projection, m: Matrices) -> tuple[Array, Array]:
+def _with_andwithout_level(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     """Return the prediction errors of a model, and of the same without effect of inputs."""
     silent = replace(m, B=np.zeros_like(m.B), D=np.zeros_like(m.D))
     return (as_real(prediction_errors(projection, m)),
@@ -376,7 +376,8 @@ def _beyond(y: Array, rows: list[Array]) -> Array:
     return left
 
 
-def _without(y: Array, ones: Array) -> Array:
+def without_level(y: Array, ones: Array) -> Array:
+    """Return rows without what a constant explains of them."""
     if not len(ones):
         return y
     moving: Array = y - (y @ ones.T) / np.sum(ones ** 2, axis=1) @ ones

@@ -54,7 +54,7 @@ def undistorted(part: Joint, found: Found) -> Estimate | None:
     if told is None:
         return None
     nothing = np.full(len(found.matrices.C), np.nan)
-    numbers = examine(found.projection, found.matrices, usable.record, nothing,
+    numbers = examine(found.projection, found.matrices, [usable.record], nothing,
                       feedthrough=found.settings.feedthrough)
     return _judged(*told, found.settings, why, numbers)
 

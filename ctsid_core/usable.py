@@ -168,6 +168,8 @@ def usable(record: Record, settings: Settings,
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
                   for j in fixed]
+    if min((_count(s, shorter) for s in shorter.outputs), default=0) < _FEWEST:
+        return Status.TOO_SHORT
     if not outputs:
         return Status.NO_RESPONSE
     if not inputs:
