@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The subspace method of generalized orthonormal bases, [TM] section IV.
+
+Every signal goes through a chain of Takenaka-Malmquist filters. With w_v the chain's states for
+the signal v, L and b of `bases.takenaka_malmquist`, and zero states of the chain at the start,
+
+    w_y = O x - (s - L)^-1 (O B - b D) u - (s - L)^-1 O x_0,      O A - L O = b C       (6)
+
+(Kronecker products with the identity of the outputs left out). This is [TM] eq. 6 and 7 with
+feedthrough and initial state. x_0 and the trim are inputs of their own: an impulse at the start,
+and the constant 1, each through the chain.
+
+Errata of [TM], found by deriving (6) anew; `docs/method.md` has the list. What matters here:
+
+- The regressors psi_(j,i+1) M_i u of eq. 6, N (N + 1) / 2 of them, lie in the span of N, the chain
+  itself: every one is a strictly proper function with poles among the chain's. So u(t) of eq. 6
+  has dependent rows, L11 of lemma 3 is singular, and a plain LQ factorisation gives arbitrary
+  rows of Q. Here the N independent ones are used; (s - L)^-1 e_k = Z_k w with bounded Z_k.
+- T_0 has the sign of D_0 reversed, and all T_i lack 1/sqrt(2 sigma) of the row (eq. 4 has it).
+- Eq. 13 means M^+ R. Eq. 14 lacks a root: C = Theta_(1,0) (A + sigma_0) / sqrt(2 sigma_0).
+- With complex poles, eq. 10 to 12 need conj sigma of the pole left, and Re sigma under roots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.bases.local_polynomials import local_polynomials
+from ctsid_core.bases.takenaka_malmquist import Chain, respond
+from ctsid_core.matrix_functions import svd
+from ctsid_core.pbsid import solve
+from ctsid_core.signals import Record
+from ctsid_core.simulation import input_polynomials, knots_between
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """
+    Signals through a chain, compressed by one QR factorisation.
+
+    Parameters
+    ----------
+    chain : Chain
+    inputs : ndarray, shape (N, k, columns)
+        u, then an impulse at the start (the initial state) and the constant 1 (trim), if wanted.
+    y : ndarray, shape (N, ny, columns)
+    nu : int
+        How many of the inputs are u.
+    trim : bool
+        Whether the last input is the constant.
+    """
+
+    chain: Chain
+    inputs: Array
+    y: Array
+    nu: int
+    trim: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """
+    What lemma 3 of [TM] gives.
+
+    Parameters
+    ----------
+    filtered : Filtered
+    left : ndarray, shape (N ny, r)
+        Left singular vectors of L22; the outputs run fastest.
+    singular_values : ndarray, shape (r,)
+    scale : ndarray, shape (ny,)
+        What the outputs were divided by.
+    condition : float
+        Of the chain's states of the inputs, dependent directions left out.
+    rank_tolerance : float
+    """
+
+    filtered: Filtered
+    left: Array
+    singular_values: Array
+    scale: Array
+    condition: float
+    rank_tolerance: float
+
+
+@dataclass(frozen=True)
+class Realised:
+    """
+    A model.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray
+        Shapes (n, n), (n, nu), (ny, n), (ny, nu).
+    x0 : ndarray, shape (n,)
+        State at the start of the record.
+    x_trim, y_trim : ndarray, shapes (n,), (ny,)
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    x0: Array
+    x_trim: Array
+    y_trim: Array
+
+
+def filter_record(record: Record, chain: Chain, delay: tuple[float, ...], *, trim: bool,
+                  polynomial: int = 0) -> Filtered:
+    """
+    Return the signals of a record through a chain, at the stamps of its densest output.
+
+    Parameters
+    ----------
+    record : Record
+    chain : Chain
+    delay : tuple of float, length nu
+        Dead time of the inputs [s].
+    trim : bool
+        Whether a constant drives states and outputs, too.
+    polynomial : int
+        0: between samples, signals are what their holds say. p > 0: polynomials of degree p
+        through the p + 1 nearest samples, as in [TM] IV-C.
+    """
+    times = sample_times(record)
+    none = (0.0,) * record.ny
+    knots = knots_between((*record.inputs, *record.outputs), (*delay, *none), times)
+    pieces = local_polynomials(polynomial) if polynomial else input_polynomials
+    u = pieces(record.inputs, delay, knots)
+    y = pieces(record.outputs, none, knots)
+    parts = np.zeros((max(len(u), len(y)), len(knots), record.nu + trim + record.ny))
+    parts[:len(u), :, :record.nu] = u
+    parts[0, :, record.nu:record.nu + trim] = 1.0
+    parts[:len(y), :, record.nu + trim:] = y
+    w = respond(chain, parts, knots)[np.searchsorted(knots, times)]
+    impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
+    rows = np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
+    size, count = chain.size, record.nu + 1 + trim
+    flat = rows.transpose(1, 2, 0).reshape(-1, len(times))
+    triangle = np.linalg.qr(flat.T, mode='r').T if flat.shape[1] > flat.shape[0] else flat
+    short = triangle.reshape(size, count + record.ny, -1)
+    return Filtered(chain, short[:, :count], short[:, count:], record.nu, trim)
+
+
+def sample_times(record: Record) -> Array:
+    """Return the stamps of the densest output within the record, and its start and end [s]."""
+    own = [s.time[(s.time > record.start) & (s.time < record.end)] for s in record.outputs]
+    return np.concatenate(([record.start], max(own, key=len), [record.end]))
+
+
+def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
+    """
+    Return the column space of O.
+
+    Parameters
+    ----------
+    filtered : Filtered
+    rank_tolerance : float
+        Directions of the inputs below this fraction of the largest are left out.
+
+    References
+    ----------
+    [TM] lemma 3.
+    """
+    U = filtered.inputs.reshape(-1, filtered.inputs.shape[2])
+    scale = np.sqrt(np.sum(filtered.y ** 2, axis=(0, 2)))
+    scale[scale == 0.0] = 1.0
+    Y = (filtered.y / scale[:, np.newaxis]).reshape(-1, U.shape[1])
+    norm = np.sqrt(np.sum(U ** 2, axis=1))
+    norm[norm == 0.0] = 1.0
+    _, s, right = svd(U / norm[:, np.newaxis])
+    rank = int(np.count_nonzero(s > rank_tolerance * s[0])) if len(s) else 0
+    inside = right[:rank]
+    left, values, _ = svd(Y - (Y @ inside.T) @ inside)
+    return Observability(filtered, left, values, scale,
+                         float(s[0] / s[rank - 1]) if rank else 1.0, rank_tolerance)
+
+
+def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
+    """
+    Realise a model of order n.
+
+    Parameters
+    ----------
+    found : Observability
+    n : int
+        Less than N ny.
+    feedthrough : bool
+        Whether u acts on y at once.
+
+    References
+    ----------
+    [TM] eq. 10 to 15, with the corrections above.
+    """
+    A, C = dynamics(found.filtered.chain, found.left[:, :n])
+    B, D, x0, x_trim, y_trim = _driven(found, n, feedthrough)
+    size = found.scale
+    return Realised(A, B, size[:, np.newaxis] * C, size[:, np.newaxis] * D, x0, x_trim,
+                    size * y_trim)
+
+
+def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
+    """
+    Return A and C of an extended observability matrix.
+
+    Parameters
+    ----------
+    chain : Chain
+    theta : ndarray, shape (N ny, n)
+        Of (6), up to a change of states; the outputs run fastest.
+
+    References
+    ----------
+    [TM] eq. 11 to 14. Of N ny rows, those of the first N - 1 functions differ from the next.
+    """
+    sigma, n = chain.poles, theta.shape[1]
+    O = np.tensordot(chain.turn, theta.reshape(chain.size, -1, n), axes=1)
+    root = np.sqrt(2.0 * sigma.real)[:, np.newaxis, np.newaxis]
+    pole = sigma[:, np.newaxis, np.newaxis]
+    M = (O / root)[:-1] - (O / root)[1:]
+    R = (pole.conj() * O / root)[:-1] + (pole * O / root)[1:]
+    A = _real_least_squares(M.reshape(-1, n), R.reshape(-1, n))
+    C = O[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
+    return A, np.asarray(C.real)
+
+
+def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) -> Array:
+    both = np.vstack((M.real, M.imag)), np.vstack((R.real, R.imag))
+    found: Array = np.linalg.lstsq(*both, rcond=None)[0]
+    return found
+
+
+def _driven(found: Observability, n: int,
+            feedthrough: bool) -> tuple[Array, Array, Array, Array, Array]:
+    """
+    Return B, D, initial state and trim, of states and of scaled outputs.
+
+    [TM] eq. 15: with free states, what is left of (6) beside the columns of Theta_1 is linear in
+    them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
+    """
+    filtered, chain = found.filtered, found.filtered.chain
+    theta, ny, inputs = found.left[:, :n], len(found.scale), filtered.inputs.shape[1]
+    other = found.left[:, n:]
+    Z = chain.commuting()
+    # moved[k] = Z_k w: what the k-th block row of O B - b D is multiplied with
+    moved = np.einsum('kij,jml->kiml', Z, filtered.inputs)
+    G = theta.reshape(chain.size, ny, n)
+    direct = [m for m in range(inputs) if (feedthrough and m < filtered.nu)
+              or (filtered.trim and m == inputs - 1)]
+    rows = other.reshape(chain.size, ny, -1)
+    # columns of unknowns: (state, input), then (output, direct input)
+    state = -np.einsum('kpn,ipr,kiml->nmrl', G, rows, moved)
+    feed = np.einsum('k,ipr,kiml->pmrl', chain.b, rows, moved[:, :, direct])
+    cells = other.shape[1] * filtered.y.shape[2]
+    regressors = np.concatenate((state.reshape(n * inputs, cells),
+                                 feed.reshape(ny * len(direct), cells)))
+    y = (filtered.y / found.scale[:, np.newaxis]).reshape(chain.size * ny, -1)
+    theta_b, _ = solve(regressors, (other.T @ y).reshape(1, -1), found.rank_tolerance)
+    B = theta_b[0, :n * inputs].reshape(n, inputs)
+    D = np.zeros((ny, inputs))
+    D[:, direct] = theta_b[0, n * inputs:].reshape(ny, len(direct))
+    nu = filtered.nu
+    none = np.zeros(n)
+    return (B[:, :nu], D[:, :nu], B[:, nu], B[:, -1] if filtered.trim else none,
+            D[:, -1] if filtered.trim else np.zeros(ny))
