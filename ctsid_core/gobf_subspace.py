@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.bases.kinks import missed_between
 from ctsid_core.bases.local_polynomials import local_polynomials
 from ctsid_core.bases.takenaka_malmquist import Chain, respond
 from ctsid_core.matrix_functions import svd
@@ -37,6 +38,8 @@ from ctsid_core.signals import Record
 from ctsid_core.simulation import input_polynomials, knots_between
 
 Array = NDArray[np.float64]
+
+KINKS = 2             # integrals of held inputs whose kinks are worth it
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,19 +51,26 @@ class Filtered:
     ----------
     chain : Chain
     inputs : ndarray, shape (N, k, columns)
-        u, then an impulse at the start (the initial state) and the constant 1 (trim), if wanted.
+        u; an impulse at the start (the initial state); the constant 1 (trim), if wanted; kinks.
     y : ndarray, shape (N, ny, columns)
-    nu : int
-        How many of the inputs are u.
-    trim : bool
-        Whether the last input is the constant.
+    counts : tuple of int
+        How many of the inputs are u, impulses, constants, kinks.
     """
 
     chain: Chain
     inputs: Array
     y: Array
-    nu: int
-    trim: bool
+    counts: tuple[int, int, int, int]
+
+    @property
+    def driving(self) -> int:
+        """How many inputs drive the states: all but the kinks."""
+        return sum(self.counts[:3])
+
+    def direct(self, feedthrough: bool) -> list[int]:
+        """Return which inputs act on the outputs at once."""
+        nu, impulses, ones, kinks = self.counts
+        return [*range(nu * feedthrough), *range(nu + impulses, nu + impulses + ones + kinks)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +108,9 @@ class Realised:
     ----------
     A, B, C, D : ndarray
         Shapes (n, n), (n, nu), (ny, n), (ny, nu).
-    x0 : ndarray, shape (n,)
+    x0 : ndarray, shape (n, 1)
         State at the start of the record.
-    x_trim, y_trim : ndarray, shapes (n,), (ny,)
+    x_trim, y_trim : ndarray, shapes (n, 0 or 1), (ny, 0 or 1)
     """
 
     A: Array
@@ -113,7 +123,7 @@ class Realised:
 
 
 def filter_record(record: Record, chain: Chain, delay: tuple[float, ...], *, trim: bool,
-                  polynomial: int = 0) -> Filtered:
+                  polynomial: int = 0, kinks: int = KINKS) -> Filtered:
     """
     Return the signals of a record through a chain, at the stamps of its densest output.
 
@@ -128,6 +138,9 @@ def filter_record(record: Record, chain: Chain, delay: tuple[float, ...], *, tri
     polynomial : int
         0: between samples, signals are what their holds say. p > 0: polynomials of degree p
         through the p + 1 nearest samples, as in [TM] IV-C.
+    kinks : int
+        How many integrals of the inputs are looked at for what interpolation of the outputs
+        misses of them (`bases.kinks`).
     """
     times = sample_times(record)
     none = (0.0,) * record.ny
@@ -135,18 +148,26 @@ def filter_record(record: Record, chain: Chain, delay: tuple[float, ...], *, tri
     pieces = local_polynomials(polynomial) if polynomial else input_polynomials
     u = pieces(record.inputs, delay, knots)
     y = pieces(record.outputs, none, knots)
-    parts = np.zeros((max(len(u), len(y)), len(knots), record.nu + trim + record.ny))
-    parts[:len(u), :, :record.nu] = u
-    parts[0, :, record.nu:record.nu + trim] = 1.0
-    parts[:len(y), :, record.nu + trim:] = y
-    w = respond(chain, parts, knots)[np.searchsorted(knots, times)]
+    ones = np.ones((1, len(knots), int(trim)))
+    missed = missed_between(u, knots, record.outputs, pieces, kinks)
+    w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
     impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
     rows = np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
-    size, count = chain.size, record.nu + 1 + trim
-    flat = rows.transpose(1, 2, 0).reshape(-1, len(times))
+    return _compressed(chain, rows, (record.nu, 1, int(trim), missed.shape[2]))
+
+
+def _side_by_side(parts: tuple[Array, ...]) -> Array:
+    degree = max(map(len, parts))
+    return np.concatenate([np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:]))))
+                           for p in parts], axis=2)
+
+
+def _compressed(chain: Chain, rows: Array, counts: tuple[int, int, int, int]) -> Filtered:
+    """Return what products of rows, (times, N, signals), tell."""
+    flat = rows.transpose(1, 2, 0).reshape(-1, len(rows))
     triangle = np.linalg.qr(flat.T, mode='r').T if flat.shape[1] > flat.shape[0] else flat
-    short = triangle.reshape(size, count + record.ny, -1)
-    return Filtered(chain, short[:, :count], short[:, count:], record.nu, trim)
+    short = triangle.reshape(chain.size, rows.shape[2], -1)
+    return Filtered(chain, short[:, :sum(counts)], short[:, sum(counts):], counts)
 
 
 def sample_times(record: Record) -> Array:
@@ -203,7 +224,7 @@ def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
     B, D, x0, x_trim, y_trim = _driven(found, n, feedthrough)
     size = found.scale
     return Realised(A, B, size[:, np.newaxis] * C, size[:, np.newaxis] * D, x0, x_trim,
-                    size * y_trim)
+                    size[:, np.newaxis] * y_trim)
 
 
 def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
@@ -246,27 +267,22 @@ def _driven(found: Observability, n: int,
     them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
     """
     filtered, chain = found.filtered, found.filtered.chain
-    theta, ny, inputs = found.left[:, :n], len(found.scale), filtered.inputs.shape[1]
+    theta, ny, inputs = found.left[:, :n], len(found.scale), filtered.driving
     other = found.left[:, n:]
-    Z = chain.commuting()
-    # moved[k] = Z_k w: what the k-th block row of O B - b D is multiplied with
-    moved = np.einsum('kij,jml->kiml', Z, filtered.inputs)
-    G = theta.reshape(chain.size, ny, n)
-    direct = [m for m in range(inputs) if (feedthrough and m < filtered.nu)
-              or (filtered.trim and m == inputs - 1)]
+    # Z_k w: what the k-th block row of O B - b D is multiplied with
+    moved = np.einsum('kij,jml->kiml', chain.commuting(), filtered.inputs)
+    direct = filtered.direct(feedthrough)
     rows = other.reshape(chain.size, ny, -1)
-    # columns of unknowns: (state, input), then (output, direct input)
-    state = -np.einsum('kpn,ipr,kiml->nmrl', G, rows, moved)
-    feed = np.einsum('k,ipr,kiml->pmrl', chain.b, rows, moved[:, :, direct])
+    state = -np.einsum('kpn,ipr,kiml->nmrl', theta.reshape(chain.size, ny, n), rows,
+                       moved[:, :, :inputs], optimize=True)
+    feed = np.einsum('ipr,iml->pmrl', rows, filtered.inputs[:, direct], optimize=True)
     cells = other.shape[1] * filtered.y.shape[2]
     regressors = np.concatenate((state.reshape(n * inputs, cells),
                                  feed.reshape(ny * len(direct), cells)))
     y = (filtered.y / found.scale[:, np.newaxis]).reshape(chain.size * ny, -1)
-    theta_b, _ = solve(regressors, (other.T @ y).reshape(1, -1), found.rank_tolerance)
-    B = theta_b[0, :n * inputs].reshape(n, inputs)
-    D = np.zeros((ny, inputs))
-    D[:, direct] = theta_b[0, n * inputs:].reshape(ny, len(direct))
-    nu = filtered.nu
-    none = np.zeros(n)
-    return (B[:, :nu], D[:, :nu], B[:, nu], B[:, -1] if filtered.trim else none,
-            D[:, -1] if filtered.trim else np.zeros(ny))
+    unknown, _ = solve(regressors, (other.T @ y).reshape(1, -1), found.rank_tolerance)
+    B = unknown[0, :n * inputs].reshape(n, inputs)
+    D = np.zeros((ny, filtered.inputs.shape[1]))
+    D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
+    nu, to = filtered.counts[0], filtered.counts[0] + filtered.counts[1]
+    return B[:, :nu], D[:, :nu], B[:, nu:to], B[:, to:], D[:, to:inputs]
