@@ -85,8 +85,10 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
             'the likelier of process noise (innovation form) and measurement noise alone'))
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
-    return Found(used, projection, search, matrices, pair.best, process_noise, tuple(choices),
-                 layout, chosen.tried if chosen else (), told is not None)
+    subspace = pair.best.subspace
+    return Found(used, projection, search, matrices, subspace.singular_values, subspace.condition,
+                 process_noise, tuple(choices), layout, chosen.tried if chosen else (),
+                 told is not None)
 
 
 def without_outliers(part: Joint, found: Found,

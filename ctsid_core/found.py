@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ctsid_core.bases.base import Projection
-from ctsid_core.candidates import Candidate
 from ctsid_core.estimate import Choice, OrderTried
 from ctsid_core.joint import Layout
 from ctsid_core.order import Search
 from ctsid_core.pbsid import Matrices
 from ctsid_core.settings import Settings
+from ctsid_core.signals import Array
 from ctsid_core.usable import Usable
 
 
@@ -29,8 +29,10 @@ class Found:
     search : Search
         Of the subspace models.
     matrices : Matrices
-    best : Candidate
-        The subspace model that it began from.
+    singular_values : ndarray
+        Of the subspace model that it began from.
+    condition : float
+        Of its regression.
     process_noise : bool
         Whether it was found with its K, or by a simulation.
     choices : tuple of Choice
@@ -46,7 +48,8 @@ class Found:
     projection: Projection
     search: Search
     matrices: Matrices
-    best: Candidate
+    singular_values: Array
+    condition: float
     process_noise: bool
     choices: tuple[Choice, ...]
     layout: Layout

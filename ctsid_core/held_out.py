@@ -49,24 +49,30 @@ def held_out(part: Joint, found: Found) -> HeldOut:
     found : Found
         Of the whole records: its order and tuning are used.
     """
-    unknown = np.full(len(found.matrices.C), np.nan)
+    nothing = nothing_held_out(len(found.matrices.C))
     if found.settings.held_out == 0.0 or found.settings.edges == 'paper':  # parts are not at rest
-        return HeldOut(unknown, unknown)
+        return nothing
     own = own_delays(part.parts[0], found.settings)
     first, last = part.divided(own, found.layout)
     search = Search(first, own)
     pair = search.pair(own.order)
     if pair is None:
-        return HeldOut(unknown, unknown)
+        return nothing
     if found.by_prediction:
         model = most_likely(first, pair, own)[0]
         early = _first_part(part.parts[0].record, own)
         told = by_prediction(early, search, model)
-        return HeldOut(unseen_predicted_fit(last, model if told is None else told), unknown)
+        return HeldOut(unseen_predicted_fit(last, model if told is None else told),
+                       nothing.density)
     # Simulation judges: without process noise the gain of the first part's model is of no use.
     model = most_likely(first, pair, own)[0] if found.process_noise else \
         likeliest_simulation(first, pair, own)[0]
     return HeldOut(*unseen(last, model, trimmed=not part.many))
+
+
+def nothing_held_out(outputs: int) -> HeldOut:
+    """Return that nothing is known of so many outputs."""
+    return HeldOut(np.full(outputs, np.nan), np.full(outputs, np.nan))
 
 
 def _first_part(record: Record, settings: Settings) -> Record:

@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ctsid_core.by_method import identify_by
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.estimation import confirmed, estimate, without_outliers
 from ctsid_core.joint import check_alike, join_records
 from ctsid_core.lateness import with_dead_time
+from ctsid_core.methods import METHODS
 from ctsid_core.order import FIRST
 from ctsid_core.outcome import conclude
 from ctsid_core.settings import Settings
@@ -87,6 +89,8 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
     if isinstance(part, Estimate):
         return replace(part, settings=settings)
     try:
+        if settings.method in METHODS:
+            return identify_by(METHODS[settings.method], part, settings)
         if told := told_in_time(part, known):
             return told
         found = estimate(part, known, first)

@@ -159,27 +159,41 @@ class Joint:
         share = settings.held_out
         if self.many:
             return self._divided_by_records(settings, layout)
+        early, late = self.early_and_late(settings)
         first: list[Projection] = []
         last: list[Projection] = []
-        for p, size in zip(self.parts, layout.sizes, strict=True):
-            record = p.record
-            split = record.end - share * record.duration
-            lead = max(settings.delays(record.nu), default=0.0)
-            for into, start, end, own in ((first, record.start, split, 1.0 - share),
-                                          (last, split, record.end, share)):
-                into.append(_share(record.between(start, end, lead=lead), settings, size, own))
+        for into, of_all, own in ((first, early, 1.0 - share), (last, late, share)):
+            into += [_share(p.record, settings, size, own)
+                     for p, size in zip(of_all.parts, layout.sizes, strict=True)]
         return joined(first, layout.weights), joined(last, layout.weights)
 
+    def early_and_late(self, settings: Settings) -> tuple[Joint, Joint]:
+        """Return what a model is made of that is to be tested, and the rest; see `divided`."""
+        if self.many:
+            kept, held = (replace(self, parts=tuple(self.parts[i] for i in wanted))
+                          for wanted in self._kept_and_held(settings))
+            return kept, held
+        early, late = [], []
+        for p in self.parts:
+            record = p.record
+            split = record.end - settings.held_out * record.duration
+            lead = max(settings.delays(record.nu), default=0.0)
+            early.append(replace(p, record=record.between(record.start, split, lead=lead)))
+            late.append(replace(p, record=record.between(split, record.end, lead=lead)))
+        return replace(self, parts=tuple(early)), replace(self, parts=tuple(late))
 
-    def _divided_by_records(self, settings: Settings,
-                            layout: Layout) -> tuple[Projection, Projection]:
+    def _kept_and_held(self, settings: Settings) -> tuple[list[int], list[int]]:
         count = len(self.parts)
         by_time = sorted(range(count), key=lambda i: (
             self.parts[i].whole.epoch_ns + round(self.parts[i].whole.start * 1e9), i))
         many = max(round(settings.held_out * count), 1)
         held = {by_time[(2 * k + 1) * count // (2 * many)] for k in range(many)}
+        return sorted(set(by_time) - held), sorted(held)
+
+    def _divided_by_records(self, settings: Settings,
+                            layout: Layout) -> tuple[Projection, Projection]:
         found = []
-        for wanted in (sorted(set(by_time) - held), sorted(held)):
+        for wanted in self._kept_and_held(settings):
             chosen = replace(self, parts=tuple(self.parts[i] for i in wanted))
             found.append(chosen.project(settings, Layout(
                 tuple(layout.sizes[i] for i in wanted), tuple(layout.weights[i] for i in wanted))))

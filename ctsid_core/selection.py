@@ -118,7 +118,7 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings,
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
     start = noisy or with_process_noise(projection, model, feed)
     if start is None:
-        return replace(model, K=_gain(projection, model)), False
+        return replace(model, K=quiet_gain(projection, model)), False
     noisy, noisy_cost = refine_innovation(projection, start, feed, limit=limit,
                                           rival=cost - price)
     other = refine_innovation(projection, pair.predicting.matrices, feed, limit=limit,
@@ -127,12 +127,12 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings,
     gain = cost - noisy_cost - price
     if pair.believes(noisy, gain, top):
         return noisy, True
-    damped = replace(model, K=_gain(projection, model, 1.5 * line_distance(projection)))
+    damped = replace(model, K=quiet_gain(projection, model, 1.5 * line_distance(projection)))
     held, held_cost = refine_innovation(projection, damped, feed, plant=False, steps=8,
                                         rival=cost - price)
     if held_cost + price < cost:
         return held, False
-    return replace(model, K=_gain(projection, model)), False
+    return replace(model, K=quiet_gain(projection, model)), False
 
 
 def likeliest_simulation(projection: Projection, pair: Pair,
@@ -162,7 +162,7 @@ def likeliest_simulation(projection: Projection, pair: Pair,
     return (*pair.simulation, pair.refined)
 
 
-def _gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:
+def quiet_gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:
     """
     Return the stationary Kalman gain where there is no process noise.
 

@@ -78,7 +78,9 @@ class Settings:
     """
 
     method: str = parameter(
-        'hd-pbsid', 'Identification method.', choices=('hd-pbsid',), structural=True)
+        'hd-pbsid', 'Identification method; all but hd-pbsid give their plain subspace estimate, '
+        'and do not look for dead times.', structural=True,
+        choices=('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter'))
     order: int = parameter(
         0, 'Number of states of the model.', low=0, high=50, auto='chosen from the data',
         when='Set it when the physics say how many states there are.')

@@ -40,10 +40,11 @@ LEVELS = {
         ['record_equations'], ['refine', 'many_models', 'whole_model'],
         ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
         ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
-        ['deviation', 'leftover', 'judgement'], ['examination', 'joint'],
+        ['deviation', 'leftover', 'judgement'], ['examination', 'joint'], ['other_method'],
+        ['ct_pbsid'], ['methods'],
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
-        ['outcome', 'time_identify'], ['estimation', 'advice'], ['lateness'],
+        ['outcome', 'time_identify'], ['by_method', 'estimation', 'advice'], ['lateness'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The estimate by a method other than HD-PBSID.
+
+A method offers models of several orders and tunings. They are judged where HD-PBSID's are, on the
+Hermite lines of the same records: the likeliest by Schwarz's criterion of simulations is taken;
+states at the ends and trim are fitted to it; fits, verdict, covariance and the test on data held
+out follow as for any other model. A, B, C and D stay as the method made them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.bases.base import Projection, as_real
+from ctsid_core.candidates import UNSTABLE, worth
+from ctsid_core.estimate import Choice, Estimate, OrderTried, Status
+from ctsid_core.found import Found, own_delays
+from ctsid_core.held_out import HeldOut, nothing_held_out
+from ctsid_core.joint import Joint
+from ctsid_core.order import Search
+from ctsid_core.other_method import Made, Method
+from ctsid_core.outcome import conclude
+from ctsid_core.pbsid import Matrices, least_norm
+from ctsid_core.prediction_errors import (
+    innovation_cost,
+    jacobian,
+    output_error_cost,
+    predict,
+    unseen,
+)
+from ctsid_core.refine import by_parameter, moved
+from ctsid_core.resolvent import resolvent
+from ctsid_core.selection import quiet_gain
+from ctsid_core.settings import Settings
+
+_SURE = 1e-9          # relative singular value of what the ends and the trim can do
+
+
+def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
+    """
+    Return the estimate of records by one method.
+
+    Parameters
+    ----------
+    method : callable
+    part : Joint
+    settings : Settings
+        `refine` does not count, nor do dead times that are to be found: they are 0.
+    """
+    auto = any(part.parts[0].whole.nu and settings.unknown_delays(part.parts[0].whole.nu))
+    if auto:
+        part = replace(part, remarks=(
+            *part.remarks, f'{settings.method} does not look for dead times: those not given '
+            'count as 0'))
+    settings = settings.with_known_delays().replace(refine=False)
+    layout, why = part.layout(settings)
+    own = own_delays(part.parts[0], settings)
+    projection = part.project(own.replace(parts=max(layout.sizes)[1]), layout)
+    search = Search(projection, own)
+    orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
+    offered = [one for one in method(part, own, orders) if np.isfinite(one.matrices.A).all()]
+    if not offered:
+        return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+    made, choices, tried = _likeliest(search, offered)
+    matrices, process_noise = _on_lines(projection, made.matrices, settings.feedthrough)
+    used = made.settings.replace(delay=settings.delay)
+    if why:
+        choices.append(Choice('hermite.nmax', max(layout.sizes)[0],
+                              f'only to judge the model: {why}'))
+    found = Found(
+        used.replace(nmax=max(layout.sizes)[0], parts=max(layout.sizes)[1]), projection, search,
+        matrices, made.singular_values, made.condition, process_noise, tuple(choices), layout,
+        tried)
+    return conclude(part, found, _held_out(method, part, found))
+
+
+def _likeliest(search: Search, offered: Sequence[Made],
+               ) -> tuple[Made, list[Choice], tuple[OrderTried, ...]]:
+    """Return the best by Schwarz's criterion of simulations with the poles of each."""
+    if len(offered) == 1:
+        return offered[0], [], ()
+    output_error, limit = search.output_error, search.resolution
+    fits = [output_error.fit(np.linalg.eigvals(one.matrices.A).astype(complex))
+            for one in offered]
+    # An unstable pole always explains a little more: it has to explain much more.
+    criteria = [fit.cost + fit.parameters * search.charge
+                + worth(search.projection, UNSTABLE) * bool(np.max(fit.poles.real) > limit)
+                for fit in fits]
+    best, rows = int(np.argmin(criteria)), []
+    for n in sorted({len(one.matrices.A) for one in offered}):
+        i = min((i for i, one in enumerate(offered) if len(one.matrices.A) == n),
+                key=lambda i: criteria[i])
+        rows.append(OrderTried(n, criteria[i] - criteria[best],
+                               100.0 * (1.0 - float(np.sqrt(fits[i].residual)))))
+    choices = []
+    if len(rows) > 1:
+        table = ', '.join(f'{row.order}: {row.criterion:.0f}' for row in rows)
+        choices.append(Choice('order', len(offered[best].matrices.A), "Schwarz's criterion of "
+                              f'simulations, above its smallest value, by order: {table}'))
+    choices += _differences(offered, offered[best])
+    return offered[best], choices, tuple(rows) if len(rows) > 1 else ()
+
+
+def _differences(offered: Sequence[Made], best: Made) -> list[Choice]:
+    """Return a choice for each parameter in which the models that were offered differ."""
+    shown = {name: value for name, value in best.settings.to_ros().items() if name != 'order'}
+    others = [one.settings.to_ros() for one in offered]
+    return [Choice(name, value, 'its model simulates best')
+            for name, value in shown.items() if any(other[name] != value for other in others)]
+
+
+def _on_lines(projection: Projection, m: Matrices, feedthrough: bool) -> tuple[Matrices, bool]:
+    """Return a model with ends and trim, and whether it is likelier with its K than without."""
+    m = with_ends(projection, m, feedthrough)
+    still = with_ends(projection, replace(m, K=np.zeros_like(m.K)), feedthrough)
+    price = m.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
+    if np.isfinite(m.K).all() and np.any(m.K) and \
+            innovation_cost(projection, m) + price < output_error_cost(projection, still):
+        return m, True
+    return replace(still, K=quiet_gain(projection, still)), False
+
+
+def with_ends(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
+    """
+    Return a model with the states at the ends and the trim that suit the lines best.
+
+    Parameters
+    ----------
+    projection : Projection
+    m : Matrices
+        Of which A, C and K stay as they are, and B and D unless D is to be zero and is not.
+    feedthrough : bool
+    """
+    n, ny, nu = len(m.A), len(m.C), m.B.shape[1]
+    tails, ones = len(projection.tail), len(projection.ones)
+    without_D = not feedthrough and bool(np.any(m.D))
+    m = replace(m, tail=np.zeros((n, tails)), x_trim=np.zeros((n, ones)),
+                y_trim=np.zeros((ny, ones)), D=np.zeros_like(m.D) if without_D else m.D)
+    prediction = predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s))
+    error = as_real(prediction.error)
+    size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150
+    rows = by_parameter(jacobian(projection, m, False, with_noise=False,
+                                 whiten=np.diag(1.0 / size), prediction=prediction))
+    B = np.ones((n, nu + tails + ones), dtype=bool)
+    B[:, :nu] = without_D
+    free = np.concatenate((np.zeros(n * n, dtype=bool), B.ravel(), np.zeros(ny * n, dtype=bool),
+                           np.ones(ny * ones, dtype=bool)))
+    step = np.zeros(len(free))
+    step[free] = least_norm(rows[free], (error / size[:, np.newaxis]).reshape(1, -1), _SURE)[0]
+    return moved(m, step, False)
+
+
+def _held_out(method: Method, part: Joint, found: Found) -> HeldOut:
+    """Return how a model of the first parts, made likewise, does on the last parts."""
+    settings = found.settings
+    if settings.held_out == 0.0 or settings.edges == 'paper':
+        return nothing_held_out(len(found.matrices.C))
+    own = own_delays(part.parts[0], settings)
+    early, _ = part.early_and_late(own)
+    offered = method(early, own, [settings.order])
+    if not offered or not np.isfinite(offered[0].matrices.A).all():
+        return nothing_held_out(len(found.matrices.C))
+    first, last = part.divided(own, found.layout)
+    model = with_ends(first, replace(
+        offered[0].matrices, K=np.zeros_like(offered[0].matrices.K)), settings.feedthrough)
+    return HeldOut(*unseen(last, model, trimmed=not part.many))
