@@ -24,6 +24,7 @@ Errata of [TM], found by deriving (6) anew; `docs/method.md` has the list. What 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +52,8 @@ class Filtered:
     ----------
     chain : Chain
     inputs : ndarray, shape (N, k, columns)
-        u; an impulse at the start (the initial state); the constant 1 (trim), if wanted; kinks.
+        u; an impulse at the start of each record (its initial state); the constant 1 over each
+        record (trim), if wanted; kinks.
     y : ndarray, shape (N, ny, columns)
     counts : tuple of int
         How many of the inputs are u, impulses, constants, kinks.
@@ -70,7 +72,8 @@ class Filtered:
     def direct(self, feedthrough: bool) -> list[int]:
         """Return which inputs act on the outputs at once."""
         nu, impulses, ones, kinks = self.counts
-        return [*range(nu * feedthrough), *range(nu + impulses, nu + impulses + ones + kinks)]
+        first = nu + impulses
+        return [*range(nu * feedthrough), *range(first, first + ones + kinks)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +111,9 @@ class Realised:
     ----------
     A, B, C, D : ndarray
         Shapes (n, n), (n, nu), (ny, n), (ny, nu).
-    x0 : ndarray, shape (n, 1)
-        State at the start of the record.
-    x_trim, y_trim : ndarray, shapes (n, 0 or 1), (ny, 0 or 1)
+    x0 : ndarray, shape (n, records)
+        State at the start of each record.
+    x_trim, y_trim : ndarray, shapes (n, 0 or records), (ny, 0 or records)
     """
 
     A: Array
@@ -122,14 +125,15 @@ class Realised:
     y_trim: Array
 
 
-def filter_record(record: Record, chain: Chain, delay: tuple[float, ...], *, trim: bool,
-                  polynomial: int = 0, kinks: int = KINKS) -> Filtered:
+def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
+                   trim: bool, polynomial: int = 0, kinks: int = KINKS) -> Filtered:
     """
-    Return the signals of a record through a chain, at the stamps of its densest output.
+    Return the signals of records through a chain, at the stamps of the densest output of each.
 
     Parameters
     ----------
-    record : Record
+    records : sequence of Record
+        Of one plant; each with an initial state and a trim of its own.
     chain : Chain
     delay : tuple of float, length nu
         Dead time of the inputs [s].
@@ -139,21 +143,43 @@ def filter_record(record: Record, chain: Chain, delay: tuple[float, ...], *, tri
         0: between samples, signals are what their holds say. p > 0: polynomials of degree p
         through the p + 1 nearest samples, as in [TM] IV-C.
     kinks : int
-        How many integrals of the inputs are looked at for what interpolation of the outputs
-        misses of them (`bases.kinks`).
+        How many integrals of inputs that are held, or on straight lines, are looked at for what
+        interpolation of the outputs misses of them (`bases.kinks`).
     """
+    found = [_filtered(record, chain, delay, polynomial, kinks) for record in records]
+    nu, ny, count = records[0].nu, records[0].ny, len(records)
+    own, missed = nu + 1 + trim, found[0].shape[2] - nu - 2 - ny
+    total = nu + count * (1 + trim)
+    rows = np.zeros((sum(map(len, found)), chain.size, total + missed + ny))
+    first = 0
+    for i, part in enumerate(found):
+        to = slice(first, first + len(part))
+        first += len(part)
+        columns = [*range(nu), nu + i, *([nu + count + i] if trim else [])]
+        rows[to, :, columns] = part[:, :, :own]
+        rows[to, :, total:] = part[:, :, nu + 2:]
+    keep = np.ones(rows.shape[2], dtype=bool)
+    keep[total:total + missed] = np.any(rows[:, :, total:total + missed], axis=(0, 1))
+    counts = (nu, count, count * trim, int(keep[total:total + missed].sum()))
+    return _compressed(chain, rows[:, :, keep], counts)
+
+
+def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], polynomial: int,
+              kinks: int) -> Array:
+    """Return u, impulse, constant, kinks and y through a chain, (times, N, signals)."""
     times = sample_times(record)
     none = (0.0,) * record.ny
     knots = knots_between((*record.inputs, *record.outputs), (*delay, *none), times)
     pieces = local_polynomials(polynomial) if polynomial else input_polynomials
     u = pieces(record.inputs, delay, knots)
     y = pieces(record.outputs, none, knots)
-    ones = np.ones((1, len(knots), int(trim)))
-    missed = missed_between(u, knots, record.outputs, pieces, kinks)
+    uneven = np.repeat([s.hold != 'smooth' for s in record.inputs],
+                       [s.width for s in record.inputs]).astype(bool)
+    missed = missed_between(u[:, :, uneven], knots, record.outputs, pieces, kinks)
+    ones = np.ones((1, len(knots), 1))
     w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
     impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
-    rows = np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
-    return _compressed(chain, rows, (record.nu, 1, int(trim), missed.shape[2]))
+    return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
 
 
 def _side_by_side(parts: tuple[Array, ...]) -> Array:

@@ -69,11 +69,12 @@ def missed_between(u: Array, knots: Array, outputs: Sequence[Signal],
 
     Returns
     -------
-    ndarray, shape (degree + 1 + count or less, K, signals)
-        Those that are not zero.
+    ndarray, shape (degree + 1 + count or less, K, count * nu * signals)
+        Zero where it is no more than rounding.
     """
     found: list[Array] = []
     integral = u
+    count = count if u.shape[2] else 0
     for _ in range(count):
         integral = integrated(integral, knots)
         found += [x for signal in outputs
@@ -96,9 +97,9 @@ def _missed(signal: Array, knots: Array, output: Signal,
     error = np.zeros((degree, len(knots), m))
     error[:len(signal)] += signal
     error[:len(curve)] -= curve
-    middle = _middles(error, knots)
     size = np.abs(signal[0]).max(axis=0) + 1e-300
-    return [error[:, :, j] for j in range(m) if np.abs(middle[:, j]).max() > _NOTHING * size[j]]
+    error[:, :, np.abs(_middles(error, knots)).max(axis=0) <= _NOTHING * size] = 0.0
+    return [error[:, :, j] for j in range(m)]
 
 
 def _middles(derivatives: Array, knots: Array) -> Array:
