@@ -15,6 +15,7 @@ import numpy as np
 
 from ctsid_core.bandwidth import output_band
 from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre
+from ctsid_core.driven import simulated
 from ctsid_core.errors import SettingsError
 from ctsid_core.gobf_subspace import Array, filter_records, observe, realise, sample_times
 from ctsid_core.joint import Joint
@@ -57,8 +58,12 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Mad
             if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
                 continue
             m = realise(seen, n, feedthrough=settings.feedthrough)
+            driven = None if settings.tm_polynomial else simulated(
+                records, m.A, m.C, delay, trim=settings.trim, feedthrough=settings.feedthrough,
+                tolerance=settings.rank_tolerance)
+            best = driven or m
             found.append(Made(
-                plain_matrices(m.A, m.B, m.C, m.D), _used(settings, own, n),
+                plain_matrices(m.A, best.B, best.C, best.D), _used(settings, own, n),
                 seen.singular_values, seen.condition))
     return found
 

@@ -42,7 +42,7 @@ LEVELS = {
         ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
         ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
         ['deviation', 'leftover', 'judgement'], ['examination', 'joint'], ['other_method'],
-        ['ct_pbsid', 'gobf'], ['methods'],
+        ['driven'], ['ct_pbsid', 'gobf'], ['methods'],
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
         ['outcome', 'time_identify'], ['by_method', 'estimation', 'advice'], ['lateness'],
