@@ -52,7 +52,8 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Mad
         if own.size * signals > _SHARE * samples:
             continue
         filtered = filter_records(records, own, delay, trim=settings.trim,
-                                  polynomial=settings.tm_polynomial)
+                                   feedthrough=settings.feedthrough,
+                                   polynomial=settings.tm_polynomial)
         seen = observe(filtered, settings.rank_tolerance)
         for n in orders:
             if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):

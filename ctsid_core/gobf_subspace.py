@@ -126,7 +126,8 @@ class Realised:
 
 
 def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
-                   trim: bool, polynomial: int = 0, kinks: int = KINKS) -> Filtered:
+                   trim: bool, feedthrough: bool = True, polynomial: int = 0,
+                   kinks: int = KINKS) -> Filtered:
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
@@ -139,6 +140,8 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
         Dead time of the inputs [s].
     trim : bool
         Whether a constant drives states and outputs, too.
+    feedthrough : bool
+        Whether u acts on y at once, so that y is as uneven as u.
     polynomial : int
         0: between samples, signals are what their holds say. p > 0: polynomials of degree p
         through the p + 1 nearest samples, as in [TM] IV-C.
@@ -146,7 +149,7 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
         How many integrals of inputs that are held, or on straight lines, are looked at for what
         interpolation of the outputs misses of them (`bases.kinks`).
     """
-    found = [_filtered(record, chain, delay, polynomial, kinks) for record in records]
+    found = [_filtered(record, chain, delay, polynomial, kinks, feedthrough) for record in records]
     nu, ny, count = records[0].nu, records[0].ny, len(records)
     own, missed = nu + 1 + trim, found[0].shape[2] - nu - 2 - ny
     total = nu + count * (1 + trim)
@@ -165,7 +168,7 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
 
 
 def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], polynomial: int,
-              kinks: int) -> Array:
+              kinks: int, feedthrough: bool) -> Array:
     """Return u, impulse, constant, kinks and y through a chain, (times, N, signals)."""
     times = sample_times(record)
     none = (0.0,) * record.ny
@@ -175,7 +178,8 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], polynomial
     y = pieces(record.outputs, none, knots)
     uneven = np.repeat([s.hold != 'smooth' for s in record.inputs],
                        [s.width for s in record.inputs]).astype(bool)
-    missed = missed_between(u[:, :, uneven], knots, record.outputs, pieces, kinks)
+    missed = missed_between(u[:, :, uneven], knots, record.outputs, pieces, kinks,
+                            0 if feedthrough else 1)
     ones = np.ones((1, len(knots), 1))
     w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
     impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
@@ -268,13 +272,13 @@ def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     [TM] eq. 11 to 14. Of N ny rows, those of the first N - 1 functions differ from the next.
     """
     sigma, n = chain.poles, theta.shape[1]
-    O = np.tensordot(chain.turn, theta.reshape(chain.size, -1, n), axes=1)
+    seen = np.tensordot(chain.turn, theta.reshape(chain.size, -1, n), axes=1)
     root = np.sqrt(2.0 * sigma.real)[:, np.newaxis, np.newaxis]
     pole = sigma[:, np.newaxis, np.newaxis]
-    M = (O / root)[:-1] - (O / root)[1:]
-    R = (pole.conj() * O / root)[:-1] + (pole * O / root)[1:]
+    M = (seen / root)[:-1] - (seen / root)[1:]
+    R = (pole.conj() * seen / root)[:-1] + (pole * seen / root)[1:]
     A = _real_least_squares(M.reshape(-1, n), R.reshape(-1, n))
-    C = O[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
+    C = seen[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
     return A, np.asarray(C.real)
 
 

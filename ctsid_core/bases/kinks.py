@@ -50,7 +50,7 @@ def integrated(derivatives: Array, knots: Array) -> Array:
 
 def missed_between(u: Array, knots: Array, outputs: Sequence[Signal],
                    interpolate: Callable[[Sequence[Signal], Sequence[float], Array], Array],
-                   count: int) -> Array:
+                   count: int, first: int = 1) -> Array:
     """
     Return what interpolation of each output signal misses of the inputs' integrals.
 
@@ -65,20 +65,22 @@ def missed_between(u: Array, knots: Array, outputs: Sequence[Signal],
     interpolate : callable
         As `simulation.input_polynomials`.
     count : int
-        Number of integrals.
+        Number of integrals; 0: nothing at all.
+    first : int
+        0: also of the inputs themselves, which outputs follow at once.
 
     Returns
     -------
-    ndarray, shape (degree + 1 + count or less, K, count * nu * signals)
+    ndarray, shape (degree + 1 + count or less, K, (count + 1 - first) * nu * signals)
         Zero where it is no more than rounding.
     """
     found: list[Array] = []
     integral = u
-    count = count if u.shape[2] else 0
-    for _ in range(count):
-        integral = integrated(integral, knots)
-        found += [x for signal in outputs
-                  for x in _missed(integral, knots, signal, interpolate)]
+    for power in range(count + 1 if u.shape[2] and count else 0):
+        integral = integrated(integral, knots) if power else integral
+        if power >= first:
+            found += [x for signal in outputs
+                      for x in _missed(integral, knots, signal, interpolate)]
     degree = max(map(len, found), default=1)
     columns = [np.concatenate((x, np.zeros((degree - len(x), len(knots))))) for x in found]
     return np.stack(columns, axis=2) if columns else np.zeros((1, len(knots), 0))

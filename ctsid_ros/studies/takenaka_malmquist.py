@@ -63,8 +63,8 @@ def example(seed: int) -> Record:
 def by_chain(record: Record, poles: Array, way: str) -> StateSpace:
     """Return the estimate by one chain of filters, [TM] eq. 6 to 15."""
     polynomial, kinks = WAYS[way]
-    filtered = filter_records([record], chain(poles), (0.0,), trim=False, polynomial=polynomial,
-                              kinks=kinks)
+    filtered = filter_records([record], chain(poles), (0.0,), trim=False, feedthrough=False,
+                               polynomial=polynomial, kinks=kinks)
     found = realise(observe(filtered, RANK_TOLERANCE), ORDER, feedthrough=False)
     return StateSpace(found.A, found.B, found.C, found.D)
 
@@ -116,12 +116,12 @@ def table(errors: dict[tuple[str, str], Array]) -> Table:
     """Return what the errors |G - estimate|, (seeds, frequencies), amount to."""
     rows = []
     for (name, way), own in errors.items():
-        each = relative(own)
+        each: Array = relative(own)
         best = errors.get(('TM 4..60', way))
         below = '' if best is None or name.startswith('TM') else \
             f'{100 * np.mean(np.median(best, axis=0) < np.median(own, axis=0)):.0f} %'
         wins = '' if not below or best is None else f'{np.sum(relative(best) < each)}/{len(each)}'
-        rows.append((name, way, f'{np.median(each):.2g}', f'{each.max():.2g}',
+        rows.append((name, way, f'{np.median(each):.2g}', f'{np.max(each):.2g}',
                      f'{np.median(own[:, 0]):.2g}', f'{np.median(own[:, -1]):.2g}', below, wins))
     return Table(('estimate', 'between samples', 'median error', 'largest', 'at 0.1 rad/s',
                   'at 100 rad/s', 'TM below', 'TM wins'), tuple(rows),
@@ -146,8 +146,8 @@ def write(directory: Path, found: dict[tuple[str, str], ComplexArray],
                       for row in np.column_stack((OMEGA, *middle)))
     write_drawings(directory / 'figure_2.svg', _samples())
     for way in WAYS:
-        own = {name: found[name, way][0] for name in SEQUENCES}
-        write_drawings(directory / f'figure_3_{way}.svg', _bode(own, way))
+        first = {name: found[name, way][0] for name in SEQUENCES}
+        write_drawings(directory / f'figure_3_{way}.svg', _bode(first, way))
         write_drawings(directory / f'figure_4_{way}.svg', _error_curves(errors, way))
 
 
