@@ -2,10 +2,13 @@
 """
 B, C and D of a system of known A, from simulations.
 
-The outputs are linear in B (with D, initial states, trim) and then in C, and all responses are
-exact at the stamps of the outputs, whatever these do in between. [TM] eq. 14 takes C from the
-first filter alone; there the noise of one filter decides. [TM] eq. 15 asks for B in the equations of filtered outputs instead, with free
-states: there an error of the observability matrix goes straight to B, multiplied with the states.
+Each output is linear in the residues of its modes, and all responses are exact at the stamps of
+the outputs, whatever these do in between. Residues of rank one are B and C; with several outputs
+B and C are then fitted in turns.
+
+[TM] takes C from the first filter alone (eq. 14), and B from the equations of filtered outputs
+with free states (eq. 15). There an error of the observability matrix goes straight to B,
+multiplied with the states: poles can be right to four digits and B to none.
 """
 
 from __future__ import annotations
@@ -22,9 +25,11 @@ from ctsid_core.signals import Record
 from ctsid_core.simulation import input_polynomials, knots_between, recursion
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 _CONDITION = 1e10     # of the eigenvectors of A, beyond which there is no simulation by modes
 _FURTHEST = 300.0     # exponent of an unstable mode's growth that floating point still holds
+_TURNS = 4            # of fitting B and C
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +48,37 @@ class Driven:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """One output signal of one record: its samples, and what inputs make of every mode."""
+class _Output:
+    """
+    One output over all records, compressed by a QR factorisation.
 
-    record: int
-    channels: slice
-    y: Array                            # (times, channels)
-    responses: NDArray[np.complex128]   # (times, modes, u then impulse then 1)
-    u: Array                            # (times, nu)
+    Parameters
+    ----------
+    re, im : ndarray, shape (rows, modes, S)
+        Responses of the modes to u, to an impulse at the start of each record, and to 1 in each.
+    direct : ndarray, shape (rows, d)
+        u if the output follows it at once, and 1 in each record.
+    y : ndarray, shape (rows, 1)
+        Over the output's size.
+    """
+
+    re: Array
+    im: Array
+    direct: Array
+    y: Array
 
 
-def simulated(records: Sequence[Record], A: Array, C: Array, delay: tuple[float, ...], *,
-              trim: bool, feedthrough: bool, tolerance: float) -> Driven | None:
+def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, trim: bool,
+              feedthrough: bool, tolerance: float) -> Driven | None:
     """
     Return the model of given A whose simulations are near the samples of the outputs.
 
-    First B and D for the given C, then C and D for the states that this B makes. Each output
-    counts by its own power; initial states and trim of each record are free.
+    Each output counts by its own power; initial states and trim of each record are free.
 
     Parameters
     ----------
     records : sequence of Record
     A : ndarray, shape (n, n)
-    C : ndarray, shape (ny, n)
     delay : tuple of float, length nu
         [s]
     trim : bool
@@ -84,81 +97,104 @@ def simulated(records: Sequence[Record], A: Array, C: Array, delay: tuple[float,
     length = max(r.duration for r in records)
     if found is None or (found.values.real * length > _FURTHEST).any():
         return None
-    seen = [one for i, record in enumerate(records)
-            for one in _seen(record, found, delay, trim, i)]
-    B, drives = _inputs(seen, found, C, trim, feedthrough, tolerance)
-    C, D = _outputs(seen, found, drives, len(C), trim, feedthrough, tolerance)
-    return Driven(B, C, D)
+    nu = records[0].nu
+    sizes, outputs = _outputs(records, found, delay, trim, feedthrough)
+    c, b, direct = _rank_one(outputs, nu, tolerance)
+    for _ in range(_TURNS * (len(outputs) > 1)):
+        b = _fit_b(outputs, c, tolerance)
+        c, direct = _fit_c(outputs, b, tolerance)
+    D = direct[:, :nu] if feedthrough else np.zeros((len(outputs), nu))
+    return Driven((found.right @ b[:, :nu]).real, sizes * (c @ found.left).real, sizes * D)
 
 
-def _seen(record: Record, found: Modes, delay: tuple[float, ...], trim: bool,
-          own: int) -> list[_Seen]:
-    parts, first = [], 0
-    for signal in record.outputs:
-        inside = (signal.time >= record.start) & (signal.time <= record.end)
-        responses, u = _responses(record, found, delay, signal.time[inside], trim)
-        parts.append(_Seen(own, slice(first, first + signal.width), signal.values[inside],
-                           responses, u))
-        first += signal.width
-    return parts
-
-
-def _inputs(seen: Sequence[_Seen], found: Modes, C: Array, trim: bool, feedthrough: bool,
-            tolerance: float) -> tuple[Array, list[Array]]:
-    """Return B, and for each record B beside its initial state and trim of states."""
-    n, ny, nu = found.right.shape[0], len(C), seen[0].u.shape[1]
-    feed, count = ny * nu * feedthrough, seen[-1].record + 1
-    each, own = n * (1 + trim), n * (1 + trim) + ny * trim
-    width = n * nu + feed + own * count
-    triangle = np.zeros((0, width + 1))
-    for one in seen:
-        for j, channel in enumerate(range(one.channels.start, one.channels.stop)):
-            made = np.einsum('k,kn,tkm->tmn', C[channel] @ found.right, found.left,
-                             one.responses, optimize=True).real
-            block, times = np.zeros((len(one.y), width + 1)), len(one.y)
-            block[:, :n * nu] = made[:, :nu].reshape(times, -1)
-            if feedthrough:
-                first = n * nu + channel * nu
-                block[:, first:first + nu] = one.u
-            first = n * nu + feed + own * one.record
-            block[:, first:first + each] = made[:, nu:].reshape(times, -1)
+def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], trim: bool,
+             feedthrough: bool) -> tuple[Array, list[_Output]]:
+    """Return the size of each output, (ny, 1), and the outputs."""
+    count, nu, modes_count = len(records), records[0].nu, len(found.values)
+    total = nu + count * (1 + trim)
+    blocks: dict[int, list[Array]] = {}
+    for i, record in enumerate(records):
+        channel = 0
+        for signal in record.outputs:
+            inside = (signal.time >= record.start) & (signal.time <= record.end)
+            own, u = _responses(record, found, delay, signal.time[inside], trim)
+            made = np.zeros((len(u), modes_count, total), dtype=complex)
+            made[:, :, [*range(nu), nu + i, *([nu + count + i] if trim else [])]] = own
+            ones = np.zeros((len(u), count * trim))
             if trim:
-                block[:, first + each + channel] = 1.0
-            block[:, -1] = one.y[:, j]
-            block /= np.std(one.y[:, j]) + 1e-300
-            triangle = np.linalg.qr(np.vstack((triangle, block)), mode='r')
-    theta = least_norm(triangle[:, :-1].T, triangle[:, -1:].T, tolerance)[0]
-    B = theta[:n * nu].reshape(nu, n).T
-    rest = theta[n * nu + feed:].reshape(count, own)[:, :each].reshape(count, 1 + trim, n)
-    return B, [np.hstack((B, r.T)) for r in rest]
+                ones[:, i] = 1.0
+            left = np.hstack((made.real.reshape(len(u), -1), made.imag.reshape(len(u), -1),
+                              u if feedthrough else u[:, :0], ones))
+            for j in range(signal.width):
+                blocks.setdefault(channel, []).append(
+                    np.hstack((left, signal.values[inside, j:j + 1])))
+                channel += 1
+    sizes = np.array([np.std(np.concatenate([b[:, -1] for b in blocks[k]])) + 1e-300
+                      for k in sorted(blocks)])
+    width, outputs = modes_count * total, []
+    for k, size in enumerate(sizes):
+        small = np.linalg.qr(np.vstack(blocks[k]), mode='r')
+        outputs.append(_Output(*(x.reshape(len(small), modes_count, total) for x in (
+            small[:, :width], small[:, width:2 * width])), small[:, 2 * width:-1],
+            small[:, -1:] / size))
+    return sizes[:, np.newaxis], outputs
 
 
-def _outputs(seen: Sequence[_Seen], found: Modes, drives: Sequence[Array], ny: int, trim: bool,
-             feedthrough: bool, tolerance: float) -> tuple[Array, Array]:
-    """Return C and D for the states that are driven like that in each record."""
-    n, nu, count = found.right.shape[0], seen[0].u.shape[1], len(drives)
-    C, D = np.zeros((ny, n)), np.zeros((ny, nu))
-    stacked: dict[int, list[Array]] = {}
-    for one in seen:
-        modal = np.einsum('tkm,km->tk', one.responses, found.left @ drives[one.record])
-        x = (modal @ found.right.T).real
-        ones = np.zeros((len(x), count * trim))
-        if trim:
-            ones[:, one.record] = 1.0
-        block = np.hstack((x, one.u if feedthrough else one.u[:, :0], ones))
-        for j, channel in enumerate(range(one.channels.start, one.channels.stop)):
-            stacked.setdefault(channel, []).append(np.hstack((block, one.y[:, j:j + 1])))
-    for channel, blocks in stacked.items():
-        triangle = np.linalg.qr(np.vstack(blocks), mode='r')
-        theta = least_norm(triangle[:, :-1].T, triangle[:, -1:].T, tolerance)[0]
-        C[channel] = theta[:n]
-        if feedthrough:
-            D[channel] = theta[n:n + nu]
-    return C, D
+def _rank_one(outputs: Sequence[_Output], nu: int,
+              tolerance: float) -> tuple[ComplexArray, ComplexArray, Array]:
+    """
+    Return c, (ny, modes), b, (modes, nu), and what acts at once: residues made rank one.
+
+    Those of u only: trim of states, trim of outputs and initial states can stand for each other.
+    """
+    shape = outputs[0].re.shape[1:]
+    width, residues, direct = int(np.prod(shape)), [], []
+    for own in outputs:
+        rows = len(own.y)
+        theta = least_norm(np.hstack((own.re.reshape(rows, -1), -own.im.reshape(rows, -1),
+                                      own.direct)).T, own.y.T, tolerance)[0]
+        residues.append((theta[:width] + 1j * theta[width:2 * width]).reshape(shape))
+        direct.append(theta[2 * width:])
+    reach = np.sqrt(np.sum(outputs[0].re ** 2 + outputs[0].im ** 2, axis=0)) + 1e-300
+    reach = reach[:, :nu]
+    each = np.array(residues)[:, :, :nu].transpose(1, 0, 2) * reach[:, np.newaxis]
+    left, s, right = np.linalg.svd(each, full_matrices=False)
+    return (left[:, :, 0].T, s[:, :1] * right[:, 0] / reach, np.array(direct))
+
+
+def _fit_b(outputs: Sequence[_Output], c: ComplexArray, tolerance: float) -> ComplexArray:
+    """Return b, (modes, S), for given c."""
+    shape = outputs[0].re.shape[1:]
+    width, free = int(np.prod(shape)), outputs[0].direct.shape[1]
+    stacked = []
+    for k, own in enumerate(outputs):
+        rows, weight = len(own.y), c[k][:, np.newaxis]
+        apart = np.zeros((rows, free * len(outputs)))
+        apart[:, free * k:free * (k + 1)] = own.direct
+        stacked.append(np.hstack((
+            (own.re * weight.real - own.im * weight.imag).reshape(rows, -1),
+            -(own.re * weight.imag + own.im * weight.real).reshape(rows, -1), apart, own.y)))
+    both = np.vstack(stacked)
+    theta = least_norm(both[:, :-1].T, both[:, -1:].T, tolerance)[0]
+    found: ComplexArray = (theta[:width] + 1j * theta[width:2 * width]).reshape(shape)
+    return found
+
+
+def _fit_c(outputs: Sequence[_Output], b: ComplexArray,
+           tolerance: float) -> tuple[ComplexArray, Array]:
+    """Return c, (ny, modes), and what acts at once, for given b."""
+    found, direct, count = [], [], len(b)
+    for own in outputs:
+        state = np.einsum('tkm,km->tk', own.re + 1j * own.im, b)
+        theta = least_norm(np.hstack((state.real, -state.imag, own.direct)).T, own.y.T,
+                           tolerance)[0]
+        found.append(theta[:count] + 1j * theta[count:2 * count])
+        direct.append(theta[2 * count:])
+    return np.array(found), np.array(direct)
 
 
 def _responses(record: Record, found: Modes, delay: tuple[float, ...], times: Array,
-               trim: bool) -> tuple[NDArray[np.complex128], Array]:
+               trim: bool) -> tuple[ComplexArray, Array]:
     """Return 1 / (s - mode) of u, of an impulse at the start and of 1, (times, modes, signals)."""
     at = np.concatenate(([record.start], times, [record.end]))
     knots = knots_between(record.inputs, delay, at)
@@ -171,8 +207,9 @@ def _responses(record: Record, found: Modes, delay: tuple[float, ...], times: Ar
     rest = np.zeros(len(found.values), dtype=complex)
     paths = []
     for m in range(driving.shape[2]):
-        drive = sum((h ** (j + 1) * functions[j + 1] * v[:-1, m, np.newaxis]
-                     for j, v in enumerate(driving)), np.zeros(()))
+        drive = np.zeros_like(functions[0])
+        for j, v in enumerate(driving):
+            drive += h ** (j + 1) * functions[j + 1] * v[:-1, m, np.newaxis]
         paths.append(recursion(functions[0], drive, rest))
     free = np.exp((knots - knots[0])[:, np.newaxis] * found.values)
     nu = record.nu

@@ -14,10 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctsid_core.bandwidth import output_band
-from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre
+from ctsid_core.bases.takenaka_malmquist import Chain, ComplexArray, chain, legendre
 from ctsid_core.driven import simulated
 from ctsid_core.errors import SettingsError
-from ctsid_core.gobf_subspace import Array, filter_records, observe, realise, sample_times
+from ctsid_core.gobf_subspace import filter_records, observe, realise, sample_times
 from ctsid_core.joint import Joint
 from ctsid_core.other_method import Made, plain_matrices
 from ctsid_core.settings import Settings
@@ -52,15 +52,15 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Mad
         if own.size * signals > _SHARE * samples:
             continue
         filtered = filter_records(records, own, delay, trim=settings.trim,
-                                   feedthrough=settings.feedthrough,
-                                   polynomial=settings.tm_polynomial)
+                                  feedthrough=settings.feedthrough,
+                                  polynomial=settings.tm_polynomial)
         seen = observe(filtered, settings.rank_tolerance)
         for n in orders:
             if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
                 continue
             m = realise(seen, n, feedthrough=settings.feedthrough)
             driven = None if settings.tm_polynomial else simulated(
-                records, m.A, m.C, delay, trim=settings.trim, feedthrough=settings.feedthrough,
+                records, m.A, delay, trim=settings.trim, feedthrough=settings.feedthrough,
                 tolerance=settings.rank_tolerance)
             best = driven or m
             found.append(Made(
@@ -89,7 +89,7 @@ def _chains(part: Joint, settings: Settings, order: int) -> list[Chain]:
     return [legendre(top / (size - 0.5), size) for top in tops]
 
 
-def _given(settings: Settings) -> Array | None:
+def _given(settings: Settings) -> ComplexArray | None:
     """Return the pole sequence of the settings; None if it is to be found."""
     if isinstance(settings.tm_real, str):
         return None
@@ -100,5 +100,5 @@ def _given(settings: Settings) -> Array | None:
         raise SettingsError([f'`takenaka_malmquist.poles_imag` has {len(imag)} values, '
                              f'`takenaka_malmquist.poles_real` {len(real)}; give one for each '
                              'pole, or auto'])
-    poles: Array = real + 1j * imag
+    poles: ComplexArray = real + 1j * imag
     return poles

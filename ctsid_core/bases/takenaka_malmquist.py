@@ -156,7 +156,7 @@ def laguerre(pole: float, size: int) -> Chain:
 
 def legendre(sigma: float, size: int) -> Chain:
     """Return the Legendre basis: poles sigma (k + 1/2) ([TM] section III)."""
-    return chain(sigma * (np.arange(size) + 0.5))
+    return chain([sigma * (k + 0.5) for k in range(size)])
 
 
 def respond(found: Chain, derivatives: Array, knots: Array) -> Array:

@@ -54,7 +54,7 @@ def plant() -> StateSpace:
 
 def example(seed: int) -> Record:
     """Return the record of one run."""
-    rng, t = np.random.default_rng(seed), PERIOD * np.arange(COUNT)
+    rng, t = np.random.default_rng(seed), PERIOD * np.arange(COUNT, dtype=float)
     u = Signal(t, rng.standard_normal((COUNT, 1)), 'linear')
     y = plant().simulate((u,), t)
     return Record.from_arrays(t, u.values, t, y, input_hold='linear')
