@@ -21,7 +21,7 @@ from ctsid_core.estimate import Choice, Estimate, OrderTried, Status
 from ctsid_core.found import Found, own_delays
 from ctsid_core.held_out import HeldOut, nothing_held_out
 from ctsid_core.joint import Joint
-from ctsid_core.order import Search
+from ctsid_core.order import EXPLAINED, Search
 from ctsid_core.other_method import Made, Method
 from ctsid_core.outcome import conclude
 from ctsid_core.pbsid import Matrices, least_norm
@@ -51,18 +51,20 @@ def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
     settings : Settings
         `refine` does not count, nor do dead times that are to be found: they are 0.
     """
-    auto = any(part.parts[0].whole.nu and settings.unknown_delays(part.parts[0].whole.nu))
-    if auto:
+    if any(settings.unknown_delays(part.parts[0].whole.nu)):
         part = replace(part, remarks=(
             *part.remarks, f'{settings.method} does not look for dead times: those not given '
             'count as 0'))
+    part = replace(part, remarks=(
+        *part.remarks, 'deviations are the least that the data allow with such a model; a '
+        'subspace estimate scatters more'))
     settings = settings.with_known_delays().replace(refine=False)
     layout, why = part.layout(settings)
     own = own_delays(part.parts[0], settings)
     projection = part.project(own.replace(parts=max(layout.sizes)[1]), layout)
     search = Search(projection, own)
     orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
-    offered = [one for one in method(part, own, orders) if np.isfinite(one.matrices.A).all()]
+    offered = _finite(method(part, own, orders))
     if not offered:
         return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
     made, choices, tried = _likeliest(search, offered)
@@ -75,7 +77,7 @@ def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
         used.replace(nmax=max(layout.sizes)[0], parts=max(layout.sizes)[1]), projection, search,
         matrices, made.singular_values, made.condition, process_noise, tuple(choices), layout,
         tried)
-    return conclude(part, found, _held_out(method, part, found))
+    return conclude(part, found, _held_out(method, part, found, settings))
 
 
 def _likeliest(search: Search, offered: Sequence[Made],
@@ -90,8 +92,11 @@ def _likeliest(search: Search, offered: Sequence[Made],
     criteria = [fit.cost + fit.parameters * search.charge
                 + worth(search.projection, UNSTABLE) * bool(np.max(fit.poles.real) > limit)
                 for fit in fits]
+    enough = min((len(fit.poles) for fit in fits if fit.residual <= EXPLAINED), default=np.inf)
+    criteria = [value if len(fit.poles) <= enough else np.inf
+                for value, fit in zip(criteria, fits, strict=True)]
     best, rows = int(np.argmin(criteria)), []
-    for n in sorted({len(one.matrices.A) for one in offered}):
+    for n in sorted({n for one in offered if (n := len(one.matrices.A)) <= enough}):
         i = min((i for i, one in enumerate(offered) if len(one.matrices.A) == n),
                 key=lambda i: criteria[i])
         rows.append(OrderTried(n, criteria[i] - criteria[best],
@@ -115,12 +120,13 @@ def _differences(offered: Sequence[Made], best: Made) -> list[Choice]:
 
 def _on_lines(projection: Projection, m: Matrices, feedthrough: bool) -> tuple[Matrices, bool]:
     """Return a model with ends and trim, and whether it is likelier with its K than without."""
-    m = with_ends(projection, m, feedthrough)
+    noisy = bool(np.isfinite(m.K).all() and np.any(m.K))
     still = with_ends(projection, replace(m, K=np.zeros_like(m.K)), feedthrough)
     price = m.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
-    if np.isfinite(m.K).all() and np.any(m.K) and \
-            innovation_cost(projection, m) + price < output_error_cost(projection, still):
-        return m, True
+    if noisy:
+        m = with_ends(projection, m, feedthrough)
+        if innovation_cost(projection, m) + price < output_error_cost(projection, still):
+            return m, True
     return replace(still, K=quiet_gain(projection, still)), False
 
 
@@ -154,17 +160,25 @@ def with_ends(projection: Projection, m: Matrices, feedthrough: bool) -> Matrice
     return moved(m, step, False)
 
 
-def _held_out(method: Method, part: Joint, found: Found) -> HeldOut:
-    """Return how a model of the first parts, made likewise, does on the last parts."""
+def _held_out(method: Method, part: Joint, found: Found, given: Settings) -> HeldOut:
+    """Return how a model of the first parts does on the last parts; likewise made if it can be."""
     settings = found.settings
     if settings.held_out == 0.0 or settings.edges == 'paper':
         return nothing_held_out(len(found.matrices.C))
-    own = own_delays(part.parts[0], settings)
+    own, free = own_delays(part.parts[0], settings), own_delays(part.parts[0], given)
     early, _ = part.early_and_late(own)
-    offered = method(early, own, [settings.order])
-    if not offered or not np.isfinite(offered[0].matrices.A).all():
+    offered = _finite(method(early, own, [settings.order])) or \
+        _finite(method(early, free, [settings.order]))
+    if not offered:
         return nothing_held_out(len(found.matrices.C))
     first, last = part.divided(own, found.layout)
-    model = with_ends(first, replace(
-        offered[0].matrices, K=np.zeros_like(offered[0].matrices.K)), settings.feedthrough)
+    model = _likeliest(Search(first, own), offered)[0].matrices
+    model = with_ends(first, replace(model, K=np.zeros_like(model.K)), settings.feedthrough)
     return HeldOut(*unseen(last, model, trimmed=not part.many))
+
+
+def _finite(offered: Sequence[Made]) -> list[Made]:
+    """Return the models that are finite in all entries that matter to a simulation."""
+    return [one for one in offered if all(
+        np.isfinite(entries).all() for entries in
+        (one.matrices.A, one.matrices.B, one.matrices.C, one.matrices.D))]

@@ -40,7 +40,7 @@ _PATIENCE = 2                 # orders beyond the best one that are tried before
 _WHITE = 1e-2                 # chance above which errors count as white
 _COLOURED, _LOUD = 1e-12, 3.0  # chance and ratio of a peak beyond which a mode is missing
 _MARGIN = 10.0                # by which lower orders must be worse: no maximum is exact
-_EXPLAINED = 1e-6             # residual power below this fraction needs no further state
+EXPLAINED = 1e-6             # residual power below this fraction needs no further state
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ class Search:
             if trial is None:
                 break
             tried[n] = trial
-            if trial.residual <= _EXPLAINED or self._far_beyond(tried, n):
+            if trial.residual <= EXPLAINED or self._far_beyond(tried, n):
                 break
         for n in range(min(tried, default=2) - 1, 0, -1):
             if tried and self._far_below(tried, n):
@@ -283,12 +283,12 @@ class Search:
         it, and cheaper.
         """
         best, above = min(t.criterion for t in tried.values()), tried[n + 1]
-        return above.residual > _EXPLAINED and \
+        return above.residual > EXPLAINED and \
             above.criterion - n * self._price_of_state - _MARGIN > best
 
     def _believed(self, trials: list[OrderTrial]) -> list[OrderTrial]:
         """Return the trials but those unstable, or of more states, for little."""
-        explained = [t.order for t in trials if t.residual <= _EXPLAINED]
+        explained = [t.order for t in trials if t.residual <= EXPLAINED]
         trials = [t for t in trials if t.order <= min(explained, default=t.order)]
         return [t for t in trials if not (
             t.pair.limit == np.inf and any(

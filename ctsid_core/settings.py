@@ -146,6 +146,10 @@ class Settings:
         0, 'Degree of the polynomials through neighbouring samples that stand for signals between '
         'them; 0: signals are what their holds say.', name='takenaka_malmquist.polynomial',
         low=0, high=9, when='Set it to 3 to see the method as it was published.')
+    laguerre_pole: float = parameter(
+        0.0, 'Pole of the Laguerre functions (methods ct-pbsid and ct-pbsid-filter).',
+        name='laguerre.pole', unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',
+        when='A few times the fastest pole of interest, in steps of two if the model is poor.')
     held_out: float = parameter(
         0.3, 'Last part of every window on which a model of the rest is tested; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,

@@ -166,7 +166,7 @@ def project_inputs(record: Record, settings: Settings, nmax: int,
     ndarray, shape (nu, L)
     """
     basis, parts = hermite_lines(nmax), []
-    signals, shifts = _by_delay(record, tuple(delays))
+    signals, shifts = by_delay(record, tuple(delays))
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
     for start, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
         alpha = time_scale(nmax, 0.5 * (end - start), settings)
@@ -209,7 +209,7 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
                   end: float) -> Projection:
     basis = hermite_lines(nmax)
     alpha = time_scale(nmax, 0.5 * (end - start), settings)
-    inputs, delays = _by_delay(record, settings.delays(record.nu))
+    inputs, delays = by_delay(record, settings.delays(record.nu))
     signals = (*inputs, *record.outputs)
     found = coefficients(signals, start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
@@ -233,7 +233,7 @@ def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int
     return basis.lines(coefficients([held], start, end, alpha, nmax, [0.0])[0])
 
 
-def _by_delay(record: Record,
+def by_delay(record: Record,
               delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []

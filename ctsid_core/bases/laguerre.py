@@ -3,7 +3,8 @@
 Laguerre coefficients of sampled signals, seen from many instants.
 
 The functions l_k(t) = sqrt(2 a) exp(-a t) L_k(2 a t), t >= 0, are orthonormal; their transforms
-are sqrt(2 a) / (s + a) times powers of the all-pass (s - a) / (s + a). What follows t is projected,
+are sqrt(2 a) / (s + a) times powers of the all-pass (s - a) / (s + a). What follows t is
+projected,
 
     c_k(t) = int_0^inf l_k(r) f(t + r) dr,
 
@@ -13,9 +14,9 @@ equation, so that a shift is a matrix, l(t + h) = T(h) l(t), lower triangular To
     T_0 = exp(-a h),     T_j = exp(-a h) (L_j(2 a h) - L_(j-1)(2 a h)),
 
 and the coefficients of one instant follow from those of the next: c(t) = T(h) c(t + h) plus the
-integral over the h between, where the signal is held, a straight line or a piece of a spline. All
-instants cost one sweep over the samples, at any stamps, and the sweep is exact: it never leaves the
-bounded functions, whatever their order.
+integral over the h between, where the signal is held, a straight line or a piece of a spline.
+All instants cost one sweep over the samples, at any stamps, and the sweep is exact: it never
+leaves the bounded functions, whatever their order.
 """
 
 from __future__ import annotations

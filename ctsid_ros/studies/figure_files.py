@@ -10,7 +10,7 @@ from ctsid_ros.svg import Axes, draw
 
 _STYLE = """<style>
 svg { --ink: #1c2733; --soft: #5b6b7b; --line: #dde3e9; --shade: #c2410c; --c0: #1c2733;
-  --c1: #1769c4; --c2: #c2410c; --c3: #15803d; --c4: #7e22ce; --c5: #b45309; }
+  --c1: #1769c4; --c2: #c2410c; --c3: #15803d; --c4: #7e22ce; --c5: #0e7490; }
 text { font: 12px system-ui, sans-serif; fill: var(--soft); }
 .title { font-weight: 600; fill: var(--ink); }
 </style>"""
