@@ -134,9 +134,9 @@ def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], 
     width, outputs = modes_count * total, []
     for k, size in enumerate(sizes):
         small = np.linalg.qr(np.vstack(blocks[k]), mode='r')
-        outputs.append(_Output(*(x.reshape(len(small), modes_count, total) for x in (
-            small[:, :width], small[:, width:2 * width])), small[:, 2 * width:-1],
-            small[:, -1:] / size))
+        re, im = (x.reshape(len(small), modes_count, total)
+                  for x in (small[:, :width], small[:, width:2 * width]))
+        outputs.append(_Output(re, im, small[:, 2 * width:-1], small[:, -1:] / size))
     return sizes[:, np.newaxis], outputs
 
 
@@ -159,7 +159,8 @@ def _rank_one(outputs: Sequence[_Output], nu: int,
     reach = reach[:, :nu]
     each = np.array(residues)[:, :, :nu].transpose(1, 0, 2) * reach[:, np.newaxis]
     left, s, right = np.linalg.svd(each, full_matrices=False)
-    return (left[:, :, 0].T, s[:, :1] * right[:, 0] / reach, np.array(direct))
+    c, b = left[:, :, 0].T, s[:, :1] * right[:, 0] / reach
+    return np.asarray(c, dtype=complex), np.asarray(b, dtype=complex), np.array(direct)
 
 
 def _fit_b(outputs: Sequence[_Output], c: ComplexArray, tolerance: float) -> ComplexArray:

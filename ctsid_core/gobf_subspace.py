@@ -277,7 +277,8 @@ def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     pole = sigma[:, np.newaxis, np.newaxis]
     M = (seen / root)[:-1] - (seen / root)[1:]
     R = (pole.conj() * seen / root)[:-1] + (pole * seen / root)[1:]
-    A = _real_least_squares(M.reshape(-1, n).astype(complex), R.reshape(-1, n))
+    A = _real_least_squares(np.asarray(M.reshape(-1, n), complex),
+                            np.asarray(R.reshape(-1, n), complex))
     C = seen[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
     return A, np.asarray(C.real)
 

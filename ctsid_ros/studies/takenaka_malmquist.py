@@ -49,7 +49,7 @@ def plant() -> StateSpace:
     numerator, denominator = (-0.8471, 0.9081, -5.972, 5.519), (3.115, 5.036, 4.577, 2.254)
     A = np.eye(4, k=1)
     A[3] = -np.array(denominator[::-1])
-    return StateSpace(A, np.eye(4)[:, 3:], [numerator[::-1]])
+    return StateSpace(A, np.eye(4)[:, 3:], np.array([numerator[::-1]]))
 
 
 def example(seed: int) -> Record:
