@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.candidates import UNSTABLE, worth
+from ctsid_core.candidates import UNSTABLE, several, worth
 from ctsid_core.estimate import Choice, Estimate, OrderTried, Status
 from ctsid_core.found import Found, own_delays
 from ctsid_core.held_out import HeldOut, nothing_held_out
@@ -28,6 +28,7 @@ from ctsid_core.pbsid import Matrices, least_norm
 from ctsid_core.prediction_errors import (
     innovation_cost,
     jacobian,
+    line_fit,
     output_error_cost,
     predict,
     unseen,
@@ -38,6 +39,7 @@ from ctsid_core.selection import quiet_gain
 from ctsid_core.settings import Settings
 
 _SURE = 1e-9          # relative singular value of what the ends and the trim can do
+_LOOKED_AT = 3        # models of an order, those with the best poles
 
 
 def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
@@ -67,7 +69,7 @@ def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
     offered = _finite(method(part, own, orders))
     if not offered:
         return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-    made, choices, tried = _likeliest(search, offered)
+    made, choices, tried = _likeliest(search, offered, settings.feedthrough)
     matrices, process_noise = _on_lines(projection, made.matrices, settings.feedthrough)
     used = made.settings.replace(delay=settings.delay)
     if why:
@@ -80,34 +82,59 @@ def identify_by(method: Method, part: Joint, settings: Settings) -> Estimate:
     return conclude(part, found, _held_out(method, part, found, settings))
 
 
-def _likeliest(search: Search, offered: Sequence[Made],
+def _likeliest(search: Search, offered: Sequence[Made], feedthrough: bool,
                ) -> tuple[Made, list[Choice], tuple[OrderTried, ...]]:
-    """Return the best by Schwarz's criterion of simulations with the poles of each."""
+    """
+    Return the best by Schwarz's criterion of simulations.
+
+    How well simulations with their poles can do tells which few of an order are worth a closer
+    look: at their own simulations, which for several inputs and outputs are another matter.
+    """
     if len(offered) == 1:
         return offered[0], [], ()
-    output_error, limit = search.output_error, search.resolution
-    fits = [output_error.fit(np.linalg.eigvals(one.matrices.A).astype(complex))
-            for one in offered]
-    # An unstable pole always explains a little more: it has to explain much more.
-    criteria = [fit.cost + fit.parameters * search.charge
-                + worth(search.projection, UNSTABLE) * bool(np.max(fit.poles.real) > limit)
-                for fit in fits]
-    enough = min((len(fit.poles) for fit in fits if fit.residual <= EXPLAINED), default=np.inf)
-    criteria = [value if len(fit.poles) <= enough else np.inf
-                for value, fit in zip(criteria, fits, strict=True)]
-    best, rows = int(np.argmin(criteria)), []
-    for n in sorted({n for one in offered if (n := len(one.matrices.A)) <= enough}):
-        i = min((i for i, one in enumerate(offered) if len(one.matrices.A) == n),
-                key=lambda i: criteria[i])
-        rows.append(OrderTried(n, criteria[i] - criteria[best],
-                               100.0 * (1.0 - float(np.sqrt(fits[i].residual)))))
+    seen = _looked_at(search, offered, feedthrough)
+    best, least = min(seen, key=lambda one: one[1].criterion)
+    by_order = [min((tried for _, tried in seen if tried.order == n), key=lambda t: t.criterion)
+                for n in sorted({tried.order for _, tried in seen})]
+    rows = tuple(replace(t, criterion=t.criterion - least.criterion) for t in by_order)
     choices = []
     if len(rows) > 1:
         table = ', '.join(f'{row.order}: {row.criterion:.0f}' for row in rows)
-        choices.append(Choice('order', len(offered[best].matrices.A), "Schwarz's criterion of "
-                              f'simulations, above its smallest value, by order: {table}'))
-    choices += _differences(offered, offered[best])
-    return offered[best], choices, tuple(rows) if len(rows) > 1 else ()
+        choices.append(Choice('order', least.order, "Schwarz's criterion of simulations, above "
+                              f'its smallest value, by order: {table}'))
+    return best, choices + _differences(offered, best), rows if len(rows) > 1 else ()
+
+
+def _looked_at(search: Search, offered: Sequence[Made],
+               feedthrough: bool) -> list[tuple[Made, OrderTried]]:
+    """Return the most promising models of each order, with their criteria."""
+    found: list[tuple[Made, OrderTried]] = []
+    for n in sorted({len(one.matrices.A) for one in offered}):
+        group = [one for one in offered if len(one.matrices.A) == n]
+        costs = search.output_error.costs(
+            [np.linalg.eigvals(one.matrices.A).astype(complex) for one in group])
+        found += [(group[i], _tried(search, group[i].matrices, feedthrough))
+                  for i in np.argsort(costs, kind='stable')[:_LOOKED_AT]]
+        if max(tried.fit for _, tried in found) >= 100.0 * (1.0 - np.sqrt(EXPLAINED)):
+            break                       # no further state is needed
+    return found
+
+
+def _tried(search: Search, m: Matrices, feedthrough: bool) -> OrderTried:
+    """Return Schwarz's criterion of a model's simulation, and how well it fits."""
+    p, n, ny = search.projection, len(m.A), len(m.C)
+    poles = np.linalg.eigvals(m.A).astype(complex)
+    if several(p):
+        m = still(p, m, feedthrough)
+        cost, fit = output_error_cost(p, m), float(np.min(line_fit(p, m)))
+        count = n * (len(p.u) + len(p.tail) + ny) + ny * (len(p.u) * feedthrough + len(p.ones))
+    else:                               # residues have rank one: the poles tell it all
+        free = search.output_error.fit(poles)
+        cost, count = free.cost, free.parameters
+        fit = 100.0 * (1.0 - float(np.sqrt(free.residual)))
+    # An unstable pole always explains a little more: it has to explain much more.
+    grows = bool(np.max(poles.real) > search.resolution)
+    return OrderTried(n, cost + count * search.charge + worth(p, UNSTABLE) * grows, fit)
 
 
 def _differences(offered: Sequence[Made], best: Made) -> list[Choice]:
@@ -121,13 +148,18 @@ def _differences(offered: Sequence[Made], best: Made) -> list[Choice]:
 def _on_lines(projection: Projection, m: Matrices, feedthrough: bool) -> tuple[Matrices, bool]:
     """Return a model with ends and trim, and whether it is likelier with its K than without."""
     noisy = bool(np.isfinite(m.K).all() and np.any(m.K))
-    still = with_ends(projection, replace(m, K=np.zeros_like(m.K)), feedthrough)
+    simulated = still(projection, m, feedthrough)
     price = m.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
     if noisy:
         m = with_ends(projection, m, feedthrough)
-        if innovation_cost(projection, m) + price < output_error_cost(projection, still):
+        if innovation_cost(projection, m) + price < output_error_cost(projection, simulated):
             return m, True
-    return replace(still, K=quiet_gain(projection, still)), False
+    return replace(simulated, K=quiet_gain(projection, simulated)), False
+
+
+def still(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
+    """Return the same as `with_ends`, of the model without its K."""
+    return with_ends(projection, replace(m, K=np.zeros_like(m.K)), feedthrough)
 
 
 def with_ends(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
@@ -172,8 +204,8 @@ def _held_out(method: Method, part: Joint, found: Found, given: Settings) -> Hel
     if not offered:
         return nothing_held_out(len(found.matrices.C))
     first, last = part.divided(own, found.layout)
-    model = _likeliest(Search(first, own), offered)[0].matrices
-    model = with_ends(first, replace(model, K=np.zeros_like(model.K)), settings.feedthrough)
+    model = _likeliest(Search(first, own), offered, settings.feedthrough)[0].matrices
+    model = still(first, model, settings.feedthrough)
     return HeldOut(*unseen(last, model, trimmed=not part.many))
 
 
