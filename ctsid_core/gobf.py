@@ -100,5 +100,4 @@ def _given(settings: Settings) -> ComplexArray | None:
         raise SettingsError([f'`takenaka_malmquist.poles_imag` has {len(imag)} values, '
                              f'`takenaka_malmquist.poles_real` {len(real)}; give one for each '
                              'pole, or auto'])
-    poles = np.asarray(real + 1j * imag, dtype=complex)
-    return poles
+    return np.asarray(real + 1j * imag, dtype=complex)
