@@ -80,7 +80,7 @@ class Settings:
     method: str = parameter(
         'hd-pbsid', 'Identification method; all but hd-pbsid give their plain subspace estimate, '
         'and do not look for dead times.', structural=True,
-        choices=('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter'))
+        choices=('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter', 'gobf'))
     order: int = parameter(
         0, 'Number of states of the model.', low=0, high=50, auto='chosen from the data',
         when='Set it when the physics say how many states there are.')
@@ -130,6 +130,22 @@ class Settings:
     rank_tolerance: float = parameter(
         1e-10, 'Singular values below this fraction of the largest count as zero.',
         name='pbsid.rank_tolerance', low=1e-15, high=1e-2)
+    tm_real: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'Real parts of the pole sequence of the filters (method: gobf), in their order; '
+        'auto: spread evenly over the band that suits the data best.', unit='rad/s',
+        name='takenaka_malmquist.poles_real', low=1e-9, high=1e9, words=('auto',))
+    tm_imag: float | str | tuple[float | str, ...] = parameter(
+        'auto', 'Imaginary parts of the pole sequence, as many as real parts, conjugates beside '
+        'each other; auto: all zero.', unit='rad/s', name='takenaka_malmquist.poles_imag',
+        low=-1e9, high=1e9, words=('auto',))
+    tm_functions: int = parameter(
+        0, 'Number of filters in the chain, where their poles are not given.',
+        name='takenaka_malmquist.functions', low=0, high=100,
+        auto='8, or twice what the order needs')
+    tm_polynomial: int = parameter(
+        0, 'Degree of the polynomials through neighbouring samples that stand for signals between '
+        'them; 0: signals are what their holds say.', name='takenaka_malmquist.polynomial',
+        low=0, high=9, when='Set it to 3 to see the method as it was published.')
     laguerre_pole: float = parameter(
         0.0, 'Pole of the Laguerre functions (methods ct-pbsid and ct-pbsid-filter).',
         name='laguerre.pole', unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',

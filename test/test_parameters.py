@@ -227,7 +227,8 @@ def test_every_parameter_describes_itself(make):
         assert ('Fixed' in told.additional_constraints) == meta['structural']
         assert told.dynamic_typing == bool(meta['words'])      # a number or a word
         if meta['words']:
-            assert all(text in told.additional_constraints for text in (*meta['words'], '0 to'))
+            wanted = (*meta['words'], f'{meta["low"]:g} to')
+            assert all(text in told.additional_constraints for text in wanted)
             continue
         ranges = [*told.integer_range, *told.floating_point_range]
         assert [(r.from_value, r.to_value) for r in ranges] == (

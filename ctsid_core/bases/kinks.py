@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What interpolation of the outputs misses between samples, as far as the inputs tell.
+
+An output is D u + C B J u + C A B J^2 u + ..., J the integral, beside the smooth free response.
+A held input jumps at its stamps, so J u has corners there, and J^2 u jumps of curvature. No
+polynomial through samples of the output follows these. With S the interpolation, linear in the
+samples, what it misses is (1 - S) y = C B (1 - S) J u + C A B (1 - S) J^2 u + ...: known signals
+times unknown numbers. As inputs that act on the outputs at once, they make the equations of
+interpolated outputs exact to the next power of the sampling period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.signals import Signal
+
+Array = NDArray[np.float64]
+
+_NOTHING = 1e-12      # of a signal, that interpolation misses by rounding
+
+
+def integrated(derivatives: Array, knots: Array) -> Array:
+    """
+    Return the integral from the first knot of piecewise polynomials, in the same form.
+
+    Parameters
+    ----------
+    derivatives : ndarray, shape (degree + 1, K, m)
+        Just after each knot.
+    knots : ndarray, shape (K,)
+        [s]
+
+    Returns
+    -------
+    ndarray, shape (degree + 2, K, m)
+    """
+    h = np.diff(knots)[:, np.newaxis]
+    steps = sum((v[:-1] * h ** (j + 1) / factorial(j + 1) for j, v in enumerate(derivatives)),
+                np.zeros(()))
+    value = np.concatenate([np.zeros_like(derivatives[0, :1]), np.cumsum(steps, axis=0)])
+    return np.concatenate([value[np.newaxis], derivatives])
+
+
+def missed_between(u: Array, knots: Array, outputs: Sequence[Signal],
+                   interpolate: Callable[[Sequence[Signal], Sequence[float], Array], Array],
+                   count: int, first: int = 1) -> Array:
+    """
+    Return what interpolation of each output signal misses of the inputs' integrals.
+
+    Parameters
+    ----------
+    u : ndarray, shape (degree + 1, K, nu)
+        Inputs and derivatives just after each knot.
+    knots : ndarray, shape (K,)
+        All stamps are among them [s].
+    outputs : sequence of Signal
+        Of which the stamps and holds count.
+    interpolate : callable
+        As `simulation.input_polynomials`.
+    count : int
+        Number of integrals; 0: nothing at all.
+    first : int
+        0: also of the inputs themselves, which outputs follow at once.
+
+    Returns
+    -------
+    ndarray, shape (degree + 1 + count or less, K, (count + 1 - first) * nu * signals)
+        Zero where it is no more than rounding.
+    """
+    found: list[Array] = []
+    integral = u
+    for power in range(count + 1 if u.shape[2] and count else 0):
+        integral = integrated(integral, knots) if power else integral
+        if power >= first:
+            found += [x for signal in outputs
+                      for x in _missed(integral, knots, signal, interpolate)]
+    degree = max(map(len, found), default=1)
+    columns = [np.concatenate((x, np.zeros((degree - len(x), len(knots))))) for x in found]
+    return np.stack(columns, axis=2) if columns else np.zeros((1, len(knots), 0))
+
+
+def _missed(signal: Array, knots: Array, output: Signal,
+            interpolate: Callable[[Sequence[Signal], Sequence[float], Array], Array],
+            ) -> list[Array]:
+    inside = np.isin(output.time, knots)
+    places = np.searchsorted(knots, output.time[inside])
+    m = signal.shape[2]
+    sampled = replace(output, time=output.time[inside], values=signal[0, places], names=(),
+                      units=())
+    curve = interpolate((sampled,), (0.0,) * m, knots)
+    degree = max(len(signal), len(curve))
+    error = np.zeros((degree, len(knots), m))
+    error[:len(signal)] += signal
+    error[:len(curve)] -= curve
+    size = np.abs(signal[0]).max(axis=0) + 1e-300
+    error[:, :, np.abs(_middles(error, knots)).max(axis=0) <= _NOTHING * size] = 0.0
+    return [error[:, :, j] for j in range(m)]
+
+
+def _middles(derivatives: Array, knots: Array) -> Array:
+    half = 0.5 * np.diff(knots)[:, np.newaxis]
+    value: Array = sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
+                       np.zeros(()))
+    return value

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The Takenaka-Malmquist basis as a chain of filters, for any sequence of poles.
+
+[TM] eq. 2, for poles sigma_k in the right half plane:
+
+    F_k(s) = sqrt(2 Re sigma_k) / (s + sigma_k)  prod_(l<k) (s - conj sigma_l) / (s + sigma_l)
+
+Erratum: the paper prints sigma_l for conj sigma_l and 2 sigma_k for 2 Re sigma_k, though it allows
+complex poles; that basis is not orthonormal. All of the F_k are the states of one linear system,
+
+    dw/dt = L w + b v,      L + L^T = -b b^T,
+
+so that orthonormality is in plain sight (the Gramian of (L, b) is 1), and the response to samples
+that are held, on straight lines, or on polynomials is exact at any stamps. A pair of conjugate
+poles (a + i c, a - i c) is kept real by a rotation of its two functions:
+
+    2 sqrt(a) s / (s^2 + 2 a s + |sigma|^2),    2 sqrt(a) |sigma| / (s^2 + 2 a s + |sigma|^2)
+
+A constant sequence is the Laguerre basis (with this sign: of the paper's section III), the
+sequence sigma (k + 1/2) the Legendre basis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_lyapunov
+
+from ctsid_core.errors import SettingsError
+from ctsid_core.matrix_functions import exponentials
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_SAME = 1e-9          # relative distance of a pole's conjugate that is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """
+    A chain of Takenaka-Malmquist filters.
+
+    Parameters
+    ----------
+    poles : ndarray, shape (N,)
+        The sequence sigma [rad/s]; the filters' poles are at -sigma. Conjugates are neighbours.
+    L : ndarray, shape (N, N)
+        Real, lower triangular but for the blocks of pairs [rad/s].
+    b : ndarray, shape (N,)
+        [sqrt(rad/s)]
+    turn : ndarray, shape (N, N)
+        Unitary: turn w are the functions F_k themselves (complex where poles are).
+    """
+
+    poles: ComplexArray
+    L: Array
+    b: Array
+    turn: ComplexArray
+
+    @property
+    def size(self) -> int:
+        """Number of functions N."""
+        return len(self.b)
+
+    def impulse_response(self, times: Array) -> Array:
+        """Return the functions of time w(t), shape (len(times), N), at any t >= 0 [s]."""
+        found: Array = exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
+        return found
+
+    def frequency_response(self, omega: Array) -> ComplexArray:
+        """Return the functions at i omega, shape (len(omega), N)."""
+        s = 1j * np.asarray(omega, float)[:, np.newaxis, np.newaxis]
+        found: ComplexArray = np.linalg.solve(
+            s * np.eye(self.size) - self.L, self.b[:, np.newaxis].astype(complex))[..., 0]
+        return found
+
+    def commuting(self) -> Array:
+        """
+        Return the Z_k for which (s - L)^-1 e_k = Z_k w(s), shape (N, N, N), k first.
+
+        Notes
+        -----
+        The rows of Z_k are the coefficients of functions of the same space in an orthonormal
+        basis: integrals of products, of a Lyapunov equation. They are bounded, however close the
+        poles are, unlike partial fractions.
+        """
+        unit = np.eye(self.size)
+        return np.array([solve_continuous_lyapunov(self.L, -np.outer(e, self.b)) for e in unit])
+
+
+def chain(poles: Sequence[complex] | ComplexArray | Array) -> Chain:
+    """
+    Return the chain of a sequence of poles.
+
+    Parameters
+    ----------
+    poles : sequence of complex
+        sigma_0, sigma_1, ... with positive real parts [rad/s]; each complex one directly followed
+        by its conjugate.
+
+    Raises
+    ------
+    SettingsError
+        If there is none, one is not in the right half plane, or a conjugate is missing.
+    """
+    sigma = np.asarray(poles, dtype=complex).reshape(-1)
+    blocks = _blocks(sigma)
+    size = len(sigma)
+    L, b = np.zeros((size, size)), np.zeros(size)
+    turn = np.eye(size, dtype=complex)
+    for first, width in blocks:
+        pole = sigma[first]
+        rows = slice(first, first + width)
+        if width == 1:
+            L[first, first], b[first] = -pole.real, np.sqrt(2.0 * pole.real)
+        else:
+            radius, lean = abs(pole), pole.conjugate() / abs(pole)
+            L[rows, rows] = [[-2.0 * pole.real, -radius], [radius, 0.0]]
+            b[first] = 2.0 * np.sqrt(pole.real)
+            turn[rows, rows] = np.array([[1.0, lean], [1.0, -lean]]) / np.sqrt(2.0)
+        L[rows, :first] = -np.outer(b[rows], b[:first])
+    return Chain(sigma, L, b, turn)
+
+
+def _blocks(sigma: ComplexArray) -> list[tuple[int, int]]:
+    """Return the place and width (1, or 2 for a pair) of each block."""
+    if not len(sigma):
+        raise SettingsError(['there is no pole for the Takenaka-Malmquist functions; give at '
+                             'least one'])
+    found, k = [], 0
+    while k < len(sigma):
+        pole = sigma[k]
+        if not (np.isfinite(pole) and pole.real > 0.0):
+            raise SettingsError([f'pole {k + 1} of the Takenaka-Malmquist functions is {pole:g}; '
+                                 'a positive real part is wanted (the filter decays as '
+                                 'exp(-pole t))'])
+        width = 1 if abs(pole.imag) <= _SAME * abs(pole) else 2
+        if width == 2 and not (k + 1 < len(sigma) and np.isclose(
+                sigma[k + 1], pole.conjugate(), rtol=_SAME, atol=0.0)):
+            raise SettingsError([f'pole {k + 1} of the Takenaka-Malmquist functions is {pole:g}, '
+                                 'but the next one is not its conjugate; signals are real, so '
+                                 'complex poles come in pairs'])
+        found.append((k, width))
+        k += width
+    return found
+
+
+def laguerre(pole: float, size: int) -> Chain:
+    """Return the Laguerre basis: a constant sequence."""
+    return chain(np.full(size, pole))
+
+
+def legendre(sigma: float, size: int) -> Chain:
+    """Return the Legendre basis: poles sigma (k + 1/2) ([TM] section III)."""
+    return chain([sigma * (k + 0.5) for k in range(size)])
+
+
+def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
+    """
+    Return the response of a chain, at rest at first, to piecewise polynomials, exactly.
+
+    Parameters
+    ----------
+    found : Chain
+    derivatives : ndarray, shape (degree + 1, K, m)
+        Of m signals just after each knot, valid up to the next one
+        (`ctsid_core.simulation.input_polynomials`).
+    knots : ndarray, shape (K,)
+        Increasing [s].
+
+    Returns
+    -------
+    ndarray, shape (K, N, m)
+    """
+    step, *integrals = exponentials(found.L, np.diff(knots), len(derivatives))
+    drive = sum(((f @ found.b)[:, :, np.newaxis] * v[:-1, np.newaxis]
+                 for f, v in zip(integrals, derivatives, strict=True)), np.zeros(()))
+    return _recursion(step, drive)
+
+
+def _recursion(a: Array, g: Array) -> Array:
+    """
+    Return w of w_(k+1) = a_k w_k + g_k from zero, shape (K + 1, N, m).
+
+    In about sqrt(K) blocks side by side, whose ends are chained then, as `simulation.recursion`.
+    """
+    count, size, m = g.shape
+    length = int(np.sqrt(count)) + 1
+    blocks = -(-count // length)
+    factor = np.zeros((blocks * length, size, size))
+    local = np.zeros((blocks * length, size, m))
+    factor[:count], local[:count] = a, g
+    factor, local = (x.reshape(blocks, length, size, -1) for x in (factor, local))
+    for i in range(1, length):
+        local[:, i] += factor[:, i] @ local[:, i - 1]
+        factor[:, i] = factor[:, i] @ factor[:, i - 1]
+    start = np.zeros((blocks, 1, size, m))
+    for k in range(1, blocks):
+        start[k, 0] = factor[k - 1, -1] @ start[k - 1, 0] + local[k - 1, -1]
+    local += factor @ start
+    return np.concatenate([np.zeros((1, size, m)), local.reshape(-1, size, m)[:count]])
