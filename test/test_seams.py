@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies between parts that were made for themselves: found by a review, kept by these tests."""
+"""What lies between parts that were made for themselves, found by a review."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 from plants import PLANTS, running
 import pytest
 
-from ctsid_core import Record, Settings, Signal, Status, StateSpace, identify
+from ctsid_core import Record, Settings, Signal, StateSpace, Status, identify
 from ctsid_core.advice import advise
 from ctsid_core.verdict import Grade
 
