@@ -269,7 +269,7 @@ def check_alike(records: Sequence[Record]) -> None:
         if not isinstance(record, Record):
             raise DataError(f'record {number} is of type {type(record).__name__}; a Record is '
                             'wanted: make one with Record.from_arrays or Record.from_signals')
-        if any(record is other for other in records[:number - 1]):
+        if any(_same_samples(record, other) for other in records[:number - 1]):
             raise DataError(f'record {number} was given twice, and would count as twice the data; '
                             'give each record once')
         for what, own, wanted in (
@@ -288,6 +288,15 @@ def check_alike(records: Sequence[Record]) -> None:
                 if unit != other:
                     raise DataError(f'{what} {name} is in {unit!r} in record {number}, but in '
                                     f'{other!r} in record 1; convert one of them')
+
+
+def _same_samples(one: Record, other: Record) -> bool:
+    """Return whether two records are of the same samples."""
+    if one is other:
+        return True
+    return one.epoch_ns == other.epoch_ns and all(
+        np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
+        for a, b in zip(one.outputs, other.outputs, strict=False))
 
 
 def balanced(projection: Projection, m: Matrices, layout: Layout) -> Layout:

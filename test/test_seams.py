@@ -9,6 +9,7 @@ import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, Status, identify
 from ctsid_core.advice import advise
+from ctsid_core.errors import DataError
 from ctsid_core.verdict import Grade
 
 QUICK = Settings(delay=0.0, order=2)
@@ -83,3 +84,9 @@ def test_there_is_no_forecast_where_there_is_no_projection():
     told = advise(identify(records, QUICK), records[0])
     assert told.poles == ()
     assert 'no forecast' in told.sentences[0]
+
+
+def test_the_same_samples_do_not_count_twice():
+    record = running(np.random.default_rng(0), PLANTS['hd51'], 20, rate=100.0)
+    with pytest.raises(DataError, match='given twice'):
+        identify([record, replace(record)], QUICK)

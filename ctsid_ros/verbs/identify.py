@@ -219,6 +219,11 @@ def _intervals(args: argparse.Namespace) -> list[Interval]:
         return [interval_of(args)]
     if args.start or math.isfinite(args.duration) or args.test_from is not None:
         raise SettingsError(['--interval says all; do not add --start, --duration or --test-from'])
+    intervals = sorted(args.interval, key=lambda interval: interval.start)
+    for one, other in zip(intervals[:-1], intervals[1:], strict=True):
+        if one.start + one.duration > other.start:
+            raise SettingsError([f'--interval {other.start:g}:... begins before the one at '
+                                 f'{one.start:g} s ends; data in both would count twice'])
     return list(args.interval)
 
 
