@@ -116,7 +116,8 @@ def together(records: Sequence[tuple[Excitation, ...]]) -> tuple[Excitation, ...
     """Return what several records say together of the response to each input."""
     found = []
     for own in zip(*records, strict=True):
-        known = 1.0 / float(np.sqrt(sum(x.uncertainty ** -2.0 for x in own)) + 1e-300)
+        known = 1.0 / float(np.linalg.norm([1.0 / max(x.uncertainty, 1e-150) for x in own])
+                            + 1e-300)
         lows, highs = ([getattr(x, end) for x in own if x.high > 0.0] for end in ('low', 'high'))
         best = max(own, key=lambda x: x.frequencies)
         found.append(Excitation(own[0].name, min(lows, default=np.nan),

@@ -154,7 +154,8 @@ def _right_but_slow(e: Evidence) -> bool:
     After a step little moves: a right model leaves of that little what noise there is, no more.
     """
     erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
-    return bool(np.nanmin(e.fit) > _CLEAR and np.all(erring < _NEXT))
+    known = all(x.uncertainty < _UNKNOWN for x in e.numbers.excitation)  # else nothing tells it
+    return bool(known and np.nanmin(e.fit) > _CLEAR and np.all(erring < _NEXT))
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:
