@@ -75,7 +75,8 @@ class Chain:
         """Return the functions at i omega, shape (len(omega), N)."""
         s = 1j * np.asarray(omega, float)[:, np.newaxis, np.newaxis]
         found: ComplexArray = np.linalg.solve(
-            s * np.eye(self.size) - self.L, self.b[:, np.newaxis].astype(complex))[..., 0]
+            s * np.eye(self.size) - self.L,
+            self.b[np.newaxis, :, np.newaxis].astype(complex))[..., 0]
         return found
 
     def commuting(self) -> Array:
