@@ -17,6 +17,7 @@ from typing import Any, Literal
 from ctsid_core.errors import SettingsError
 
 Hold = Literal['zoh', 'linear', 'smooth']
+METHODS = ('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter', 'gobf')
 HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
 
 
@@ -80,7 +81,7 @@ class Settings:
     method: str = parameter(
         'hd-pbsid', 'Identification method; all but hd-pbsid give their plain subspace estimate, '
         'and do not look for dead times.', structural=True,
-        choices=('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter', 'gobf'))
+        choices=METHODS)
     order: int = parameter(
         0, 'Number of states of the model.', low=0, high=50, auto='chosen from the data',
         when='Set it when the physics say how many states there are.')

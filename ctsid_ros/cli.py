@@ -26,6 +26,7 @@ _EPILOG = """first steps:
   ctsid replay BAG --params params.yaml       models in sliding windows along it
   ctsid simulate MODEL OTHER_BAG              how well a model explains another bag
   ctsid advise BAG --params params.yaml       which excitation is missing for a better model
+  ctsid compare BAG --params params.yaml      what other methods make of the same data
 
 exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted"""
 
@@ -58,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     from ctsid_ros.origin import package_version
     from ctsid_ros.verbs import (
         advise,
+        compare,
         identify,
         info,
         init,
@@ -73,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(metavar='VERB', required=True)
     for name, verb in (('info', info), ('init', init), ('identify', identify),
                        ('replay', replay), ('simulate', simulate), ('advise', advise),
+                       ('compare', compare),
                        ('show', show), ('params', params)):
         own = verbs.add_parser(name, help=verb.HELP, epilog=verb.EPILOG,
                                description=f'{verb.HELP[0].upper()}{verb.HELP[1:]}.',

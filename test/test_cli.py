@@ -28,6 +28,7 @@ from flights import (
 import numpy as np
 import pytest
 
+from ctsid_core.settings import METHODS
 from ctsid_core.storage import load_estimate, load_metadata, load_model, load_series, save_model
 from ctsid_ros.cli import main
 from ctsid_ros.config_file import read_config
@@ -222,6 +223,22 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     response = json.loads(ctsid('show', shared / 'truth.json', '--json')[1])['frequency_response']
     expected = TRUTH.frequency_response(response['omega'])[:, 0, 0]
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
+
+
+def test_compare_sets_all_methods_side_by_side(ctsid, shared):
+    words = 'compare', shared / 'bag', '--params', shared / 'params.yaml', '--duration', '6'
+    code, out, _ = ctsid(*words)
+    assert code == 0
+    for method in METHODS:
+        assert re.search(rf'^ *{method} +(GOOD|WEAK|REJECT) +', out, flags=re.MULTILINE)
+    code, out, _ = ctsid(*words, '--json')
+    document = json.loads(out)
+    assert [m['method'] for m in document['methods']] == list(METHODS)
+    first, *others = document['methods']
+    assert first['differs'] == 0.0
+    assert first['poles']
+    assert any(m['differs'] < 0.2 for m in others)           # one of them agrees at least
+    assert all(m['seconds'] > 0.0 for m in document['methods'])
 
 
 def test_advise_tells_what_is_missing(ctsid, shared):

@@ -22,7 +22,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 VERBS = [f'verbs.{verb}' for verb in (
-    'advise', 'advise', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
+    'advise', 'compare', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
 LEVELS = {
     'ctsid_core': [
         ['errors'], ['settings'], ['signals'],
