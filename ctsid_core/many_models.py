@@ -22,7 +22,7 @@ from ctsid_core.prediction_errors import (
     output_error_cost,
     spread,
 )
-from ctsid_core.resolvent import SOUND
+from ctsid_core.resolvent import SOUND, away
 from ctsid_core.window_ends import LEAST_DAMPING, ends_cost, line_distance
 
 
@@ -126,7 +126,7 @@ def _errors(projection: Projection, m: _Stack, *, with_noise: bool,
     signals = as_real(projection.signals)
     enter = np.concatenate((m.B - m.K @ m.D, m.tail, m.x_trim - m.K @ m.y_trim, m.K), axis=2)
     drive = (enter @ signals).view(np.complex128)
-    x = modes @ ((inverse @ drive) / (projection.s - poles[:, :, np.newaxis]))
+    x = modes @ ((inverse @ drive) * away(projection.s - poles[:, :, np.newaxis]))
     leave = np.concatenate((m.D, np.zeros((*m.D.shape[:2], m.tail.shape[2])), m.y_trim), axis=2)
     direct = leave @ signals[:leave.shape[2]]
     errors = np.ascontiguousarray(projection.y - m.C @ x - direct.view(np.complex128))

@@ -34,11 +34,10 @@ from ctsid_core.prediction_errors import (
     spread_gradient,
 )
 from ctsid_core.record_equations import equation_work, record_equations
-from ctsid_core.resolvent import resolvent
+from ctsid_core.resolvent import away, resolvent
 
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _DAMPING = 1e-5       # of an innovation form's first step, relative
-_ON_LINE = 1e-9       # stands for s - p on a line that a pole lies on [rad/s]
 _WORK = 1e9           # multiplications of one step beyond which models are not refined
 
 
@@ -88,16 +87,10 @@ def _shape(pole: complex, s: Lines, part: int) -> Lines:
     r1 and r2 belong to the residue r1 - i r2 at p: Re r / ((s-p)(s-p*)) in partial fractions.
     """
     if pole.imag == 0.0:
-        return _inverse(s - pole.real)
-    first, second = _inverse(s - pole), _inverse(s - pole.conjugate())
+        return away(s - pole.real)
+    first, second = away(s - pole), away(s - pole.conjugate())
     shape: Lines = first + second if part == 0 else -1j * (first - second)
     return shape
-
-
-def _inverse(distance: Lines) -> Lines:
-    """Return 1 / (s - p), finite even on a line that the pole lies on."""
-    safe = np.where(distance == 0.0, complex(_ON_LINE), distance)
-    return np.asarray(1.0 / safe, dtype=np.complex128)
 
 
 def _modal(rows: list[tuple[complex, NDArray[np.complex128], NDArray[np.complex128]]],

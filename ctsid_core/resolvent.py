@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines
 
+_ON_LINE = 1e-9       # stands for s - p on a line that a pole lies on [rad/s]
 SOUND = 1e10         # condition number of the eigenvectors that is still good for 6 digits
 
 
@@ -67,6 +68,12 @@ class Resolvent:
         return total
 
 
+def away(distance: Lines) -> Lines:
+    """Return 1 / (s - p), finite even on a line that the pole lies on."""
+    safe = np.where(distance == 0.0, complex(_ON_LINE), distance)
+    return np.asarray(1.0 / safe, dtype=np.complex128)
+
+
 def resolvent(A: Array, s: Lines) -> Resolvent:
     """
     Compute the resolvent of A on the lines s.
@@ -82,6 +89,6 @@ def resolvent(A: Array, s: Lines) -> Resolvent:
     except np.linalg.LinAlgError:
         inverse = np.full_like(modes, np.inf)
     if np.linalg.norm(modes) * np.linalg.norm(inverse) < SOUND:
-        return Resolvent(poles, modes, inverse, 1.0 / (s - poles[:, np.newaxis]))
+        return Resolvent(poles, modes, inverse, away(s - poles[:, np.newaxis]))
     systems = s[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A
     return Resolvent(poles, None, None, np.linalg.inv(systems))

@@ -27,6 +27,7 @@ _EPILOG = """first steps:
   ctsid simulate MODEL OTHER_BAG              how well a model explains another bag
   ctsid advise BAG --params params.yaml       which excitation is missing for a better model
   ctsid compare BAG --params params.yaml      what other methods make of the same data
+  ctsid study hd-vs-ct                        the published Monte Carlo study, repeated
 
 exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted"""
 
@@ -67,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         replay,
         show,
         simulate,
+        study,
     )
     parser = argparse.ArgumentParser(
         prog='ctsid', description='Continuous-time models from bags: own stamps per topic, no '
@@ -75,8 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(metavar='VERB', required=True)
     for name, verb in (('info', info), ('init', init), ('identify', identify),
                        ('replay', replay), ('simulate', simulate), ('advise', advise),
-                       ('compare', compare),
-                       ('show', show), ('params', params)):
+                       ('compare', compare), ('study', study), ('show', show),
+                       ('params', params)):
         own = verbs.add_parser(name, help=verb.HELP, epilog=verb.EPILOG,
                                description=f'{verb.HELP[0].upper()}{verb.HELP[1:]}.',
                                formatter_class=argparse.RawDescriptionHelpFormatter)

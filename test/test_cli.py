@@ -225,6 +225,15 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
 
 
+def test_study_prints_its_table(ctsid):
+    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--jobs', '1')
+    assert code == 0, err
+    for method in ("paper's HD", 'ours', 'CT-PBSID'):
+        assert len(re.findall(rf'dB +-\d.* {method} ', out)) == 8    # four SNRs, two poles
+    assert '0.0882' in out                                            # CT-PBSID as published
+    assert ctsid('study', 'nothing')[0] == 2
+
+
 def test_compare_sets_all_methods_side_by_side(ctsid, shared):
     words = 'compare', shared / 'bag', '--params', shared / 'params.yaml', '--duration', '6'
     code, out, _ = ctsid(*words)

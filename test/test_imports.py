@@ -60,7 +60,7 @@ LEVELS = {
         ['examples.flight', 'examples.tuner_node', 'examples.demo_table',
          'examples.demo_processes', 'studies.monte_carlo'],
         ['examples.robot_node', 'examples.demo_node', 'studies.table1', 'studies.windows',
-         'studies.closed_loop', 'studies.takenaka_malmquist'],
+         'studies.closed_loop', 'studies.takenaka_malmquist'], ['studies.hd_vs_ct'],
         ['examples.simulated_robot', 'examples.gain_tuner', 'examples.live_demo'],
         ['guess', 'figures', 'results', 'experiment'], ['report'],
         ['parameters', 'intake', 'worker'],

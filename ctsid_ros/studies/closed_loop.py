@@ -17,6 +17,7 @@ not, is biased.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -71,9 +72,9 @@ def lines(found: Summary, q: float) -> list[tuple[str, ...]]:
     return rows
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    given = arguments(__doc__, 100)
+    given = arguments(__doc__, 100, argv)
     rows: list[tuple[str, ...]] = []
     for q in LEVELS:
         done = runs(partial(one, q=q), given.seeds, f'q = {q:g}', given.jobs)

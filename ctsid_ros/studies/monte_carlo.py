@@ -135,13 +135,14 @@ def _each(task: Callable[[int], Outcome], count: int, jobs: int) -> Iterator[Out
         yield from pool.map(task, range(count), chunksize=4)
 
 
-def arguments(doc: str | None, count: int) -> argparse.Namespace:
+def arguments(doc: str | None, count: int,
+              argv: Sequence[str] | None = None) -> argparse.Namespace:
     """Parse the command line that all studies share."""
     parser = argparse.ArgumentParser(description=doc,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--seeds', type=int, default=count, help='runs of each experiment')
     parser.add_argument('--jobs', type=int, default=0, help='processes; 0: one for each core')
-    return parser.parse_args()
+    return parser.parse_args(argv)
 
 
 def of_poles(model: StateSpace) -> list[tuple[str, int]]:

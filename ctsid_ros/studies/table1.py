@@ -9,6 +9,7 @@ the first sample, trim, and noise levels). 2001 samples over 10 s, noise per out
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 from ctsid_core.settings import Settings
@@ -70,9 +71,9 @@ def lines(found: Summary, snr: int) -> list[tuple[str, ...]]:
     return rows
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, with the order given and with nothing set."""
-    given = arguments(__doc__, 100)
+    given = arguments(__doc__, 100, argv)
     for title, settings in (('order 3 given', Settings(order=3)), ('nothing set', None)):
         rows: list[tuple[str, ...]] = []
         for snr in SNRS:

@@ -182,14 +182,14 @@ def _error_curves(errors: dict[tuple[str, str], Array], way: str) -> list[Axes]:
                  x_label='frequency [rad/s]', y_label='median |G - estimate|', height=360.0)]
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the table and write CSV and figures."""
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--seeds', type=int, default=20, help='runs')
     parser.add_argument('--out', type=Path, default=Path('takenaka_malmquist'),
                         help='directory of the CSV files and figures')
-    given = parser.parse_args()
+    given = parser.parse_args(argv)
     found, truth = run_all(given.seeds), response(plant())
     errors = {key: np.abs(rows - truth) for key, rows in found.items()}
     write(given.out, found, errors)

@@ -12,6 +12,7 @@ right order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -70,9 +71,9 @@ def lines(found: Summary, name: str, snr: float) -> list[tuple[str, ...]]:
     return rows
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    given = arguments(__doc__, 200)
+    given = arguments(__doc__, 200, argv)
     rows: list[tuple[str, ...]] = []
     for name, snr in EXPERIMENTS:
         done = runs(partial(one, name=name, snr=snr), given.seeds, f'{name}, {snr} dB', given.jobs)
