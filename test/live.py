@@ -232,10 +232,10 @@ class Identifier:
         return self._live.call(ChangeState, f'{self.name}/change_state', request).success
 
     def state(self) -> str:
-        for patience in (2.0, 2.0, PATIENCE):  # the first answers may be lost: discovery
+        for _ in range(10):  # answers may be lost while endpoints are being discovered: ask again
             with suppress(AssertionError):
                 return self._live.call(GetState, f'{self.name}/get_state', GetState.Request(),
-                                       patience).current_state.label
+                                       2.0).current_state.label
         raise AssertionError(f'{self.name} does not tell its state')
 
     def wait_state(self, label: str) -> None:
