@@ -155,7 +155,8 @@ def _right_but_slow(e: Evidence) -> bool:
     """
     erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
     known = all(x.uncertainty < _UNKNOWN for x in e.numbers.excitation)  # else nothing tells it
-    return bool(known and np.nanmin(e.fit) > _CLEAR and np.all(erring < _NEXT))
+    settles = np.max(e.poles.real) < -0.5 * e.resolution         # a vibration goes on by itself
+    return bool(known and settles and np.nanmin(e.fit) > _CLEAR and np.all(erring < _NEXT))
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:
