@@ -55,7 +55,7 @@ def without_data(live):
 
 def busy(live):
     """A node in the middle of an identification of seconds, while messages come."""
-    more = 'order: 0\nmax_order: 30\npbsid.past: 50\nhermite.nmax: 2000'
+    more = 'order: 30\npbsid.past: 50\nhermite.nmax: 5000\nhermite.parts: 4'
     node = live.identifier(params(more, length=20.0))
     robot = Robot(live, motion(24.5, rates=(400.0, 400.0)))
     robot.send(24.0, speed=15.0)
