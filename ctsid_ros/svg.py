@@ -35,18 +35,25 @@ class Curve:
         In the legend; empty for none.
     color : int
         Number of the colour.
-    kind : {'line', 'dots', 'both', 'dashed'}
+    kind : {'line', 'dots', 'both', 'dashed', 'cloud', 'cross'}
+        A cloud is of very many dots, a cross marks what is true.
     low, high : ndarray, shape (N,), optional
         A band around it.
+    opacity : float
+        Of lines and clouds.
+    bars : bool
+        Draw a bar at each x instead of the band.
     """
 
     x: Array
     y: Array
     label: str = ''
     color: int = 1
-    kind: Literal['line', 'dots', 'both', 'dashed'] = 'line'
+    kind: Literal['line', 'dots', 'both', 'dashed', 'cloud', 'cross'] = 'line'
     low: Array | None = None
     high: Array | None = None
+    opacity: float = 1.0
+    bars: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,7 @@ class Axes:
         Dashed lines across.
     shade : (low, high), optional
         An interval of x that is shaded.
-    y_limits : (low, high), optional
+    x_limits, y_limits : (low, high), optional
         Instead of those of the curves.
     width, height : float
     """
@@ -76,6 +83,7 @@ class Axes:
     y_log: bool = False
     levels: Sequence[float] = field(default=())
     shade: tuple[float, float] | None = None
+    x_limits: tuple[float, float] | None = None
     y_limits: tuple[float, float] | None = None
     width: float = 840.0
     height: float = 240.0
@@ -106,10 +114,12 @@ class _Scale:
 def draw(axes: Axes) -> str:
     """Return the drawing as SVG text."""
     right, bottom = axes.width - RIGHT, axes.height - BOTTOM
-    room = 0.02 if any(c.kind in ('dots', 'both') for c in axes.curves) else 0.0
+    room = 0.0 if all(c.kind in ('line', 'dashed') for c in axes.curves) else 0.02
     x = _scale([c.x for c in axes.curves], axes.x_log, LEFT, right, room)
     ys = [values for c in axes.curves for values in (c.y, c.low, c.high) if values is not None]
     y = _scale([*ys, np.array(axes.levels, float)], axes.y_log, bottom, TOP, 0.06)
+    if axes.x_limits:
+        x = _Scale(*axes.x_limits, axes.x_log, LEFT, right)
     if axes.y_limits:
         y = _Scale(*axes.y_limits, axes.y_log, bottom, TOP)
     frame = (f'<clipPath id="{_name(axes)}"><rect x="{LEFT}" y="{TOP}" width="{right - LEFT:.1f}" '
@@ -195,20 +205,40 @@ def _levels(axes: Axes, y: _Scale, right: float) -> Iterator[str]:
 
 def _curve(curve: Curve, x: _Scale, y: _Scale) -> str:
     paint = f'var(--c{curve.color})'
+    if curve.kind in ('cloud', 'cross'):
+        return _marks(curve, x(curve.x), y(curve.y), paint)
     across, up = _thinned(x(curve.x), y(curve.y))
     parts = []
     if curve.low is not None and curve.high is not None:
-        parts.append(_band(x(curve.x), y(curve.low), y(curve.high), paint))
+        draw_range = _bars if curve.bars else _band
+        parts.append(draw_range(x(curve.x), y(curve.low), y(curve.high), paint))
     if curve.kind != 'dots':
         dash = ' stroke-dasharray="6 4"' if curve.kind == 'dashed' else ''
+        faint = f' opacity="{curve.opacity:g}"' if curve.opacity < 1.0 else ''
         parts.append(f'<path d="{_path(across, up)}" fill="none" stroke="{paint}" '
-                     f'stroke-width="1.5" stroke-linejoin="round"{dash}/>')
+                     f'stroke-width="1.5" stroke-linejoin="round"{dash}{faint}/>')
     if curve.kind in ('dots', 'both'):
         good = np.isfinite(across) & np.isfinite(up)
         radius = 1.6 if curve.kind == 'dots' else 2.6
         parts += [f'<circle cx="{a:.1f}" cy="{b:.1f}" r="{radius}" fill="{paint}"/>'
                   for a, b in zip(across[good], up[good], strict=True)]
     return ''.join(parts)
+
+
+def _marks(curve: Curve, across: Array, up: Array, paint: str) -> str:
+    """Return dots or crosses as one path: a line of no length with a round cap is a dot."""
+    good = np.isfinite(across) & np.isfinite(up)
+    shape, look = ('h0', 'stroke-width="3" stroke-linecap="round"') if curve.kind == 'cloud' \
+        else ('m-5 -5l10 10m0 -10l-10 10', 'stroke-width="2"')
+    path = ''.join(f'M{a:.1f} {b:.1f}{shape}' for a, b in zip(across[good], up[good], strict=True))
+    return f'<path d="{path}" fill="none" stroke="{paint}" {look} opacity="{curve.opacity:g}"/>'
+
+
+def _bars(across: Array, low: Array, high: Array, paint: str) -> str:
+    good = np.isfinite(across) & np.isfinite(low) & np.isfinite(high)
+    path = ''.join(f'M{a:.1f} {b:.1f}V{c:.1f}m-4 0h8M{a - 4:.1f} {b:.1f}h8' for a, b, c in
+                   zip(across[good], low[good], high[good], strict=True))
+    return f'<path d="{path}" fill="none" stroke="{paint}" stroke-width="1.2"/>'
 
 
 def _band(across: Array, low: Array, high: Array, paint: str) -> str:

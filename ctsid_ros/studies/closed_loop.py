@@ -25,16 +25,8 @@ import numpy as np
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.bounds import innovation_bound, stationary_gain
 from ctsid_ros.studies.experiments import flown
-from ctsid_ros.studies.monte_carlo import (
-    Array,
-    Outcome,
-    Summary,
-    arguments,
-    of_poles,
-    outcome,
-    runs,
-    summary,
-)
+from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
+from ctsid_ros.studies.runner import arguments, keeping
 from ctsid_ros.tables import Table
 
 LEVELS = (0.0, 0.05, 0.2, 1.0)
@@ -74,10 +66,11 @@ def lines(found: Summary, q: float) -> list[tuple[str, ...]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    given = arguments(__doc__, 100, argv)
+    given = arguments(__doc__, 'closed-loop', 100, argv)
+    runs = keeping(given)
     rows: list[tuple[str, ...]] = []
     for q in LEVELS:
-        done = runs(partial(one, q=q), given.seeds, f'q = {q:g}', given.jobs)
+        done = runs(partial(one, q=q), f'q = {q:g}')
         rows += lines(summary(done), q)
     print(f'\n{given.seeds} runs each\n\n{Table(HEAD, tuple(rows), ("pole",)).text()}')
     return 0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -52,6 +53,11 @@ class Run:
         return self.record.outputs[0]
 
 
+def second_order() -> StateSpace:
+    """Return the plant of [HD] 5.1, poles -2 and -4, one input, two outputs."""
+    return _model([[-2.0, 1.0], [0.0, -4.0]], [[0.5], [1.0]], [[1.0, 4.0], [2.0, 1.0]])
+
+
 def quadrotor() -> StateSpace:
     """Return the longitudinal motion of a quadrotor, poles -5 and -1 +- i ([HD] 5.2)."""
     return _model(
@@ -83,9 +89,10 @@ def unstable() -> StateSpace:
     return _model([[0.0, 1.0], [6.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 
-def from_rest(seed: int, snr: float, count: int = 2001, eta: int = 250) -> Run:
+def from_rest(seed: int, snr: float, count: int = 2001, eta: int = 250, *,
+              plant: Callable[[], StateSpace] = quadrotor, together: bool = False) -> Run:
     """
-    Return a run of [HD] 5.2: a sweep built from Hermite functions, 10 s, from rest.
+    Return a run of [HD] 5: a sweep built from Hermite functions, 10 s, from rest.
 
     Parameters
     ----------
@@ -97,27 +104,38 @@ def from_rest(seed: int, snr: float, count: int = 2001, eta: int = 250) -> Run:
         Samples.
     eta : int
         Highest order of the input's Hermite functions.
+    plant : callable
+        Of this module.
+    together : bool
+        Whether all outputs have the same noise: `snr` is then of all powers together.
     """
-    model = quadrotor()
-    t, u, y = _from_rest(count, eta)
-    return _with_noise(np.random.default_rng(seed), model, np.zeros(3), t, u, y, snr, 'smooth')
+    model = plant()
+    t, u, y = _from_rest(plant, count, eta)
+    return _with_noise(np.random.default_rng(seed), model, np.zeros(model.n), t, u, y, snr,
+                       'smooth', together)
 
 
 @lru_cache
-def _from_rest(count: int, eta: int, finer: int = 10) -> tuple[Array, Array, Array]:
+def _from_rest(plant: Callable[[], StateSpace], count: int,
+               eta: int) -> tuple[Array, Array, Array]:
+    finer = -(-20000 // (count - 1))                    # the plant sees the input at 2 kHz or more
     t = np.linspace(0.0, 10.0, (count - 1) * finer + 1)
     alpha = 5.0 / np.sqrt(2.0 * eta + 1.0)
     dense = np.linspace(0.0, 10.0, 20001)
     weights = hermite_functions(eta, (dense - 5.0) / alpha) @ np.sin(0.8 * np.pi * dense ** 2)
     u = (weights * (dense[1] / alpha) @ hermite_functions(eta, (t - 5.0) / alpha))[:, np.newaxis]
-    model = quadrotor()
-    x, _ = respond(model.A, model.B, model.x_trim, [Signal(t, u)], model.delay, t, np.zeros(3))
+    model = plant()
+    x, _ = respond(model.A, model.B, model.x_trim, [Signal(t, u)], model.delay, t,
+                   np.zeros(model.n))
     return t[::finer], u[::finer], (x @ model.C.T + u @ model.D.T)[::finer]
 
 
 def _with_noise(rng: np.random.Generator, model: StateSpace, x0: Array, t: Array, u: Array,
-                y: Array, snr: float, hold: str) -> Run:
-    noise = np.sqrt(np.mean(y ** 2, axis=0) * 10.0 ** (-0.1 * snr))
+                y: Array, snr: float, hold: str, together: bool = False) -> Run:
+    power = np.mean(y ** 2, axis=0)
+    if together:
+        power[:] = np.mean(power)
+    noise = np.sqrt(power * 10.0 ** (-0.1 * snr))
     measured = y + noise * rng.standard_normal(y.shape)
     record = Record.from_arrays(t, u, t, measured, input_hold=hold)  # type: ignore[arg-type]
     return Run(record, model, x0, noise)

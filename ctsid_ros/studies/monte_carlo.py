@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many runs of one experiment, over all cores, and what their errors amount to."""
+"""What comes of a run of an experiment, and what the errors of many runs amount to."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-import multiprocessing
-import os
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +13,6 @@ from scipy.optimize import linear_sum_assignment
 from ctsid_core.identify import identify
 from ctsid_core.settings import Settings
 from ctsid_core.statespace import StateSpace
-from ctsid_ros.blas import use_one_thread
-from ctsid_ros.progress import progress
 from ctsid_ros.studies.experiments import Run
 
 Array = NDArray[np.float64]
@@ -39,24 +33,37 @@ class Outcome:
     order : int
         Of the model; 0 if there is none.
     status : str
+    model : StateSpace, optional
+        A, B, C and D.
     """
 
     error: ComplexArray
     deviation: Array
     order: int
     status: str
+    model: StateSpace | None = None
 
 
 def outcome(run: Run, settings: Settings | None = None) -> Outcome:
     """Identify one run; a rejected model counts, and its status is noted."""
-    estimate, truth = identify(run.record, settings), run.model.poles
-    model = estimate.model or estimate.rejected_model
-    error, deviation = np.full(len(truth), np.nan + 0j), np.full(len(truth), np.nan)
-    if model is not None and model.n == len(truth):
+    estimate = identify(run.record, settings)
+    return compared(estimate.model or estimate.rejected_model, run.model.poles,
+                    np.asarray(estimate.pole_std), estimate.status.name)
+
+
+def compared(model: StateSpace | None, truth: ComplexArray, deviation: Array | None = None,
+             status: str = 'OK') -> Outcome:
+    """Return the outcome of a run that gave a model, or none, where these poles are the true."""
+    error, said = np.full(len(truth), np.nan + 0j), np.full(len(truth), np.nan)
+    if model is None:
+        return Outcome(error, said, 0, status)
+    if model.n == len(truth):
         columns, rows = linear_sum_assignment(np.abs(truth[:, np.newaxis] - model.poles))
         error[columns] = model.poles[rows] - truth[columns]
-        deviation[columns] = np.asarray(estimate.pole_std)[rows]
-    return Outcome(error, deviation, 0 if model is None else model.n, estimate.status.name)
+        if deviation is not None:
+            said[columns] = deviation[rows]
+    plain = StateSpace(model.A, model.B, model.C, model.D)
+    return Outcome(error, said, model.n, status, plain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,48 +108,6 @@ def summary(outcomes: Sequence[Outcome]) -> Summary:
     right = np.isfinite(errors).all(axis=1)
     return Summary(errors[right], np.sqrt(np.mean(said[right] ** 2, axis=0)),
                    float(right.mean()), float(np.mean([o.status == 'OK' for o in outcomes])))
-
-
-def runs(task: Callable[[int], Outcome], count: int, title: str, jobs: int = 0) -> list[Outcome]:
-    """
-    Return the outcomes of seeds 0, 1, ...
-
-    Parameters
-    ----------
-    task : callable
-        From the seed; of a module, for other processes have to find it.
-    count : int
-    title : str
-        For the line that shows how far it is.
-    jobs : int
-        Processes; 0: one for each core. 1: this one.
-    """
-    done: list[Outcome] = []
-    with progress(title) as advance:
-        for found in _each(task, count, jobs or len(os.sched_getaffinity(0))):
-            done.append(found)
-            advance(len(done) / count, '')
-    return done
-
-
-def _each(task: Callable[[int], Outcome], count: int, jobs: int) -> Iterator[Outcome]:
-    if jobs == 1:
-        yield from map(task, range(count))
-        return
-    use_one_thread()        # of every process that is started from here
-    spawn = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
-        yield from pool.map(task, range(count), chunksize=4)
-
-
-def arguments(doc: str | None, count: int,
-              argv: Sequence[str] | None = None) -> argparse.Namespace:
-    """Parse the command line that all studies share."""
-    parser = argparse.ArgumentParser(description=doc,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--seeds', type=int, default=count, help='runs of each experiment')
-    parser.add_argument('--jobs', type=int, default=0, help='processes; 0: one for each core')
-    return parser.parse_args(argv)
 
 
 def of_poles(model: StateSpace) -> list[tuple[str, int]]:

@@ -15,16 +15,8 @@ from functools import partial
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.experiments import from_rest
-from ctsid_ros.studies.monte_carlo import (
-    Array,
-    Outcome,
-    Summary,
-    arguments,
-    of_poles,
-    outcome,
-    runs,
-    summary,
-)
+from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
+from ctsid_ros.studies.runner import arguments, keeping
 from ctsid_ros.tables import Table
 
 SNRS = (50, 20, 10, 6)
@@ -73,12 +65,12 @@ def lines(found: Summary, snr: int) -> list[tuple[str, ...]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, with the order given and with nothing set."""
-    given = arguments(__doc__, 100, argv)
+    given = arguments(__doc__, 'table1', 100, argv)
+    runs = keeping(given)
     for title, settings in (('order 3 given', Settings(order=3)), ('nothing set', None)):
         rows: list[tuple[str, ...]] = []
         for snr in SNRS:
-            done = runs(partial(one, snr=snr, settings=settings), given.seeds,
-                        f'{snr} dB, {title}', given.jobs)
+            done = runs(partial(one, snr=snr, settings=settings), f'{snr} dB, {title}')
             rows += lines(summary(done), snr)
         worst = max(float(row[8]) for row in rows), max(float(row[11]) for row in rows)
         print(f'\n{title}, {given.seeds} runs\n\n{Table(HEAD, tuple(rows), ("pole",)).text()}\n')

@@ -19,16 +19,8 @@ import numpy as np
 
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.experiments import Run, flexible, quadrotor, running
-from ctsid_ros.studies.monte_carlo import (
-    Array,
-    Outcome,
-    Summary,
-    arguments,
-    of_poles,
-    outcome,
-    runs,
-    summary,
-)
+from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
+from ctsid_ros.studies.runner import arguments, keeping
 from ctsid_ros.tables import Table
 
 EXPERIMENTS = [('quadrotor', snr) for snr in (50, 20, 10, 6, 0)]
@@ -73,10 +65,11 @@ def lines(found: Summary, name: str, snr: float) -> list[tuple[str, ...]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    given = arguments(__doc__, 200, argv)
+    given = arguments(__doc__, 'windows', 200, argv)
+    runs = keeping(given)
     rows: list[tuple[str, ...]] = []
     for name, snr in EXPERIMENTS:
-        done = runs(partial(one, name=name, snr=snr), given.seeds, f'{name}, {snr} dB', given.jobs)
+        done = runs(partial(one, name=name, snr=snr), f'{name}, {snr} dB')
         rows += lines(summary(done), name, snr)
     print(f'\n{given.seeds} runs each\n\n{Table(HEAD, tuple(rows), ("plant", "pole")).text()}')
     return 0

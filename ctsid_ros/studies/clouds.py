@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates of many runs in one drawing: Bode curves, eigenvalues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.statespace import StateSpace
+from ctsid_ros.studies.monte_carlo import Outcome
+from ctsid_ros.svg import Axes, Curve
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_SHOWN = 40      # curves; the band tells of all runs
+WIDTH = 460.0
+
+
+def bode(done: Sequence[Outcome], truth: StateSpace, omega: Array, output: int,
+         title: str, color: int) -> tuple[Axes, Axes]:
+    """
+    Return magnitude and phase of one output's response to the first input.
+
+    Parameters
+    ----------
+    done : sequence of Outcome
+    truth : StateSpace
+    omega : ndarray, shape (K,)
+        [rad/s]
+    output : int
+    title : str
+    color : int
+
+    Returns
+    -------
+    axes : tuple of Axes
+        The truth, single runs, and the band that holds 95 of 100 runs.
+    """
+    true = truth.frequency_response(omega)[:, output, 0]
+    own = np.array([o.model.frequency_response(omega)[:, output, 0]
+                    for o in done if o.model is not None])
+    turn = np.unwrap(np.angle(true))
+    sizes = 20.0 * np.log10(np.abs(own))
+    phases = np.degrees(turn + np.angle(own / np.exp(1j * turn)))
+    return (_one(20.0 * np.log10(np.abs(true)), sizes, omega, title,
+                 f'|y{output + 1}/u| [dB]', color),
+            _one(np.degrees(turn), phases, omega, '', f'phase y{output + 1}/u [deg]', color))
+
+
+def _one(true: Array, own: Array, omega: Array, title: str, label: str, color: int) -> Axes:
+    low, high = np.quantile(own, (0.025, 0.975), axis=0)
+    room = 0.35 * np.ptp(true) + 3.0
+    curves = [Curve(omega, row, '', color, opacity=0.35) for row in own[:_SHOWN]]
+    curves += [Curve(omega, np.median(own, axis=0), '', color, low=low, high=high, opacity=0.0),
+               Curve(omega, true, '', 0, 'dashed')]
+    return Axes(curves, title=title, x_label='frequency [rad/s]', y_label=label, x_log=True,
+                y_limits=(float(np.min(true) - room), float(np.max(true) + room)), width=WIDTH)
+
+
+def eigenvalues(clouds: Sequence[tuple[str, Sequence[Outcome], int]], truth: ComplexArray,
+                title: str, around: tuple[float, float, float]) -> Axes:
+    """
+    Return all estimated eigenvalues in the complex plane.
+
+    Parameters
+    ----------
+    clouds : sequence of (label, outcomes, color)
+    truth : ndarray, shape (n,)
+    title : str
+    around : (left, right, height)
+        What is shown [rad/s]; how many lie outside is in the legend.
+    """
+    left, right, height = around
+    curves = []
+    for label, done, color in clouds:
+        found = np.concatenate([truth + o.error for o in done])
+        found = found[np.isfinite(found)]
+        outside = np.sum((found.real < left) | (found.real > right) | (abs(found.imag) > height))
+        said = label + (f' ({outside} of {len(found)} outside)' if outside else '')
+        curves.append(Curve(found.real, found.imag, said, color, 'cloud', opacity=0.5))
+    curves.append(Curve(truth.real, truth.imag, '', 0, 'cross'))
+    return Axes(curves, title=title, x_label='Re [rad/s]', y_label='Im [rad/s]',
+                x_limits=(left, right), y_limits=(-height, height), width=2 * WIDTH, height=300.0)
+
+
+def error_bars(x: Array, parts: Sequence[tuple[str, Array, Array, int]], *, title: str,
+               x_label: str, y_label: str, log: bool,
+               y_limits: tuple[float, float]) -> Axes:
+    """
+    Return means with a bar of one standard deviation to each side.
+
+    Parameters
+    ----------
+    x : ndarray, shape (M,)
+    parts : sequence of (label, mean, standard deviation, color)
+        Drawn a little beside each other.
+    title, x_label, y_label : str
+    log : bool
+        Of x.
+    y_limits : (low, high)
+    """
+    move: Callable[[int], Array] = (lambda k: x * 1.03 ** k) if log else \
+        (lambda k: x + 0.006 * float(np.ptp(x)) * k)
+    curves = [Curve(move(2 * i - len(parts) + 1), mean, label, color, 'both', mean - std,
+                    mean + std, bars=True) for i, (label, mean, std, color) in enumerate(parts)]
+    return Axes(curves, title=title, x_label=x_label, y_label=y_label, x_log=log,
+                levels=(0.0,), y_limits=y_limits, width=2 * WIDTH)

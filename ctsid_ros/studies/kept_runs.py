@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Outcomes of runs in a CSV file: a study that was interrupted goes on where it was.
+
+Every row is a run, written as soon as it is done: names in `COLUMNS`, several numbers in one cell
+apart by spaces, matrices by rows. Rows are taken again only if the code that made them is the code
+that reads them, and NumPy and SciPy are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+import csv
+from functools import cache
+import hashlib
+from importlib import import_module
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+import scipy
+
+from ctsid_core.statespace import StateSpace
+from ctsid_ros.studies.monte_carlo import Outcome
+
+COLUMNS = ('experiment', 'code', 'seed', 'order', 'status', 'error', 'deviation',
+           'A', 'B', 'C', 'D')
+
+
+class KeptRuns:
+    """
+    The runs of one study.
+
+    Parameters
+    ----------
+    path : Path
+        The file; made when the first run is kept. Rows of other code, and a row that was cut off
+        while it was written, are removed from it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._done: dict[str, dict[int, Outcome]] = {}
+        text = path.read_text(encoding='utf-8') if path.exists() else ''
+        good = list(self._read(text))
+        again = _as_text([COLUMNS, *good]) if good else ''
+        if again != text:
+            path.write_text(again, encoding='utf-8')
+
+    def _read(self, text: str) -> Iterator[list[str]]:
+        whole = text[:text.rfind('\n') + 1]
+        for row in csv.reader(io.StringIO(whole)):
+            if len(row) == len(COLUMNS) and row[1] == code():
+                self._done.setdefault(row[0], {})[int(row[2])] = _outcome(row)
+                yield row
+
+    def of(self, experiment: str) -> dict[int, Outcome]:
+        """Return the outcomes of an experiment by their seeds."""
+        return dict(self._done.get(experiment, {}))
+
+    def add(self, experiment: str, seed: int, found: Outcome) -> None:
+        """Keep one run."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        row = (experiment, code(), str(seed), *_cells(found))
+        fresh = not self._path.exists() or self._path.stat().st_size == 0
+        with self._path.open('a', encoding='utf-8', newline='') as stream:
+            stream.write(_as_text([COLUMNS, row] if fresh else [row]))
+        self._done.setdefault(experiment, {})[seed] = found
+
+
+@cache
+def code() -> str:
+    """Return a digest of the code that results depend on."""
+    digest = hashlib.sha256(f'{np.__version__} {scipy.__version__}'.encode())
+    for package in ('ctsid_core', 'ctsid_ros.studies'):
+        folder = Path(str(import_module(package).__file__)).parent
+        for path in sorted(folder.rglob('*.py')):
+            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _as_text(rows: Iterable[Sequence[str]]) -> str:
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator='\n').writerows(rows)
+    return stream.getvalue()
+
+
+def _cells(found: Outcome) -> tuple[str, ...]:
+    m = found.model
+    entries = ('',) * 4 if m is None else tuple(_numbers(x) for x in (m.A, m.B, m.C, m.D))
+    return (str(found.order), found.status, _numbers(found.error), _numbers(found.deviation),
+            *entries)
+
+
+def _outcome(row: list[str]) -> Outcome:
+    order, status = int(row[3]), row[4]
+    error = np.array([complex(x) for x in row[5].split()])
+    model = None
+    if row[7]:
+        A, B, C, D = (_array(cell) for cell in row[7:])
+        n = round(np.sqrt(len(A)))
+        ny, nu = len(C) // n, len(B) // n
+        model = StateSpace(A.reshape(n, n), B.reshape(n, nu), C.reshape(ny, n), D.reshape(ny, nu))
+    return Outcome(error, _array(row[6]), order, status, model)
+
+
+def _numbers(values: NDArray[np.generic]) -> str:
+    return ' '.join(str(x) for x in values.ravel().tolist())
+
+
+def _array(cell: str) -> NDArray[np.float64]:
+    return np.array([float(x) for x in cell.split()])
