@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LEFT, RIGHT, TOP, BOTTOM = 64.0, 12.0, 30.0, 40.0
+_TICK_ACROSS, _TICK_UP = 60.0, 24.0     # what the number at a tick needs
 _POINTS = 1500  # more than these make a file large and no curve finer
 
 
@@ -108,7 +109,12 @@ class _Scale:
         return np.asarray(self.start + share * (self.end - self.start))
 
     def ticks(self) -> list[float]:
-        return log_ticks(self.low, self.high) if self.log else linear_ticks(self.low, self.high)
+        if self.log:
+            return log_ticks(self.low, self.high)
+        across = self.end > self.start
+        room = (self.end - self.start) / _TICK_ACROSS if across else \
+            (self.start - self.end) / _TICK_UP
+        return linear_ticks(self.low, self.high, max(2, min(7, int(room))))
 
 
 def draw(axes: Axes) -> str:

@@ -15,6 +15,7 @@ from ctsid_ros.svg import Axes, Curve
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _SHOWN = 40      # curves; the band tells of all runs
+_SPREADS = 4.0   # typical errors of the first method to each side of an eigenvalue
 WIDTH = 460.0
 
 
@@ -59,30 +60,63 @@ def _one(true: Array, own: Array, omega: Array, title: str, label: str, color: i
                 y_limits=(float(np.min(true) - room), float(np.max(true) + room)), width=WIDTH)
 
 
-def eigenvalues(clouds: Sequence[tuple[str, Sequence[Outcome], int]], truth: ComplexArray,
-                title: str, around: tuple[float, float, float]) -> Axes:
+def eigenvalues(clouds: Sequence[tuple[str, Sequence[Outcome]]], truth: ComplexArray,
+                title: str, around: tuple[float, float, float]) -> list[list[Axes]]:
     """
-    Return all estimated eigenvalues in the complex plane.
+    Return all estimated eigenvalues in the complex plane, method by method.
 
     Parameters
     ----------
-    clouds : sequence of (label, outcomes, color)
+    clouds : sequence of (label, outcomes)
+        Methods; they get the colors 1, 2, ...
     truth : ndarray, shape (n,)
     title : str
     around : (left, right, height)
-        What is shown [rad/s]; how many lie outside is in the legend.
+        What is shown of the plane [rad/s].
+
+    Returns
+    -------
+    rows : list of list of Axes
+        A row for each method: the plane, and each true eigenvalue (one of a pair) close by, at a
+        scale that suits the first method and is the same for all. How many lie outside is said.
     """
     left, right, height = around
-    curves = []
-    for label, done, color in clouds:
-        found = np.concatenate([truth + o.error for o in done])
-        found = found[np.isfinite(found)]
-        outside = np.sum((found.real < left) | (found.real > right) | (abs(found.imag) > height))
-        said = label + (f' ({outside} of {len(found)} outside)' if outside else '')
-        curves.append(Curve(found.real, found.imag, said, color, 'cloud', opacity=0.5))
-    curves.append(Curve(truth.real, truth.imag, '', 0, 'cross'))
-    return Axes(curves, title=title, x_label='Re [rad/s]', y_label='Im [rad/s]',
-                x_limits=(left, right), y_limits=(-height, height), width=2 * WIDTH, height=300.0)
+    places = [i for i, p in enumerate(truth) if p.imag >= 0.0]
+    spread = [_SPREADS * _typical([o.error[i] for o in clouds[0][1]]) for i in places]
+    rows = []
+    for color, (label, done) in enumerate(clouds, 1):
+        row = [_plane(np.concatenate([truth + o.error for o in done]), truth, color,
+                      f'{title}, {label}', (left, right), (-height, height), 1.1 * WIDTH)]
+        for i, room in zip(places, spread, strict=True):
+            own = np.array([truth[i] + o.error[i] for o in done])
+            x, y = float(truth[i].real), float(truth[i].imag)
+            row.append(_plane(own, truth[i:i + 1], color, _shown(complex(truth[i])),
+                              (x - room, x + room), (y - room, y + room), 0.7 * WIDTH))
+        rows.append(row)
+    return rows
+
+
+def _typical(errors: Sequence[complex]) -> float:
+    """Return the size that two in three errors do not exceed."""
+    found = np.abs(np.array(errors))
+    found = found[np.isfinite(found)]
+    return float(np.quantile(found, 2.0 / 3.0)) if len(found) else 1.0
+
+
+def _shown(pole: complex) -> str:
+    return f'{pole.real:.4g}' + (f' + {pole.imag:.4g}i' if pole.imag else '')
+
+
+def _plane(found: ComplexArray, truth: ComplexArray, color: int, title: str,
+           x: tuple[float, float], y: tuple[float, float], width: float) -> Axes:
+    found = found[np.isfinite(found)]
+    outside = int(np.sum((found.real < x[0]) | (found.real > x[1]) | (found.imag < y[0])
+                         | (found.imag > y[1])))
+    curves = [Curve(truth.real, truth.imag, '', 0, 'cross'),
+              Curve(found.real, found.imag, '', color, 'cloud', opacity=0.4)]
+    return Axes(curves, title=title, x_label='Re [rad/s]' + (
+        f' ({outside} of {len(found)} outside)' if outside else ''), y_label='Im [rad/s]',
+        x_limits=x, y_limits=y, width=width, height=230.0)
 
 
 def error_bars(x: Array, parts: Sequence[tuple[str, Array, Array, int]], *, title: str,

@@ -69,7 +69,7 @@ def drawn(sweep: Sweep, found: dict[str, list[Summary]]) -> list[Axes]:
     """Return the drawing of each eigenvalue."""
     drawings = []
     for name, i in of_poles(second_order()):
-        parts = [(method, np.array([s.errors[:, i].real.mean() for s in each]),
+        parts = [(method, np.array([s.mean[i].real for s in each]),
                   np.array([s.std[i] for s in each]), color)
                  for color, (method, each) in enumerate(found.items(), 1)]
         drawings.append(error_bars(

@@ -70,10 +70,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                   for color, method in enumerate(METHODS, 1)] for output in (0, 1)]
         write_drawings(given.out / f'hd_figure_{BODE_FILES[snr]}.svg', [
             [pair[part] for pair in row] for row in drawn for part in (0, 1)])
-        write_drawings(given.out / f'hd_figure_{PLANE_FILES[snr]}.svg', [
-            eigenvalues([(method, done[method], color)], plant.poles,
-                        f'[HD] figure {PLANE_FILES[snr]}: {snr} dB', (-9.0, 0.0, 2.0))
-            for color, method in enumerate(METHODS, 1)])
+        write_drawings(given.out / f'hd_figure_{PLANE_FILES[snr]}.svg', eigenvalues(
+            [(method, done[method]) for method in METHODS], plant.poles,
+            f'[HD] figure {PLANE_FILES[snr]}: {snr} dB', (-9.0, 0.0, 2.0)))
     table = Table(HEAD, tuple(rows), ('pole', 'method'))
     write_table(given.out / 'hd_robustness', table)
     print(f'\n{table.text()}\n\nTable, figures and single runs: {given.out}')

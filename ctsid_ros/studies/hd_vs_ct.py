@@ -53,11 +53,10 @@ def lines(method: str, found: Summary, snr: int) -> list[tuple[str, ...]]:
 
 
 def draw(done: dict[str, list[Outcome]], snr: int, out: Path) -> None:
-    """Draw the eigenvalues of the three methods, those of CT-PBSID below the others."""
-    drawings = [eigenvalues([(method, done[method], color)], from_rest(0, snr).model.poles,
-                            f'[HD] figure {FILES[snr]}: {snr} dB', AROUND[snr])
-                for color, method in enumerate(METHODS, 1)]
-    write_drawings(out / f'hd_figure_{FILES[snr]}.svg', drawings)
+    """Draw the eigenvalues of the three methods."""
+    write_drawings(out / f'hd_figure_{FILES[snr]}.svg', eigenvalues(
+        [(method, done[method]) for method in METHODS], quadrotor().poles,
+        f'[HD] figure {FILES[snr]}: {snr} dB', AROUND[snr]))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

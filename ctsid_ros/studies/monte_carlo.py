@@ -69,7 +69,7 @@ def compared(model: StateSpace | None, truth: ComplexArray, deviation: Array | N
 @dataclass(frozen=True, eq=False)
 class Summary:
     """
-    What errors amount to, pole by pole; only of the runs with the right order.
+    What errors amount to, pole by pole; only of the runs with the right order, NaN without any.
 
     Parameters
     ----------
@@ -88,17 +88,27 @@ class Summary:
     @property
     def bias(self) -> Array:
         """|mean error| ([HD] eq. 60)."""
-        return np.asarray(np.abs(self.errors.mean(axis=0)))
+        return np.asarray(np.abs(self.mean))
+
+    @property
+    def mean(self) -> ComplexArray:
+        """Mean error."""
+        return np.asarray(self.errors.sum(axis=0) / self._count)
+
+    @property
+    def _count(self) -> float:
+        return len(self.errors) or np.nan
 
     @property
     def std(self) -> Array:
         """Standard deviation ([HD] eq. 61)."""
-        return np.asarray(np.std(self.errors, axis=0, ddof=1))
+        square = np.sum(np.abs(self.errors - self.mean) ** 2, axis=0)
+        return np.asarray(np.sqrt(square / (self._count - 1.0 or np.nan)))
 
     @property
     def rmse(self) -> Array:
         """Root mean square error."""
-        return np.sqrt(np.mean(np.abs(self.errors) ** 2, axis=0))
+        return np.asarray(np.sqrt(np.sum(np.abs(self.errors) ** 2, axis=0) / self._count))
 
 
 def summary(outcomes: Sequence[Outcome]) -> Summary:
@@ -106,8 +116,9 @@ def summary(outcomes: Sequence[Outcome]) -> Summary:
     errors, said = (np.array([getattr(o, name) for o in outcomes])
                     for name in ('error', 'deviation'))
     right = np.isfinite(errors).all(axis=1)
-    return Summary(errors[right], np.sqrt(np.mean(said[right] ** 2, axis=0)),
-                   float(right.mean()), float(np.mean([o.status == 'OK' for o in outcomes])))
+    deviation = np.sqrt(np.sum(said[right] ** 2, axis=0) / (np.sum(right) or np.nan))
+    return Summary(errors[right], deviation, float(right.mean()),
+                   float(np.mean([o.status == 'OK' for o in outcomes])))
 
 
 def of_poles(model: StateSpace) -> list[tuple[str, int]]:

@@ -19,7 +19,7 @@ from ctsid_ros.studies.monte_carlo import Outcome
 Task = Callable[[int], Outcome]
 
 
-def runs(task: Task, count: int, title: str, jobs: int = 0,
+def runs(task: Task, count: int, title: str, jobs: int = 1,
          kept: KeptRuns | None = None) -> list[Outcome]:
     """
     Return the outcomes of seeds 0, 1, ...
@@ -32,14 +32,14 @@ def runs(task: Task, count: int, title: str, jobs: int = 0,
     title : str
         Of the experiment: for the line that shows how far it is, and for what is kept.
     jobs : int
-        Processes; 0: one for each core. 1: this one.
+        Processes; 1: this one.
     kept : KeptRuns, optional
         What is in it is not run again, and what is run is added to it.
     """
     done = kept.of(title) if kept else {}
     missing = [seed for seed in range(count) if seed not in done]
     with progress(title) as advance:
-        for seed, found in zip(missing, _each(task, missing, jobs or cores()), strict=True):
+        for seed, found in zip(missing, _each(task, missing, jobs), strict=True):
             done[seed] = found
             if kept:
                 kept.add(title, seed, found)
@@ -75,7 +75,7 @@ def _context() -> multiprocessing.context.BaseContext:
     return context
 
 
-def arguments(doc: str | None, name: str, count: int,
+def arguments(doc: str | None, name: str, count: int | None,
               argv: Sequence[str] | None = None) -> argparse.Namespace:
     """
     Parse the command line that all studies share.
@@ -85,19 +85,21 @@ def arguments(doc: str | None, name: str, count: int,
     doc : str
     name : str
         Of the study: of its folder in results/studies.
-    count : int
-        Runs of each experiment, unless told otherwise.
+    count : int, optional
+        Runs of each experiment, unless told otherwise; None: nothing is random.
     argv : sequence of str, optional
     """
     parser = argparse.ArgumentParser(description=doc, prog=f'ctsid study {name}',
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--seeds', type=_positive, default=count, metavar='N',
-                        help=f'runs of each experiment ({count} if not given)')
-    parser.add_argument('--jobs', type=int, default=0, metavar='N',
-                        help='processes; 0: one for each core')
+    if count:
+        parser.add_argument('--seeds', type=_positive, default=count, metavar='N',
+                            help='runs of each experiment (%(default)s)')
+        parser.add_argument('--jobs', type=_positive, default=cores(), metavar='N',
+                            help='processes (one for each core)')
     parser.add_argument('--out', type=Path, default=Path('results/studies') / name,
-                        metavar='FOLDER', help='for tables, figures and runs.csv, which an '
-                        'interrupted study takes up again (%(default)s)')
+                        metavar='FOLDER', help='for tables, figures and, if runs are '
+                        'random, runs.csv, which an interrupted study takes up again '
+                        '(%(default)s)')
     return parser.parse_args(argv)
 
 
