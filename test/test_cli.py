@@ -225,8 +225,8 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
 
 
-def test_study_prints_its_table(ctsid):
-    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--jobs', '1')
+def test_study_prints_its_table(ctsid, tmp_path):
+    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--out', tmp_path)
     assert code == 0, err
     for method in ("paper's HD", 'ours', 'CT-PBSID'):
         assert len(re.findall(rf'dB +-\d.* {method} ', out)) == 8    # four SNRs, two poles

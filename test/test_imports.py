@@ -22,7 +22,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 VERBS = [f'verbs.{verb}' for verb in (
-    'advise', 'compare', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
+    'advise', 'compare', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate',
+    'study')]
 LEVELS = {
     'ctsid_core': [
         ['errors'], ['settings'], ['signals'],
@@ -58,9 +59,12 @@ LEVELS = {
         ['examples.quadrotor_roll', 'examples.lqr', 'examples.acceptance', 'examples.running',
          'studies.bounds', 'studies.experiments', 'studies.figure_files'],
         ['examples.flight', 'examples.tuner_node', 'examples.demo_table',
-         'examples.demo_processes', 'studies.monte_carlo'],
+         'examples.demo_processes', 'studies.monte_carlo', 'studies.network', 'studies.page'],
+        ['studies.kept_runs', 'studies.clouds'], ['studies.runner'],
         ['examples.robot_node', 'examples.demo_node', 'studies.table1', 'studies.windows',
-         'studies.closed_loop', 'studies.takenaka_malmquist'], ['studies.hd_vs_ct'],
+         'studies.closed_loop', 'studies.takenaka_malmquist', 'studies.hd_basis',
+         'studies.hd_robustness'],
+        ['studies.hd_vs_ct', 'studies.hd_parameters'], ['studies.hd_unsaid'],
         ['examples.simulated_robot', 'examples.gain_tuner', 'examples.live_demo'],
         ['guess', 'figures', 'results', 'experiment'], ['report'],
         ['parameters', 'intake', 'worker'],

@@ -3,15 +3,30 @@
 
 from __future__ import annotations
 
+import csv
+from dataclasses import replace
 from functools import partial
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from ctsid_core import Settings
-from ctsid_ros.studies import closed_loop, table1, windows
+from ctsid_ros.studies import (
+    closed_loop,
+    hd_basis,
+    hd_parameters,
+    hd_robustness,
+    hd_vs_ct,
+    kept_runs,
+    page,
+    table1,
+    windows,
+)
 from ctsid_ros.studies.experiments import flexible, flown, from_rest, quadrotor, running
-from ctsid_ros.studies.monte_carlo import Outcome, of_poles, runs, summary
+from ctsid_ros.studies.kept_runs import KeptRuns
+from ctsid_ros.studies.monte_carlo import Outcome, compared, of_poles, summary
+from ctsid_ros.studies.runner import runs
 
 
 def chance(count: int) -> float:
@@ -55,6 +70,120 @@ def test_several_processes_find_what_one_finds():
     one, two = (runs(task, 2, 'test', jobs) for jobs in (1, 2))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a.error, b.error, rtol=1e-9)
+
+
+def test_no_run_with_the_right_order_is_no_number():
+    nothing = np.full(2, np.nan + 0j)
+    found = summary([Outcome(nothing, nothing.real, 0, 'TOO_SHORT')] * 3)
+    assert found.right == 0.0
+    assert np.isnan([found.bias, found.std, found.rmse, found.deviation]).all()
+
+
+def counted(seed, path):
+    """Count how often this is run; the outcome tells the seed."""
+    with path.open('a') as stream:
+        stream.write(f'{seed}\n')
+    return compared(quadrotor(), quadrotor().poles + 0.5 ** seed * (1 + 2j), np.full(3, 0.1))
+
+
+def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
+    """Also if it was cut off while it wrote a row; what is read is what was found, bit by bit."""
+    file, log = tmp_path / 'runs.csv', tmp_path / 'log'
+    task = partial(counted, path=log)
+    first = runs(task, 3, 'one', kept=KeptRuns(file))
+    runs(task, 1, 'another', kept=KeptRuns(file))
+    text = file.read_text()
+    file.write_text(text[:-40])          # of the last row
+    again = runs(task, 5, 'one', kept=KeptRuns(file))
+    assert len(again) == 5
+    assert log.read_text().split() == ['0', '1', '2', '0', '3', '4']
+    for a, b in zip(first, again, strict=False):
+        np.testing.assert_array_equal(a.error, b.error)
+        np.testing.assert_array_equal(a.model.A, b.model.A)
+        assert (a.order, a.status) == (b.order, b.status)
+    runs(task, 1, 'another', kept=KeptRuns(file))
+    assert log.read_text().split()[6:] == ['0']
+
+
+def test_runs_of_other_code_are_not_taken(tmp_path, monkeypatch):
+    file, log = tmp_path / 'runs.csv', tmp_path / 'log'
+    task = partial(counted, path=log)
+    runs(task, 2, 'one', kept=KeptRuns(file))
+    monkeypatch.setattr(kept_runs, 'code', lambda: 'changed')
+    runs(task, 1, 'one', kept=KeptRuns(file))
+    assert log.read_text().split() == ['0', '1', '0']
+    assert len(file.read_text().splitlines()) == 2
+
+
+def test_runs_without_a_model_are_kept(tmp_path):
+    file = tmp_path / 'runs.csv'
+    found = compared(None, quadrotor().poles, None, 'TOO_SHORT')
+    KeptRuns(file).add('one', 7, found)
+    (seed, again), = KeptRuns(file).of('one').items()
+    assert (seed, again.order, again.status, again.model) == (7, 0, 'TOO_SHORT', None)
+    assert np.isnan(again.error).all()
+
+
+def drawn(folder):
+    """Return the names of all figures, each of which is read as XML."""
+    for path in folder.glob('*.svg'):
+        ElementTree.parse(path)
+    return {path.stem for path in folder.glob('*.svg')}
+
+
+def rows(path):
+    with path.open(encoding='utf-8') as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_hermite_functions_end_at_the_effective_support():
+    """[HD] 4.1: beyond it all functions of the basis vanish."""
+    edge = hd_basis.support()
+    assert hd_basis.largest(np.array([edge]))[0] > 0.1
+    assert hd_basis.largest(np.array([1.2 * edge]))[0] < 1e-15
+
+
+def test_figures_of_the_basis(tmp_path):
+    hd_basis.main(['--out', str(tmp_path)])
+    assert drawn(tmp_path) == {'hd_figure_1', 'hd_figure_2', 'hd_figure_3'}
+
+
+def test_figures_4_to_7(tmp_path):
+    hd_robustness.main(['--seeds', '4', '--out', str(tmp_path)])
+    assert drawn(tmp_path) == {f'hd_figure_{k}{x}' for k in (4, 5, 6, 7) for x in 'ab'}
+    found = rows(tmp_path / 'hd_robustness.csv')
+    assert len(found) == 4 * 2 * 2
+    assert all(float(row['RMSE/bound']) < chance(4) for row in found
+               if row['method'] == 'ours' and row['SNR'] in ('50 dB', '20 dB'))
+
+
+def test_figures_8_to_11(tmp_path, monkeypatch):
+    fewer = [replace(sweep, values=sweep.values[3:5]) for sweep in hd_parameters.SWEEPS]
+    monkeypatch.setattr(hd_parameters, 'SWEEPS', fewer)
+    hd_parameters.main(['--seeds', '3', '--jobs', '1', '--out', str(tmp_path)])
+    assert drawn(tmp_path) == {f'hd_figure_{k}' for k in (8, 9, 10, 11)}
+    found = rows(tmp_path / 'hd_parameters.csv')
+    assert {row['varied'] for row in found} == {'samples', 'nmax', 'beta', 'gamma'}
+    assert all(row['order 2'] == '100 %' for row in found)
+
+
+def test_three_methods(tmp_path):
+    hd_vs_ct.main(['--seeds', '4', '--out', str(tmp_path)])
+    assert drawn(tmp_path) == {'hd_figure_12a', 'hd_figure_12b', 'hd_figure_13a', 'hd_figure_13b'}
+    std = {(row['SNR'], row['pole'], row['method']): float(row['std'])
+           for row in rows(tmp_path / 'hd_table_1.csv')}
+    assert std['50 dB', '-5', 'CT-PBSID'] < 0.004 < 1.0 < std['6 dB', '-5', 'CT-PBSID']
+    assert std['6 dB', '-5', 'ours'] < 0.5
+
+
+def test_a_page_takes_its_tables():
+    text = 'a\n<!-- one -->\nold\n<!-- end -->\nb\n<!-- two -->\n<!-- end -->\n'
+    found = page.filled(text, {'one': '| 1 |\n', 'two': '| 2 |\n'})
+    assert found == ('a\n<!-- one -->\n\n| 1 |\n\n<!-- end -->\nb\n<!-- two -->\n\n| 2 |\n\n'
+                     '<!-- end -->\n')
+    assert page.filled(found, {'one': '| 1 |\n', 'two': '| 2 |\n'}) == found
+    with pytest.raises(KeyError, match='two'):
+        page.filled(text, {'one': ''})
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import csv
 from pathlib import Path
 
@@ -30,16 +30,26 @@ def write_drawings(path: Path, rows: Sequence[Axes | Sequence[Axes]]) -> None:
             left += axes.width
         top += max(axes.height for axes in drawings)
         width = max(width, left)
+    write_svg(path, ''.join(parts), width, top)
+
+
+def write_svg(path: Path, body: str, width: float, height: float) -> None:
+    """Write SVG elements as one file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {top:g}" '
-        f'width="{width:g}" height="{top:g}">{_STYLE}<rect width="100%" height="100%" '
-        f'fill="#ffffff"/>{"".join(parts)}</svg>\n', encoding='utf-8')
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
+        f'width="{width:g}" height="{height:g}">{_STYLE}<rect width="100%" height="100%" '
+        f'fill="#ffffff"/>{body}</svg>\n', encoding='utf-8')
 
 
 def write_table(path: Path, table: Table) -> None:
     """Write a table as Markdown and as CSV: two files of that name."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.with_suffix('.md').write_text(table.markdown() + '\n', encoding='utf-8')
-    with path.with_suffix('.csv').open('w', newline='', encoding='utf-8') as stream:
-        csv.writer(stream, lineterminator='\n').writerows((table.head, *table.rows))
+    write_csv(path.with_suffix('.csv'), (table.head, *table.rows))
+
+
+def write_csv(path: Path, rows: Iterable[Sequence[str]]) -> None:
+    """Write rows as CSV."""
+    with path.open('w', newline='', encoding='utf-8') as stream:
+        csv.writer(stream, lineterminator='\n').writerows(rows)

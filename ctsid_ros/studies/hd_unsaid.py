@@ -67,7 +67,7 @@ def published(name: str, place: int) -> tuple[str, ...]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table and write it."""
-    given = arguments(__doc__, 'hd-unsaid', 100, argv)
+    given = arguments(__doc__, 'hd-unsaid', 40, argv)
     runs = keeping(given)
     rows = [published('published HD', 0)]
     hd, ct = METHODS["paper's HD"], METHODS['CT-PBSID']

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.clouds import eigenvalues
-from ctsid_ros.studies.experiments import from_rest, quadrotor
+from ctsid_ros.studies.experiments import quadrotor
 from ctsid_ros.studies.figure_files import write_drawings, write_table
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, summary
 from ctsid_ros.studies.runner import arguments, keeping

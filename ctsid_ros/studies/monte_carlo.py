@@ -93,22 +93,20 @@ class Summary:
     @property
     def mean(self) -> ComplexArray:
         """Mean error."""
-        return np.asarray(self.errors.sum(axis=0) / self._count)
-
-    @property
-    def _count(self) -> float:
-        return len(self.errors) or np.nan
+        return np.asarray(self.errors.mean(axis=0) if len(self.errors)
+                          else np.full(self.errors.shape[1], np.nan + 0j))
 
     @property
     def std(self) -> Array:
         """Standard deviation ([HD] eq. 61)."""
         square = np.sum(np.abs(self.errors - self.mean) ** 2, axis=0)
-        return np.asarray(np.sqrt(square / (self._count - 1.0 or np.nan)))
+        return np.asarray(np.sqrt(square / (len(self.errors) - 1 or np.nan)))
 
     @property
     def rmse(self) -> Array:
         """Root mean square error."""
-        return np.asarray(np.sqrt(np.sum(np.abs(self.errors) ** 2, axis=0) / self._count))
+        return np.asarray(np.sqrt(np.sum(np.abs(self.errors) ** 2, axis=0)
+                                  / (len(self.errors) or np.nan)))
 
 
 def summary(outcomes: Sequence[Outcome]) -> Summary:

@@ -15,6 +15,7 @@ from functools import partial
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.experiments import from_rest
+from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
 from ctsid_ros.studies.runner import arguments, keeping
 from ctsid_ros.tables import Table
@@ -73,7 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             done = runs(partial(one, snr=snr, settings=settings), f'{snr} dB, {title}')
             rows += lines(summary(done), snr)
         worst = max(float(row[8]) for row in rows), max(float(row[11]) for row in rows)
-        print(f'\n{title}, {given.seeds} runs\n\n{Table(HEAD, tuple(rows), ("pole",)).text()}\n')
+        table = Table(HEAD, tuple(rows), ('pole',))
+        write_table(given.out / f'table1_{title.replace(" ", "_")}', table)
+        print(f'\n{title}, {given.seeds} runs\n\n{table.text()}\n')
         print(f'  largest ratio to a published figure {worst[0]:.2f}, to the bound {worst[1]:.2f}')
     return 0
 

@@ -6,17 +6,14 @@ Fourth-order G(s), 400 samples at 5 ms, normal noise on straight lines as input,
 output, N = 8, order 4 given; poles 4, 12, ..., 60 against eight equal ones at 4, 28 or 60. Each
 chain is run in three ways: signals between samples as published (polynomials of degree 3 through
 neighbouring samples), as they are known to be (input on straight lines, output a cubic spline),
-and with the kinks of the input that a spline of the output misses. Beside them: the method with
-poles from the data, and HD-PBSID with refinement.
-
-Writes runs.csv, median_errors.csv, and the paper's figures 2 to 4 as SVG.
+and with the kinks of the input that a spline of the output misses. Beside them: `identify` by the
+same method with poles from the data, and by HD-PBSID, with the order given and with nothing set.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
-import csv
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +25,10 @@ from ctsid_core.identify import identify
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record, Signal
 from ctsid_core.statespace import StateSpace
-from ctsid_ros.progress import progress
-from ctsid_ros.studies.figure_files import write_drawings
+from ctsid_ros.studies.figure_files import write_csv, write_drawings, write_svg, write_table
+from ctsid_ros.studies.monte_carlo import Outcome, compared
+from ctsid_ros.studies.network import network
+from ctsid_ros.studies.runner import Task, arguments, keeping
 from ctsid_ros.svg import Axes, Curve
 from ctsid_ros.tables import Table
 
@@ -40,7 +39,9 @@ PERIOD, COUNT, ORDER = 0.005, 400, 4
 OMEGA = np.geomspace(0.1, 100.0, 121)
 SEQUENCES = {'TM 4..60': np.linspace(4.0, 60.0, 8), 'Laguerre 4': np.full(8, 4.0),
              'Laguerre 28': np.full(8, 28.0), 'Laguerre 60': np.full(8, 60.0)}
+SPREAD = 'TM 4..60'
 WAYS = {'published': (3, 0), 'held': (0, 0), 'kinks': (0, KINKS)}    # polynomial, kinks
+METHODS = {'gobf': 'gobf', 'HD-PBSID': 'hd-pbsid'}
 RANK_TOLERANCE = 1e-10
 
 
@@ -60,50 +61,39 @@ def example(seed: int) -> Record:
     return Record.from_arrays(t, u.values, t, y, input_hold='linear')
 
 
-def by_chain(record: Record, poles: Array, way: str) -> StateSpace:
-    """Return the estimate by one chain of filters, [TM] eq. 6 to 15."""
+def by_chain(seed: int, name: str, way: str) -> Outcome:
+    """Return the outcome of one run by one chain of filters, [TM] eq. 6 to 15."""
     polynomial, kinks = WAYS[way]
-    filtered = filter_records([record], chain(poles), (0.0,), trim=False, feedthrough=False,
-                               polynomial=polynomial, kinks=kinks)
+    filtered = filter_records([example(seed)], chain(SEQUENCES[name]), (0.0,), trim=False,
+                              feedthrough=False, polynomial=polynomial, kinks=kinks)
     found = realise(observe(filtered, RANK_TOLERANCE), ORDER, feedthrough=False)
-    return StateSpace(found.A, found.B, found.C, found.D)
+    return compared(StateSpace(found.A, found.B, found.C, found.D), plant().poles)
 
 
-def by_identify(record: Record, method: str) -> StateSpace:
-    """Return the estimate of `identify` with the order given; a rejected model counts."""
-    found = identify(record, Settings(method=method, order=ORDER, feedthrough=False, trim=False,
-                                      delay=0.0))
-    model = found.model or found.rejected_model
-    return model or StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
+def by_identify(seed: int, method: str, order: int | None) -> Outcome:
+    """Return the outcome of one run by `identify`; a rejected model counts."""
+    settings = Settings(method=method)
+    if order:
+        settings = settings.replace(order=order, feedthrough=False, trim=False, delay=0.0)
+    found = identify(example(seed), settings)
+    return compared(found.model or found.rejected_model, plant().poles,
+                    np.asarray(found.pole_std), found.verdict.grade.name)
 
 
-def contenders() -> dict[tuple[str, str], Callable[[Record], StateSpace]]:
+def tasks() -> dict[tuple[str, str], Task]:
     """Return who is compared, by name and way."""
-    found: dict[tuple[str, str], Callable[[Record], StateSpace]] = {}
-    for way in WAYS:
-        for name, poles in SEQUENCES.items():
-            found[name, way] = lambda r, p=poles, w=way: by_chain(r, p, w)  # type: ignore[misc]
-    found['TM from the data', 'identify'] = lambda r: by_identify(r, 'gobf')
-    found['HD-PBSID refined', 'identify'] = lambda r: by_identify(r, 'hd-pbsid')
+    found: dict[tuple[str, str], Task] = {
+        (name, way): partial(by_chain, name=name, way=way) for way in WAYS for name in SEQUENCES}
+    for name, method in METHODS.items():
+        for way, order in (('order given', ORDER), ('nothing set', None)):
+            found[name, way] = partial(by_identify, method=method, order=order)
     return found
 
 
-def response(model: StateSpace) -> ComplexArray:
-    """Return the frequency response over the grid."""
-    return model.frequency_response(OMEGA)[:, 0, 0]
-
-
-def run_all(seeds: int) -> dict[tuple[str, str], ComplexArray]:
-    """Return the estimated frequency responses of each contender, (seeds, frequencies)."""
-    who = contenders()
-    found: dict[tuple[str, str], list[ComplexArray]] = {key: [] for key in who}
-    with progress('Takenaka-Malmquist') as advance:
-        for seed in range(seeds):
-            record = example(seed)
-            for key, estimate in who.items():
-                found[key].append(response(estimate(record)))
-            advance((seed + 1) / seeds, '')
-    return {key: np.array(rows) for key, rows in found.items()}
+def response(model: StateSpace | None) -> ComplexArray:
+    """Return the frequency response over the grid, zero without a model."""
+    return np.zeros(len(OMEGA), complex) if model is None else \
+        model.frequency_response(OMEGA)[:, 0, 0]
 
 
 def relative(errors: Array) -> Array:
@@ -112,43 +102,31 @@ def relative(errors: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(errors ** 2, axis=1)) / size)
 
 
-def table(errors: dict[tuple[str, str], Array]) -> Table:
+def table(done: dict[tuple[str, str], list[Outcome]],
+          errors: dict[tuple[str, str], Array]) -> Table:
     """Return what the errors |G - estimate|, (seeds, frequencies), amount to."""
     rows = []
     for (name, way), own in errors.items():
         each: Array = relative(own)
-        best = errors.get(('TM 4..60', way))
-        below = '' if best is None or name.startswith('TM') else \
+        best = errors.get((SPREAD, way))
+        below = '' if best is None or name == SPREAD else \
             f'{100 * np.mean(np.median(best, axis=0) < np.median(own, axis=0)):.0f} %'
         wins = '' if not below or best is None else f'{np.sum(relative(best) < each)}/{len(each)}'
+        right = sum(o.order == ORDER for o in done[name, way])
         rows.append((name, way, f'{np.median(each):.2g}', f'{np.max(each):.2g}',
-                     f'{np.median(own[:, 0]):.2g}', f'{np.median(own[:, -1]):.2g}', below, wins))
+                     f'{np.median(own[:, 0]):.2g}', f'{np.median(own[:, -1]):.2g}', below, wins,
+                     f'{right}/{len(own)}'))
     return Table(('estimate', 'between samples', 'median error', 'largest', 'at 0.1 rad/s',
-                  'at 100 rad/s', 'TM below', 'TM wins'), tuple(rows),
+                  'at 100 rad/s', 'TM below', 'TM wins', 'order 4'), tuple(rows),
                  ('estimate', 'between samples'))
 
 
-def write(directory: Path, found: dict[tuple[str, str], ComplexArray],
-          errors: dict[tuple[str, str], Array]) -> None:
-    """Write the numbers and the figures."""
-    directory.mkdir(parents=True, exist_ok=True)
-    with (directory / 'runs.csv').open('w', newline='', encoding='utf-8') as stream:
-        out = csv.writer(stream)
-        out.writerow(['estimate', 'between_samples', 'seed', 'relative_error'])
-        for (name, way), own in errors.items():
-            out.writerows([name, way, seed, repr(float(e))]
-                          for seed, e in enumerate(relative(own)))
-    with (directory / 'median_errors.csv').open('w', newline='', encoding='utf-8') as stream:
-        out = csv.writer(stream)
-        out.writerow(['omega_rad_s', *(f'{name} ({way})' for name, way in errors)])
-        middle = [np.median(own, axis=0) for own in errors.values()]
-        out.writerows([repr(float(x)) for x in row]
-                      for row in np.column_stack((OMEGA, *middle)))
-    write_drawings(directory / 'figure_2.svg', _samples())
-    for way in WAYS:
-        first = {name: found[name, way][0] for name in SEQUENCES}
-        write_drawings(directory / f'figure_3_{way}.svg', _bode(first, way))
-        write_drawings(directory / f'figure_4_{way}.svg', _error_curves(errors, way))
+def _filters() -> list[Axes]:
+    curves = [Curve(OMEGA, np.abs(np.sqrt(2.0 * pole) / (1j * OMEGA + pole)),
+                    f'{pole:g}' if pole in (4.0, 60.0) else '', i % 5 + 1)
+              for i, pole in enumerate(SEQUENCES[SPREAD])]
+    return [Axes(curves, title='Size of the eight filters: poles 4, 12, ..., 60', x_log=True,
+                 y_log=True, x_label='frequency [rad/s]', y_label='|M_k|')]
 
 
 def _samples() -> list[Axes]:
@@ -160,42 +138,58 @@ def _samples() -> list[Axes]:
 
 def _bode(own: dict[str, ComplexArray], way: str) -> list[Axes]:
     truth = response(plant())
-    parts: list[tuple[str, Callable[[ComplexArray], Array], bool]] = [
-        ('magnitude', lambda g: np.abs(g), True),
-        ('phase [deg]', lambda g: np.degrees(np.unwrap(np.angle(g))), False)]
-    found = []
-    for what, of, log in parts:
-        curves = [Curve(OMEGA, of(truth), 'G', 0)]
-        curves += [Curve(OMEGA, of(g), name, i, 'dashed')
-                   for i, (name, g) in enumerate(own.items(), 1)]
-        found.append(Axes(curves, title=f'[TM] figure 3, {way}, seed 0', x_log=True, y_log=log,
-                          x_label='frequency [rad/s]', y_label=what, height=300.0))
-    return found
+    turn = np.unwrap(np.angle(truth))
+    phases = {name: turn + np.angle(g / np.exp(1j * turn)) for name, g in own.items()}
+    size = [Curve(OMEGA, np.abs(truth), 'G', 0)]
+    size += [Curve(OMEGA, np.abs(g), name, i, 'dashed') for i, (name, g) in
+             enumerate(own.items(), 1)]
+    phase = [Curve(OMEGA, np.degrees(turn), '', 0)]
+    phase += [Curve(OMEGA, np.degrees(g), '', i, 'dashed') for i, g in
+              enumerate(phases.values(), 1)]
+    return [Axes(size, title=f'[TM] figure 3, {way}, seed 0', x_log=True, y_log=True,
+                 x_label='frequency [rad/s]', y_label='magnitude', height=300.0),
+            Axes(phase, x_log=True, x_label='frequency [rad/s]', y_label='phase [deg]',
+                 height=300.0)]
 
 
 def _error_curves(errors: dict[tuple[str, str], Array], way: str) -> list[Axes]:
-    shown: Sequence[tuple[str, str]] = [(name, way) for name in SEQUENCES] + [
-        ('HD-PBSID refined', 'identify')]
-    curves = [Curve(OMEGA, np.median(errors[key], axis=0), key[0], i)
-              for i, key in enumerate(shown, 1)]
+    shown = [(name, way, name) for name in SEQUENCES]
+    shown += [('HD-PBSID', 'order given', 'HD-PBSID')]
+    curves = [Curve(OMEGA, np.median(errors[name, how], axis=0), label, i)
+              for i, (name, how, label) in enumerate(shown, 1)]
     return [Axes(curves, title=f'[TM] figure 4, {way}', x_log=True, y_log=True,
                  x_label='frequency [rad/s]', y_label='median |G - estimate|', height=360.0)]
 
 
+def draw(out: Path, models: dict[tuple[str, str], ComplexArray],
+         errors: dict[tuple[str, str], Array]) -> None:
+    """Draw the figures of the paper."""
+    write_svg(out / 'tm_figure_1.svg', *network(4))
+    write_drawings(out / 'tm_filters.svg', _filters())
+    write_drawings(out / 'tm_figure_2.svg', _samples())
+    for way in WAYS:
+        shown = {name: models[name, way][0] for name in SEQUENCES}
+        write_drawings(out / f'tm_figure_3_{way}.svg', _bode(shown, way))
+        write_drawings(out / f'tm_figure_4_{way}.svg', _error_curves(errors, way))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print the table and write CSV and figures."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--seeds', type=int, default=20, help='runs')
-    parser.add_argument('--out', type=Path, default=Path('takenaka_malmquist'),
-                        help='directory of the CSV files and figures')
-    given = parser.parse_args(argv)
-    found, truth = run_all(given.seeds), response(plant())
-    errors = {key: np.abs(rows - truth) for key, rows in found.items()}
-    write(given.out, found, errors)
-    print(f'{given.seeds} runs; errors of the frequency response over 0.1 to 100 rad/s, over the '
-          'size of G;\nTM below: part of the frequencies where the median error of TM is the '
-          f'smaller\n\n{table(errors).text()}\n\nCSV and figures: {given.out}')
+    """Print the table, write it and the figures."""
+    given = arguments(__doc__, 'tm', 20, argv)
+    runs, truth = keeping(given), response(plant())
+    done = {key: runs(task, ', '.join(key)) for key, task in tasks().items()}
+    models = {key: np.array([response(o.model) for o in own]) for key, own in done.items()}
+    errors = {key: np.asarray(np.abs(rows - truth)) for key, rows in models.items()}
+    found = table(done, errors)
+    write_table(given.out / 'tm', found)
+    middle = [tuple(f'{x:.4g}' for x in row) for row in np.column_stack(
+        (OMEGA, *(np.median(own, axis=0) for own in errors.values())))]
+    write_csv(given.out / 'tm_median_errors.csv', (
+        ('omega [rad/s]', *(f'{name}, {way}' for name, way in errors)), *middle))
+    draw(given.out, models, errors)
+    print(f'\n{given.seeds} runs; errors of the frequency response over 0.1 to 100 rad/s, over '
+          'the size of G;\nTM below: part of the frequencies where the median error of TM is '
+          f'the smaller\n\n{found.text()}\n\nTables, figures and single runs: {given.out}')
     return 0
 
 

@@ -5,29 +5,68 @@ from __future__ import annotations
 
 import argparse
 from importlib import import_module
+from pathlib import Path
 
 HELP = 'repeat a Monte Carlo study and print it beside what was published'
-EPILOG = ('example: ctsid study hd-vs-ct --seeds 100\n'
-          '         (Table 1 of the HD-PBSID paper by three methods)')
-STUDIES = {
-    'hd-vs-ct': 'hd_vs_ct',                 # [HD] Table 1, three methods
-    'table1': 'table1',                     # [HD] Table 1 beside the Cramer-Rao bound
-    'windows': 'windows',                   # windows that are not at rest
-    'closed-loop': 'closed_loop',           # an unstable plant under its controller
-    'tm': 'takenaka_malmquist',             # the example of [TM]
+# Of the two papers; all of them by `all`.
+PAPERS = {
+    'hd-basis': ('hd_basis', '[HD] figures 1 to 3: the basis (nothing random)'),
+    'hd-robustness': ('hd_robustness', '[HD] figures 4 to 7: Bode curves and eigenvalues'),
+    'hd-parameters': ('hd_parameters', '[HD] figures 8 to 11: samples, nmax, beta, gamma'),
+    'hd-vs-ct': ('hd_vs_ct', '[HD] figures 12, 13 and Table 1: three methods'),
+    'hd-unsaid': ('hd_unsaid', 'what [HD] leaves unsaid: samples, SNR, p and f'),
+    'tm': ('takenaka_malmquist', '[TM] figures 1 to 4: the example of section V'),
 }
+OURS = {
+    'table1': ('table1', '[HD] Table 1 beside the Cramer-Rao bound, nothing set'),
+    'windows': ('windows', 'windows that are not at rest'),
+    'closed-loop': ('closed_loop', 'an unstable plant under its controller'),
+}
+STUDIES = PAPERS | OURS
+EPILOG = '\n'.join([
+    'studies:', *(f'  {name:14} {what}' for name, (_, what) in STUDIES.items()),
+    f'  {"all":14} those of the papers ({", ".join(PAPERS)})', '',
+    '[HD] and [TM] are the papers on HD-PBSID and on Takenaka-Malmquist chains: docs/papers.md.',
+    'A study that is interrupted goes on where it was when it is called again; each writes its',
+    'single runs, tables (Markdown and CSV) and figures (SVG) to a folder. Its own options',
+    '(--seeds, --jobs, --out) are explained by `ctsid study NAME --help`.', '',
+    'example: ctsid study hd-vs-ct --seeds 100'])
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('name', choices=STUDIES, help='which study')
+    parser.add_argument('name', choices=[*STUDIES, 'all'], metavar='NAME', help='which study')
     parser.add_argument('more', nargs=argparse.REMAINDER, metavar='...',
-                        help='of the study itself, --seeds for example; `ctsid study NAME --help` '
-                        'lists them')
+                        help='--seeds, --jobs, --out: of the study')
 
 
 def command(args: argparse.Namespace) -> int:
     """Run the study."""
-    study = import_module(f'ctsid_ros.studies.{STUDIES[args.name]}')
-    code: int = study.main(args.more)
+    if args.name != 'all':
+        return _run(args.name, args.more)
+    given = _of_all(args.more)
+    for name in PAPERS:
+        print(f'\n{name}: {PAPERS[name][1]}')
+        many = [] if name == 'hd-basis' else [
+            word for option in ('seeds', 'jobs') if getattr(given, option)
+            for word in (f'--{option}', str(getattr(given, option)))]
+        code = _run(name, [*many, '--out', str(given.out / name)])
+        if code:
+            return code
+    return 0
+
+
+def _run(name: str, more: list[str]) -> int:
+    code: int = import_module(f'ctsid_ros.studies.{STUDIES[name][0]}').main(more)
     return code
+
+
+def _of_all(more: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog='ctsid study all', description='All studies of the '
+                                     'two papers, one after the other.')
+    parser.add_argument('--seeds', type=int, metavar='N',
+                        help='runs of each experiment (each study has its own number)')
+    parser.add_argument('--jobs', type=int, metavar='N', help='processes (one for each core)')
+    parser.add_argument('--out', type=Path, default=Path('results/studies'), metavar='FOLDER',
+                        help='a folder of each study is made in it (%(default)s)')
+    return parser.parse_args(more)
