@@ -100,7 +100,7 @@ class Summary:
     def std(self) -> Array:
         """Standard deviation ([HD] eq. 61)."""
         square = np.sum(np.abs(self.errors - self.mean) ** 2, axis=0)
-        return np.asarray(np.sqrt(square / (len(self.errors) - 1 or np.nan)))
+        return np.asarray(np.sqrt(square / (max(0, len(self.errors) - 1) or np.nan)))
 
     @property
     def rmse(self) -> Array:
