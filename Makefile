@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# make demo | demo-live | test | test-all | lint | bench | study-table1 | bags | clean
+# make demo | demo-live | test | test-all | lint | bench | studies | study-table1 | bags | clean
 # Everything happens in $(VENV); PYTHON= chooses the interpreter that makes it (3.11 or later).
 
 # On a sourced ROS 2 the environment is another one, which sees ROS and the NumPy it was built for.
@@ -11,7 +11,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
 PYTHON ?=
 PACKAGING := setup.py setup.cfg pyproject.toml
 
-.PHONY: demo demo-live test test-all lint bench study-table1 bags clean
+.PHONY: demo demo-live test test-all lint bench studies study-table1 bags clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.installed
@@ -31,6 +31,11 @@ test-all: $(VENV)/.installed-test $(VENV)/.tried-ros
 lint: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+# Half an hour on two cores; goes on where it was if it is interrupted.
+studies: $(VENV)/.installed
+	$(VENV)/bin/ctsid study all
+	$(PY) -m ctsid_ros.studies.page docs/papers.md results/studies
 
 study-table1: $(VENV)/.installed
 	$(PY) -m ctsid_ros.studies.table1

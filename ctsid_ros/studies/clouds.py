@@ -14,7 +14,7 @@ from ctsid_ros.svg import Axes, Curve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_SHOWN = 40      # curves; the band tells of all runs
+_SHOWN = 15      # curves; the band tells of all runs
 _SPREADS = 4.0   # typical errors of the first method to each side of an eigenvalue
 WIDTH = 460.0
 
@@ -53,7 +53,7 @@ def bode(done: Sequence[Outcome], truth: StateSpace, omega: Array, output: int,
 def _one(true: Array, own: Array, omega: Array, title: str, label: str, color: int) -> Axes:
     low, high = np.quantile(own, (0.025, 0.975), axis=0)
     room = 0.35 * np.ptp(true) + 3.0
-    curves = [Curve(omega, row, '', color, opacity=0.35) for row in own[:_SHOWN]]
+    curves = [Curve(omega, row, '', color, opacity=0.5) for row in own[:_SHOWN]]
     curves += [Curve(omega, np.median(own, axis=0), '', color, low=low, high=high, opacity=0.0),
                Curve(omega, true, '', 0, 'dashed')]
     return Axes(curves, title=title, x_label='frequency [rad/s]', y_label=label, x_log=True,
@@ -113,7 +113,7 @@ def _plane(found: ComplexArray, truth: ComplexArray, color: int, title: str,
     outside = int(np.sum((found.real < x[0]) | (found.real > x[1]) | (found.imag < y[0])
                          | (found.imag > y[1])))
     curves = [Curve(truth.real, truth.imag, '', 0, 'cross'),
-              Curve(found.real, found.imag, '', color, 'cloud', opacity=0.4)]
+              Curve(found.real, found.imag, '', color, 'cloud', opacity=0.6)]
     return Axes(curves, title=title, x_label='Re [rad/s]' + (
         f' ({outside} of {len(found)} outside)' if outside else ''), y_label='Im [rad/s]',
         x_limits=x, y_limits=y, width=width, height=230.0)

@@ -51,7 +51,7 @@ def largest(t: Array, highest: int = HIGHEST) -> Array:
 
 def whole_basis() -> Axes:
     """Return the basis of order 200, and where it is numerically significant."""
-    t, edge = np.linspace(-25.0, 25.0, 2001), support()
+    t, edge = np.linspace(-25.0, 25.0, 1001), support()
     h = hermite_functions(HIGHEST, t)
     size = largest(t)
     curves = [Curve(t, h[n], '', 1, opacity=0.25) for n in range(0, HIGHEST + 1, 20)]

@@ -66,7 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for method, settings in METHODS.items()}
         for method in METHODS:
             rows += lines(done[method], snr, method)
-        drawn = [[bode(done[method], plant, _OMEGA, output, f'{method}, {snr} dB', color)
+        drawn = [[bode(done[method], plant, _OMEGA, output,
+                       f'[HD] figure {BODE_FILES[snr]}: {snr} dB, {method}', color)
                   for color, method in enumerate(METHODS, 1)] for output in (0, 1)]
         write_drawings(given.out / f'hd_figure_{BODE_FILES[snr]}.svg', [
             [pair[part] for pair in row] for row in drawn for part in (0, 1)])
