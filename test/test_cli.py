@@ -234,6 +234,30 @@ def test_study_prints_its_table(ctsid, tmp_path):
     assert ctsid('study', 'nothing')[0] == 2
 
 
+def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
+    """A real process, a real Ctrl-C for it and all its children; no run is lost or run twice."""
+    words = [sys.executable, '-m', 'ctsid_ros.cli', 'study', 'hd-vs-ct', '--seeds', '60', '--out',
+             str(tmp_path)]
+    kept = tmp_path / 'runs.csv'
+    study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                             start_new_session=True)
+    for _ in range(600):
+        time.sleep(0.1)
+        if kept.exists() and len(kept.read_text().splitlines()) > 20:
+            break
+    os.killpg(study.pid, signal.SIGINT)
+    _, err = study.communicate(timeout=60)
+    assert study.returncode == 130
+    assert err.strip().endswith('ctsid: interrupted')
+    assert 'Traceback' not in err
+    first = kept.read_text()
+    assert 20 < len(first.splitlines()) < 700
+    done = subprocess.run([*words, '--seeds', '3'], capture_output=True, text=True, timeout=120,
+                          check=True)
+    assert '3 runs of each' in done.stdout
+    assert kept.read_text().startswith(first[:first.rindex('\n')])
+
+
 def test_compare_sets_all_methods_side_by_side(ctsid, shared):
     words = 'compare', shared / 'bag', '--params', shared / 'params.yaml', '--duration', '6'
     code, out, _ = ctsid(*words)

@@ -6,10 +6,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 import multiprocessing
 import os
 from pathlib import Path
+import signal
 
 from ctsid_ros.blas import use_one_thread
 from ctsid_ros.progress import progress
@@ -61,9 +63,21 @@ def _each(task: Task, seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
     chunk = max(1, min(4, len(seeds) // jobs))
     pool = ProcessPoolExecutor(jobs, mp_context=_context())
     try:
-        yield from pool.map(task, seeds, chunksize=chunk)
+        with _interrupts_held_back():
+            found = pool.map(task, seeds, chunksize=chunk)
+        yield from found
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Start processes that leave Ctrl-C to this one, where it counts as soon as this ends."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _context() -> multiprocessing.context.BaseContext:
