@@ -213,13 +213,12 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
     signals = (*inputs, *record.outputs)
     found = coefficients(signals, start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
-    count = len(inputs)
+    lines, nu = basis.lines(np.vstack(found)), sum(map(len, found[:len(inputs)]))
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
-        u=basis.lines(np.vstack(found[:count])) if count else nothing,
-        y=basis.lines(np.vstack(found[count:])),
+        u=lines[:nu], y=lines[nu:],
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
         unit=alpha, start=start, end=end)
