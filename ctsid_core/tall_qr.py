@@ -76,10 +76,10 @@ def _extents(columns: Array) -> tuple[Places, Places]:
     first, last = np.zeros(n, dtype=np.intp), np.full(n, m, dtype=np.intp)
     short = np.flatnonzero((columns[0] == 0.0) | (columns[-1] == 0.0))
     if len(short):
-        there = columns[:, short] != 0.0
-        some = there.any(axis=0)
-        first[short] = np.where(some, np.argmax(there, axis=0), m)
-        last[short] = np.where(some, m - np.argmax(there[::-1], axis=0), 0)
+        there = columns.T[short] != 0.0
+        some = there.any(axis=1)
+        first[short] = np.where(some, np.argmax(there, axis=1), m)
+        last[short] = np.where(some, m - np.argmax(there[:, ::-1], axis=1), 0)
     return first, last
 
 

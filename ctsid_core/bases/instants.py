@@ -47,10 +47,11 @@ def at_instants(rows: Array, nmax: int) -> Array:
     """
     w, even, odd = _turn(nmax)
     parts = rows.reshape(len(rows), -1, 2 * len(w))
-    a, b = parts[:, :, 0::2] @ even, parts[:, :, 1::2] @ odd
+    a, b = (np.ascontiguousarray(parts[:, :, first::2]).reshape(-1, len(w)) @ turn
+            for first, turn in ((0, even), (1, odd)))
     middle = _middle(nmax)
-    late, early = ((a + sign * b)[:, :, middle:] / np.sqrt(2.0) for sign in (1.0, -1.0))
-    seen: Array = np.concatenate((early[:, :, ::-1], a[:, :, :middle], late), axis=2)
+    late, early = ((a + sign * b)[:, middle:] / np.sqrt(2.0) for sign in (1.0, -1.0))
+    seen: Array = np.concatenate((early[:, ::-1], a[:, :middle], late), axis=1)
     return seen.reshape(len(rows), -1)
 
 
