@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
-from ctsid_core.tall_qr import triangle
+from ctsid_core.tall_qr import factors, triangle
 
 _FLOOR = 1e-20        # residual power below this fraction of the output's counts as rounding
 _HALVINGS = 6
@@ -229,7 +229,7 @@ class OutputError:
     def _weights(self, regressors: Array) -> tuple[Array, Array, Array, Array]:
         """Return regressors, weights theta, an orthonormal basis q of them, and the residual."""
         rows = regressors[:-len(self._y)]
-        q, r = np.linalg.qr(rows.T)
+        q, r = factors(rows.T)
         weights = self._y @ q
         theta = np.linalg.lstsq(r, weights.T, rcond=1e-12)[0].T
         return rows, theta, q, self._y - weights @ q.T

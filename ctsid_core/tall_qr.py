@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The triangle of a tall matrix, from blocks of rows that fit into the cache.
+The QR factorisation of a tall matrix, from blocks of rows that fit into the cache.
 
 Householder's factorisation of all columns at once reads the whole matrix twice for each of them:
 a long record is fetched from memory a hundred times. Rows are therefore taken some at a time,
@@ -56,6 +56,47 @@ def triangle(columns: Array) -> Array:
     if len(found) == 1 and len(found[0]) == n:
         return found[0]
     return triangle(np.concatenate([*found, np.zeros((n, n))]))
+
+
+def factors(columns: Array) -> tuple[Array, Array]:
+    """
+    Return Q and R of columns = Q R; columns of parts take part there only.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (m, n)
+        With m >= n.
+
+    Returns
+    -------
+    Q : ndarray, shape (m, n)
+        With orthonormal columns.
+    R : ndarray, shape (n, n)
+    """
+    m, n = columns.shape
+    edges = [0, m]
+    if m * n >= _SMALL and m >= 4 * n:
+        first, last = _extents(columns)
+        edges = _edges(first, last, m, n)
+    parts = [slice(start, end) for start, end in pairwise(edges)]
+    alive = [np.flatnonzero((first < part.stop) & (last > part.start)) for part in parts] \
+        if len(parts) > 1 else []
+    if sum(map(len, alive)) < n:
+        whole = np.linalg.qr(columns)
+        return whole[0], whole[1]
+    Q, stack, row = np.empty((m, n)), np.zeros((sum(map(len, alive)), n)), 0
+    own = []
+    for part, places in zip(parts, alive, strict=True):
+        q, r = np.linalg.qr(columns[part][:, places])
+        stack[row:row + len(places), places] = r
+        own.append(q)
+        row += len(places)
+    turn, R = np.linalg.qr(stack)
+    row = 0
+    for part, q in zip(parts, own, strict=True):
+        np.matmul(q, turn[row:row + q.shape[1]], out=Q[part])
+        row += q.shape[1]
+    return Q, R
 
 
 def _reduced(columns: Array, alive: Places) -> Array:
