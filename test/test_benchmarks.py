@@ -25,7 +25,8 @@ def common():
         patch.syspath_prepend(str(FOLDER))
         import common
         yield common
-        sys.modules.pop('common')
+        for name in ('common', 'plain_laguerre'):
+            sys.modules.pop(name, None)
 
 
 def run(script: str, *options: object) -> str:
@@ -110,7 +111,7 @@ def bursty():
         import bursty
         yield bursty
         for name in ('bursty', 'common', 'contenders'):
-            sys.modules.pop(name)
+            sys.modules.pop(name, None)
 
 
 def test_bursty_experiment_and_its_bound(bursty):
