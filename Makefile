@@ -44,6 +44,7 @@ bench: $(VENV)/.installed-bench $(VENV)/.tried-ros
 	$(PY) benchmarks/floor.py
 	$(PY) benchmarks/peers.py
 	$(PY) benchmarks/bursty.py
+	$(PY) benchmarks/methods.py
 	$(PY) benchmarks/node.py
 
 bags: $(VENV)/.installed

@@ -24,13 +24,13 @@ B = np.array([0.5, 1.0])
 C = np.array([[1.0, 4.0], [2.0, 1.0]])
 
 
-def sweep(t: Array | float) -> Array:
+def sweep(t: Array | float, duration: float = DURATION) -> Array:
     """Return the linear sine sweep from 0 Hz to `TOP` at times t ([HD] eq. 58)."""
-    u: Array = np.sin(np.pi * TOP / DURATION * np.square(t))
+    u: Array = np.sin(np.pi * TOP / duration * np.square(t))
     return u
 
 
-def experiment(t: Array) -> Array:
+def experiment(t: Array, duration: float = DURATION) -> Array:
     """
     Return the noise-free outputs of the plant of [HD] 5.1, from rest, driven by the sweep.
 
@@ -40,14 +40,16 @@ def experiment(t: Array) -> Array:
     Parameters
     ----------
     t : ndarray, shape (N,)
-        Times within [0, DURATION] [s].
+        Times within [0, duration] [s].
+    duration : float
+        Of the sweep [s].
 
     Returns
     -------
     ndarray, shape (N, 2)
     """
-    solved = solve_ivp(lambda at, x: A @ x + B * sweep(at), (0.0, DURATION), np.zeros(2),
-                       t_eval=t, method='DOP853', rtol=1e-10, atol=1e-12)
+    solved = solve_ivp(lambda at, x: A @ x + B * sweep(at, duration), (0.0, duration),
+                       np.zeros(2), t_eval=t, method='DOP853', rtol=1e-10, atol=1e-12)
     y: Array = (C @ solved.y).T
     return y
 

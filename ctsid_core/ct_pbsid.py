@@ -42,6 +42,7 @@ from ctsid_core.other_method import Made, plain_matrices
 from ctsid_core.pbsid import Levels, Matrices, Tuning, realise, regress
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
+from ctsid_core.tall_qr import triangle
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried
@@ -132,9 +133,9 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     scale = np.sqrt(np.mean(z ** 2, axis=(0, 2)))
     scale[scale == 0.0] = 1.0
     z /= scale[:, np.newaxis]
-    triangle = np.linalg.qr(z.reshape(-1, z.shape[2]).T, mode='r').T
+    compressed = triangle(z.reshape(-1, z.shape[2]).T).T
     nu, ny = records[0].nu, records[0].ny
-    return Levels(triangle.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
+    return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
 
 
 def _first(levels: Levels, past: int) -> Levels:

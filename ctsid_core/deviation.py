@@ -23,6 +23,7 @@ from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices
 from ctsid_core.process_noise import driven
 from ctsid_core.refine import whitened, whitener
+from ctsid_core.tall_qr import triangle
 from ctsid_core.window_ends import line_distance
 
 _RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
@@ -89,7 +90,7 @@ class Information:
         change = self.right / self.s[:, np.newaxis] / self.norm
         if len(self.size) == 1:
             return np.asarray(self.size * change)
-        few = np.linalg.qr(self.size[:, np.newaxis] * self.basis, mode='r')
+        few = triangle(self.size[:, np.newaxis] * self.basis)
         return np.asarray(few @ change)
 
 
@@ -245,6 +246,6 @@ def _directions(rows: Array) -> tuple[Array, Array, Array]:
     """
     norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
     norm[norm == 0.0] = np.inf
-    _, s, right = svd(np.linalg.qr(rows.T / norm, mode='r'))
+    _, s, right = svd(triangle(rows.T / norm))
     kept = s > _RANK * s[0]
     return s[kept], right[kept], norm

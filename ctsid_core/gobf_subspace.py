@@ -37,6 +37,7 @@ from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import solve
 from ctsid_core.signals import Record
 from ctsid_core.simulation import input_polynomials, knots_between
+from ctsid_core.tall_qr import triangle
 
 Array = NDArray[np.float64]
 
@@ -195,8 +196,8 @@ def _side_by_side(parts: tuple[Array, ...]) -> Array:
 def _compressed(chain: Chain, rows: Array, counts: tuple[int, int, int, int]) -> Filtered:
     """Return what products of rows, (times, N, signals), tell."""
     flat = rows.transpose(1, 2, 0).reshape(-1, len(rows))
-    triangle = np.linalg.qr(flat.T, mode='r').T if flat.shape[1] > flat.shape[0] else flat
-    short = triangle.reshape(chain.size, rows.shape[2], -1)
+    compressed = triangle(flat.T).T if flat.shape[1] > flat.shape[0] else flat
+    short = compressed.reshape(chain.size, rows.shape[2], -1)
     return Filtered(chain, short[:, :sum(counts)], short[:, sum(counts):], counts)
 
 

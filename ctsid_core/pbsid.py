@@ -26,8 +26,10 @@ from scipy.linalg.lapack import dgelsy
 
 from ctsid_core.bases.base import Array, Projection, as_real
 from ctsid_core.matrix_functions import svd
+from ctsid_core.tall_qr import triangle
 
 _BLOCK = 32           # columns that LAPACK factorises at a time
+_MANY = 8             # columns over rows from which on compression pays
 NEGLIGIBLE = 1e-7     # innovations below this fraction of the outputs carry no information on K
 
 
@@ -159,7 +161,12 @@ def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, f
     """
     norm = np.sqrt(np.einsum('ij,ij->i', regressors, regressors))
     norm[norm == 0.0] = 1.0
-    left, s, right = svd(regressors / norm[:, np.newaxis])
+    regressors = regressors / norm[:, np.newaxis]
+    rows = len(regressors) + len(targets)
+    if regressors.shape[1] > _MANY * rows:                 # only products count
+        both = triangle(np.vstack((regressors, targets)).T).T
+        regressors, targets = both[:len(regressors)], both[len(regressors):]
+    left, s, right = svd(regressors)
     rank = int(np.count_nonzero(s > tolerance * s[0])) if len(s) else 0
     theta = ((targets @ right[:rank].T) / s[:rank]) @ left[:, :rank].T / norm
     return theta, float(s[0] / s[rank - 1]) if rank else 1.0
@@ -241,8 +248,8 @@ def stack_levels(projection: Projection, beta: float, gamma: float, top: int) ->
     for m in range(1, top + 1):
         np.multiply(stack[m - 1], g, out=stack[m])
     rows = as_real(stack[::-1].reshape(-1, z.shape[1]))
-    triangle = np.linalg.qr(rows.T, mode='r').T
-    levels = triangle.reshape(top + 1, len(z), -1)[::-1]
+    compressed = triangle(rows.T).T
+    levels = compressed.reshape(top + 1, len(z), -1)[::-1]
     counts = (len(projection.u), len(projection.tail), len(projection.ones), len(projection.y))
     return Levels(levels, scale, counts)
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Array, Lines, Projection, as_real
+from ctsid_core.tall_qr import factors, triangle
 
 _FLOOR = 1e-20        # residual power below this fraction of the output's counts as rounding
 _HALVINGS = 6
@@ -174,7 +175,7 @@ class OutputError:
         norm[:, -ny:] = 1.0
         norm[norm == 0.0] = 1.0
         found /= norm[:, :, np.newaxis]
-        left = np.linalg.qr(found.transpose(0, 2, 1), mode='r')[:, -ny:, -ny:]
+        left = np.array([triangle(one.T)[-ny:, -ny:] for one in found])
         squares = np.einsum('kij,kij->kj', left, left)
         return np.asarray(self._count * np.log(
             np.maximum(squares, _FLOOR) / self._count).sum(axis=1))
@@ -221,14 +222,14 @@ class OutputError:
     def _cost(self, regressors: Array) -> tuple[float, Array]:
         """Return the cost, and the sum of squares that each output keeps."""
         ny, lines = len(self._y), self._count
-        left = np.linalg.qr(regressors.T, mode='r')[-ny:, -ny:]
+        left = triangle(regressors.T)[-ny:, -ny:]
         squares = np.einsum('ij,ij->j', left, left)
         return lines * float(np.log(np.maximum(squares, _FLOOR) / lines).sum()), squares
 
     def _weights(self, regressors: Array) -> tuple[Array, Array, Array, Array]:
         """Return regressors, weights theta, an orthonormal basis q of them, and the residual."""
         rows = regressors[:-len(self._y)]
-        q, r = np.linalg.qr(rows.T)
+        q, r = factors(rows.T)
         weights = self._y @ q
         theta = np.linalg.lstsq(r, weights.T, rcond=1e-12)[0].T
         return rows, theta, q, self._y - weights @ q.T

@@ -162,11 +162,14 @@ def _scale(off: Array) -> float:
 
 def _local(off: Array, scale: float) -> Array:
     """Return the scale at each sample: that of its surroundings where it is larger."""
-    blocks = np.array_split(np.abs(off), max(len(off) // _BLOCK, 1))
-    own = np.array([_MAD * np.median(block) for block in blocks])
+    size, count = np.abs(off), max(len(off) // _BLOCK, 1)
+    width, longer = divmod(len(off), count)                # blocks of two widths, side by side
+    bounds = longer * (width + 1)
+    own = _MAD * np.concatenate([np.median(size[:bounds].reshape(longer, width + 1), axis=1),
+                                 np.median(size[bounds:].reshape(-1, width), axis=1)])
     padded = np.pad(own, 1, mode='edge')
     largest = np.maximum(np.maximum(padded[:-2], padded[2:]), np.maximum(own, scale))
-    return np.repeat(largest, [len(block) for block in blocks])
+    return np.repeat(largest, width + (np.arange(count) < longer))
 
 
 def followed(x: Array, inputs: Array, weights: Array) -> Array:

@@ -37,6 +37,7 @@ from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import jacobian, simulate_lines
 from ctsid_core.refine import affordable, growth, whitener
 from ctsid_core.settings import Settings
+from ctsid_core.tall_qr import triangle
 
 _BLOCKS = 20          # the window is split where two of them meet
 _FEWEST = 4           # instants in each
@@ -225,7 +226,7 @@ def orthonormal(columns: Array) -> tuple[Array, Array]:
     """Return an orthonormal basis of columns, and the matrix that makes it of them."""
     if not columns.shape[1]:
         return columns, np.empty((0, 0))
-    _, s, right = svd(np.linalg.qr(columns, mode='r'))
+    _, s, right = svd(triangle(columns))
     kept = s > _RANK * max(s[0], 1e-300)
     turn = right[kept].T / s[kept]
     return columns @ turn, turn
@@ -279,7 +280,7 @@ def _blocks(rows: Array, t: Array, edges: Array, predictor: tuple[Lines, Lines, 
 
 
 def _triangle(*stack: Array) -> Array:
-    found: Array = np.linalg.qr(np.vstack(stack), mode='r')
+    found: Array = triangle(np.vstack(stack))
     return found
 
 

@@ -26,6 +26,7 @@ from ctsid_core.matrix_functions import svd
 from ctsid_core.pbsid import Matrices, least_norm
 from ctsid_core.refine import moved
 from ctsid_core.signals import Record
+from ctsid_core.tall_qr import triangle
 from ctsid_core.time_responses import (
     Responses,
     Stamps,
@@ -241,7 +242,7 @@ def with_covariance(stamps: Stamps, m: Matrices, cost: float,
     rows, error = _whitened(stamps, m, fit, feedthrough)
     norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
     norm[norm == 0.0] = np.inf
-    _, s, right = svd(np.linalg.qr((rows / norm[:, np.newaxis]).T, mode='r'))
+    _, s, right = svd(triangle((rows / norm[:, np.newaxis]).T))
     kept = s > _RANK * s[0]
     spare = max(1.0 - float(np.count_nonzero(kept)) / len(error), len(m.C) / len(error))
     root = right[kept] / s[kept, np.newaxis] / norm / np.sqrt(spare)

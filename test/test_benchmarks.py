@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from ctsid_core import Record, Settings, identify
+from ctsid_core.bases.laguerre import reach
+
 FOLDER = Path(__file__).resolve().parent.parent / 'benchmarks'
 
 
@@ -22,7 +25,8 @@ def common():
         patch.syspath_prepend(str(FOLDER))
         import common
         yield common
-        sys.modules.pop('common')
+        for name in ('common', 'plain_laguerre'):
+            sys.modules.pop(name, None)
 
 
 def run(script: str, *options: object) -> str:
@@ -72,6 +76,34 @@ def test_bursty_is_near_the_bound():
     assert skipped != ('\nSLICOT' in printed)
 
 
+def test_methods_prints_both_tables_and_judges_at_one_length_only():
+    printed = run('methods.py', '--durations', 8, 6, '--rounds', 1, '--longest', 6)
+    rows = [line for line in printed.splitlines() if re.match(r'(6|8) s ', line)]
+    assert [line[0] for line in rows] == ['6', '8', '6', '8']
+    assert len(re.split(r' {2,}', rows[0])) == 5
+    assert rows[0].count('(') == 3
+    assert rows[1].rstrip().endswith('-')            # nothing evaluated anew there
+    assert printed.count('exponent') == 2
+    assert 'Aim' not in printed
+    assert 'BLAS threads: 1' in printed
+
+
+@pytest.mark.parametrize('keep', [True, False])
+@pytest.mark.parametrize(('snr', 'apart'), [(20.0, 5e-3), (80.0, 2e-4)])
+def test_plain_laguerre_agrees_with_ct_pbsid(common, keep, snr, apart):
+    """Two codes that share nothing, on the same noise, far closer than either is to the truth."""
+    import plain_laguerre
+    t = np.arange(4001) / 200.0
+    u, y = common.sweep(t, 20.0), common.noisy(common.experiment(t, 20.0), snr, 0)
+    given = Settings(method='ct-pbsid', order=2, laguerre_pole=10.0, past=4, held_out=0.0)
+    estimate = identify(Record.from_arrays(t, u, t, y, input_hold='smooth'), given)
+    found = plain_laguerre.poles(t, u[np.newaxis], y.T, order=2, a=10.0, past=4,
+                                 length=reach(6) / 10.0, keep=keep)
+    np.testing.assert_allclose(np.sort(found.real), np.sort(estimate.model.poles.real), rtol=0,
+                               atol=apart)
+    np.testing.assert_allclose(np.sort(found.real), [-4.0, -2.0], atol=0.2 if snr < 50 else 2e-3)
+
+
 @pytest.fixture
 def bursty():
     with pytest.MonkeyPatch.context() as patch:
@@ -79,7 +111,7 @@ def bursty():
         import bursty
         yield bursty
         for name in ('bursty', 'common', 'contenders'):
-            sys.modules.pop(name)
+            sys.modules.pop(name, None)
 
 
 def test_bursty_experiment_and_its_bound(bursty):

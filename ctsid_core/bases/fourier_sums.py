@@ -25,6 +25,8 @@ from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csc_array
 from scipy.special import jv
 
+from ctsid_core.bases.chirp_sums import chirp_sums, uniform
+
 Array = NDArray[np.float64]
 Sums = NDArray[np.complex128]
 
@@ -85,16 +87,24 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
     Returns
     -------
     ndarray, shape (m, J)
-        Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for.
+        Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for;
+        stamps uniform but for phases of 3e-11 are taken to be uniform.
     """
-    moments = np.zeros((grid.size * _TERMS, len(weights)))
+    total = np.zeros((len(weights), len(grid.w)), dtype=complex)
+    moments = None
     for first in range(0, len(x), _BLOCK):
         part = slice(first, first + _BLOCK)
-        moments += _scatter(x[part], grid) @ weights[:, part].T
+        if uniform(x[part], float(grid.w[-1])):
+            total += chirp_sums(x[part], weights[:, part], float(grid.w[1]), len(grid.w))
+            continue
+        own = _scatter(x[part], grid) @ weights[:, part].T
+        moments = own if moments is None else np.add(moments, own, out=moments)
+    if moments is None:
+        return total
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
     sums: Sums = (spectra.reshape(len(grid.w), _TERMS, -1)
                   * grid.series[:, :, np.newaxis]).sum(axis=1).T
-    return sums
+    return total + sums
 
 
 def _scatter(x: Array, grid: Grid) -> csc_array:

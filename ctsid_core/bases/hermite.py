@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.base import Lines, Projection
+from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.settings import Settings
@@ -41,7 +42,7 @@ class HermiteLines:
     ----------
     w : ndarray, shape (L,)
         Non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing.
-    even, odd : ndarray, shapes (ceil(nc/2), L), (floor(nc/2), L)
+    even, odd : Blocks, shapes (L, ceil(nc/2)), (L, floor(nc/2))
         From even and odd coefficients to real and imaginary parts of the lines.
     tail : ndarray, shape (1, L)
         The lines of e_last = [0 ... 0 1].
@@ -50,8 +51,8 @@ class HermiteLines:
     """
 
     w: Array
-    even: Array
-    odd: Array
+    even: Blocks
+    odd: Blocks
     tail: Lines
     ones: Lines
 
@@ -60,10 +61,10 @@ class HermiteLines:
         return _lines(f, self.even, self.odd)
 
 
-def _lines(f: Array, even: Array, odd: Array) -> Lines:
-    out = np.empty((len(f), even.shape[1]), dtype=np.complex128)
-    out.real = f[:, 0::2] @ even
-    out.imag = f[:, 1::2] @ odd
+def _lines(f: Array, even: Blocks, odd: Blocks) -> Lines:
+    out = np.empty((len(f), even.shape[0]), dtype=np.complex128)
+    out.real = even.times(f[:, 0::2])
+    out.imag = odd.times(f[:, 1::2])
     return out
 
 
@@ -82,7 +83,7 @@ def hermite_lines(nmax: int) -> HermiteLines:
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
     sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
-    even, odd = (sign[:, np.newaxis] * q)[0::2], (-sign[:, np.newaxis] * q)[1::2]
+    even, odd = Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2])
     last = np.zeros((1, nmax + 1))
     last[0, -1] = 1.0
     return HermiteLines(w, even, odd, _lines(last, even, odd),
@@ -213,13 +214,12 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
     signals = (*inputs, *record.outputs)
     found = coefficients(signals, start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
-    count = len(inputs)
+    lines, nu = basis.lines(np.vstack(found)), sum(map(len, found[:len(inputs)]))
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
-        u=basis.lines(np.vstack(found[:count])) if count else nothing,
-        y=basis.lines(np.vstack(found[count:])),
+        u=lines[:nu], y=lines[nu:],
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
         unit=alpha, start=start, end=end)

@@ -19,6 +19,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.fourier_sums import Grid, fourier_grid, fourier_sums
 from ctsid_core.bases.hermite_functions import hermite_functions, project_directly
 
@@ -61,7 +62,7 @@ def _project_by_frequencies(nmax: int, x: Array, weights: Array) -> Array:
     c = np.empty((len(weights), nmax + 1))
     if (nmax + 1) * len(grid.w) <= _LARGEST_TABLE:
         even, odd = frequency_table(nmax)
-        c[:, 0::2], c[:, 1::2] = spectrum.real @ even.T, spectrum.imag @ odd.T
+        c[:, 0::2], c[:, 1::2] = even.times(spectrum.real), odd.times(spectrum.imag)
     else:
         both = project_directly(nmax, grid.w, np.vstack((spectrum.real, spectrum.imag)))
         c[:, 0::2], c[:, 1::2] = both[:len(c), 0::2], both[len(c):, 1::2]
@@ -84,7 +85,7 @@ def frequency_grid(nmax: int) -> Grid:
 
 
 @lru_cache(maxsize=8)
-def frequency_table(nmax: int) -> tuple[Array, Array]:
+def frequency_table(nmax: int) -> tuple[Blocks, Blocks]:
     """Return h_n(w_j) of the even orders and of the odd ones."""
     h = hermite_functions(nmax, frequency_grid(nmax).w)
-    return np.ascontiguousarray(h[0::2]), np.ascontiguousarray(h[1::2])
+    return Blocks.of(h[0::2]), Blocks.of(h[1::2])

@@ -22,10 +22,11 @@ from ctsid_core.bases.hermite import hermite_lines
 def _turn(nmax: int) -> tuple[Array, Array, Array]:
     """Return the nodes w >= 0; what takes (real, imaginary) lines to (even, odd) in time."""
     basis = hermite_lines(nmax)
-    even_sign, odd_sign = (1.0 - 2.0 * (np.arange(len(part)) % 2)
-                           for part in (basis.even, basis.odd))
-    even = basis.even.T @ (even_sign[:, np.newaxis] * basis.even)
-    odd = basis.odd.T @ (-odd_sign[:, np.newaxis] * basis.odd)
+    to_even, to_odd = basis.even.dense(), basis.odd.dense()
+    even_sign, odd_sign = (1.0 - 2.0 * (np.arange(part.shape[1]) % 2)
+                           for part in (to_even, to_odd))
+    even = (to_even * even_sign) @ to_even.T
+    odd = -(to_odd * odd_sign) @ to_odd.T
     return basis.w, even, odd
 
 
@@ -47,10 +48,11 @@ def at_instants(rows: Array, nmax: int) -> Array:
     """
     w, even, odd = _turn(nmax)
     parts = rows.reshape(len(rows), -1, 2 * len(w))
-    a, b = parts[:, :, 0::2] @ even, parts[:, :, 1::2] @ odd
+    a, b = (np.ascontiguousarray(parts[:, :, first::2]).reshape(-1, len(w)) @ turn
+            for first, turn in ((0, even), (1, odd)))
     middle = _middle(nmax)
-    late, early = ((a + sign * b)[:, :, middle:] / np.sqrt(2.0) for sign in (1.0, -1.0))
-    seen: Array = np.concatenate((early[:, :, ::-1], a[:, :, :middle], late), axis=2)
+    late, early = ((a + sign * b)[:, middle:] / np.sqrt(2.0) for sign in (1.0, -1.0))
+    seen: Array = np.concatenate((early[:, ::-1], a[:, :middle], late), axis=1)
     return seen.reshape(len(rows), -1)
 
 

@@ -246,11 +246,13 @@ def spline_degree(t: Array, values: Array) -> int:
 
 
 def _trapezoid(t: Array, values: Array, start: float, end: float, alpha: float) -> Samples:
-    nodes, inside = _with_ends(t, start, end)
-    first, last = (np.empty((len(values), 0)) if node in t else _near(t, values, node)
-                   for node in (start, end))
-    level = np.hstack((first, values[:, inside], last))
-    half = (nodes[1:] - nodes[:-1]) * (0.5 / alpha)
+    inside = slice(*np.searchsorted(t, (start, np.nextafter(end, np.inf))))
+    nodes, level = t[inside], values[:, inside]
+    if not len(nodes) or nodes[0] > start:
+        nodes, level = np.append(start, nodes), np.hstack((_near(t, values, start), level))
+    if nodes[-1] < end:
+        nodes, level = np.append(nodes, end), np.hstack((level, _near(t, values, end)))
+    half = np.diff(nodes) * (0.5 / alpha)
     weights = np.zeros_like(nodes)
     weights[:-1] = half
     weights[1:] += half

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles of tall matrices against NumPy's, and against the products that they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ctsid_core.tall_qr import factors, triangle
+
+SIZES = [(1, 1), (10, 3), (3, 10), (5000, 1), (2000, 40), (1025, 64), (30000, 12), (4097, 100)]
+
+
+def alike(found, wanted) -> float:
+    """Return how far triangles are apart but for the signs of their rows, over their size."""
+    return float(np.abs(np.abs(found) - np.abs(wanted)).max() / np.abs(wanted).max())
+
+
+def divided(rng, m: int, parts: int) -> np.ndarray:
+    """Columns of which three of four belong to one part of the rows each."""
+    columns = rng.standard_normal((m, 4 * parts))
+    bounds = np.linspace(0, m, parts + 1).astype(int)
+    for j in range(3 * parts):
+        outside = np.ones(m, dtype=bool)
+        outside[bounds[j % parts]:bounds[j % parts + 1]] = False
+        columns[outside, j] = 0.0
+    return columns
+
+
+@pytest.mark.parametrize(('m', 'n'), SIZES)
+@pytest.mark.parametrize('order', ['C', 'F'])
+def test_it_is_that_of_numpy(m, n, order):
+    columns = np.asarray(np.random.default_rng(0).standard_normal((m, n)), order=order)
+    before = columns.copy()
+    found = triangle(columns)
+    assert found.shape == (min(m, n), n)
+    assert np.array_equal(found, np.triu(found))
+    assert alike(found, np.linalg.qr(columns, mode='r')) < 1e-14
+    np.testing.assert_array_equal(columns, before)
+
+
+@pytest.mark.parametrize('condition', [1e4, 1e8, 1e12, 1e16, np.inf])
+def test_it_is_as_exact_as_that_of_numpy_whatever_the_condition(condition):
+    """Backward error: singular values are right to rounding of the largest, not of their own."""
+    rng, n = np.random.default_rng(1), 30
+    left, right = (np.linalg.qr(rng.standard_normal((m, n)))[0] for m in (20000, n))
+    size = np.geomspace(1.0, 1.0 / min(condition, 1e16), n)
+    size[-5:] *= np.isfinite(condition)
+    columns = (left * size) @ right.T
+    found = np.linalg.svd(triangle(columns), compute_uv=False)
+    assert np.abs(found - size).max() < 1e-14
+    scaled = columns * np.geomspace(1e-8, 1e8, n)             # columns of any size: each its own
+    norm = np.linalg.norm(scaled, axis=0)
+    np.testing.assert_allclose(np.linalg.norm(triangle(scaled), axis=0), norm, rtol=1e-13)
+
+
+@pytest.mark.parametrize('parts', [1, 2, 7, 10])
+def test_columns_of_parts_and_columns_of_zeros(parts):
+    columns = divided(np.random.default_rng(2), 15000, parts)
+    columns[:, -1] = 0.0
+    columns[40:, 0] = 0.0                                     # ends where no other does
+    found, wanted = triangle(columns), np.linalg.qr(columns, mode='r')
+    assert found.shape == wanted.shape
+    product = columns.T @ columns
+    assert np.abs(found.T @ found - product).max() < 1e-13 * np.abs(product).max()
+    np.testing.assert_allclose(np.linalg.svd(found, compute_uv=False),
+                               np.linalg.svd(wanted, compute_uv=False), atol=1e-12)
+
+
+def test_zeros_and_what_is_not_a_number():
+    np.testing.assert_array_equal(triangle(np.zeros((20000, 8))), 0.0)
+    columns = np.random.default_rng(3).standard_normal((20000, 8))
+    columns[12345, 3] = np.nan
+    assert np.isnan(triangle(columns)).any()
+
+
+def test_equal_bits_for_equal_columns():
+    columns = divided(np.random.default_rng(4), 20000, 5)
+    np.testing.assert_array_equal(triangle(columns), triangle(columns.copy()))
+    np.testing.assert_array_equal(triangle(np.asfortranarray(columns)), triangle(columns))
+
+
+@pytest.mark.parametrize('parts', [1, 2, 7, 10])
+@pytest.mark.parametrize('lost', [False, True])
+def test_both_factors(parts, lost):
+    columns = divided(np.random.default_rng(6), 15000, parts)
+    if lost:                                                  # dependent, and one of zeros
+        columns[:, -2] = columns[:, -3] + columns[:, 0]
+        columns[:, -1] = 0.0
+    Q, R = factors(columns)
+    assert np.array_equal(R, np.triu(R))
+    np.testing.assert_allclose(Q @ R, columns, atol=1e-13)
+    np.testing.assert_allclose(Q.T @ Q, np.eye(columns.shape[1]), atol=1e-13)
+
+
+@pytest.mark.parametrize(('m', 'n'), [size for size in SIZES if size[0] >= size[1]])
+def test_both_factors_are_those_of_numpy_where_nothing_is_zero(m, n):
+    columns = np.random.default_rng(7).standard_normal((m, n))
+    for found, wanted in zip(factors(columns), np.linalg.qr(columns), strict=True):
+        np.testing.assert_array_equal(found, wanted)
