@@ -25,7 +25,7 @@ VERBS = [f'verbs.{verb}' for verb in (
     'advise', 'compare', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate')]
 LEVELS = {
     'ctsid_core': [
-        ['errors'], ['settings'], ['signals'],
+        ['errors', 'agreement'], ['settings'], ['signals'],
         ['shapes', 'matrix_functions', 'frequency', 'residuals', 'mode_rows', 'spikes'],
         ['simulation', 'realisation'],
         ['statespace', 'verdict'], ['covariance'],
@@ -46,7 +46,7 @@ LEVELS = {
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
         ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'],
-        ['lateness', 'advice'],
+        ['lateness', 'advice', 'cross_check'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a second method, which has little in common with the first, finds the same model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+RELATIVE = 0.05       # of the response, above which a difference matters
+DEVIATIONS = 3.0      # above which it is not chance ...
+SURER = 2.0           # ... if the second method is at the maximum of the likelihood
+_LIKELIEST = 'hd-pbsid'
+
+
+def limit(method: str) -> float:
+    """Return how many standard deviations a second method may differ by."""
+    return SURER if method == _LIKELIEST else DEVIATIONS
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """
+    How far the model of a second method is from the model, where it is farthest.
+
+    Parameters
+    ----------
+    method : str
+        The second method.
+    agrees : bool
+        Whether it has a model, and this differs by less than 5 % or by less than 3 standard
+        deviations (2 if the second method is hd-pbsid) at every frequency compared.
+    relative : float
+        Difference of the frequency responses over the response, rms, of the model within the
+        band that the input excites; NaN if there is nothing to compare.
+    deviations : float
+        The same difference in standard deviations of both models together; NaN if not known.
+    input : str
+        Of whose response.
+    frequency : float
+        Where the difference counts most [rad/s].
+    problem : str
+        Why the second method has no model to compare with; empty if it has.
+    """
+
+    method: str
+    agrees: bool
+    relative: float = float('nan')
+    deviations: float = float('nan')
+    input: str = ''
+    frequency: float = float('nan')
+    problem: str = ''
+
+    @property
+    def weakness(self) -> str:
+        """What is wrong and what to do; empty if the methods agree."""
+        if self.agrees:
+            return ''
+        if self.problem:
+            return f'The cross-check by {self.method} failed: {self.problem}'
+        return (f'Another method, {self.method}, {self._differs}; raise `order` or `max_order`, '
+                'check the dead time and the hold of the inputs, or the plant is not linear.')
+
+    @property
+    def words(self) -> str:
+        """The outcome in a sentence."""
+        return self.weakness if self.problem else \
+            f'{self.method} {"agrees" if self.agrees else "does not agree"}: it {self._differs}.'
+
+    @property
+    def _differs(self) -> str:
+        sure = '' if math.isnan(self.deviations) else \
+            f', {self.deviations:.2g} standard deviations'
+        return (f'differs by {100 * self.relative:.2g} % of the response to {self.input} at '
+                f'{self.frequency:.3g} rad/s{sure}')

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The same record by a second method, with the order and the dead times that the first one found.
+
+Two methods that treat the same data differently agree where the model is right, to within what
+noise does; where it cannot be right (a dead time not allowed for, an order too low), each errs in
+its own way. That they agree does not prove that they are right: what they are told in common
+(order, dead time, holds, stamps) is wrong for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.agreement import RELATIVE, Agreement, limit
+from ctsid_core.estimate import Estimate
+from ctsid_core.settings import UNCHECKED, Settings
+from ctsid_core.signals import Array
+from ctsid_core.statespace import StateSpace
+from ctsid_core.verdict import Excitation
+
+_FREQUENCIES = 60     # compared for each input
+_SPAN = 1000.0        # between the last and the first of them, at most
+
+
+def cross_checked(found: Estimate, settings: Settings,
+                  identify: Callable[[Settings], Estimate]) -> Estimate:
+    """
+    Return an estimate whose verdict knows what the second method says, if one is asked for.
+
+    Parameters
+    ----------
+    found : Estimate
+    settings : Settings
+        As given; `cross_check` names the second method.
+    identify : callable
+        Identifies the same record with other settings.
+    """
+    if settings.cross_check == UNCHECKED or found.model is None:
+        return found
+    model = found.model
+    other = identify(settings.replace(method=settings.cross_check, cross_check=UNCHECKED,
+                                      order=model.n, delay=model.delay))
+    verdict = replace(found.verdict, agreement=agreement(found, other, settings.cross_check))
+    return replace(found, verdict=verdict.weakened)
+
+
+def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
+    """
+    Return how far the model of a second method is from that of the first.
+
+    Parameters
+    ----------
+    first, second : Estimate
+        Of the same record. Rejected models are compared, too, but do not agree.
+    method : str
+        The second method.
+
+    Notes
+    -----
+    Compared is, for each input, the response of all outputs together, each in units of its own
+    size, over the band that the input excites (`Excitation`). Standard deviations are those of
+    both estimates, as if they were independent.
+    """
+    problem = '' if second.ok else f'{second.status.name}. {second.verdict.reason}'
+    models = [e.model or e.rejected_model for e in (first, second)]
+    one, other = models
+    if one is None or other is None or not (_finite(one) and _finite(other)):
+        return Agreement(method, False, problem=problem or 'there is no model to compare.')
+    try:
+        scale = _scale(one, first.verdict.excitation)
+        found = [_farthest(first, second, one, other, scale, j, x, limit(method))
+                 for j, x in enumerate(first.verdict.excitation) if x.high > 0.0]
+    except np.linalg.LinAlgError:                       # an undamped pole at one of them
+        return Agreement(method, False, problem=problem or 'a response is not finite.')
+    if not found:
+        return Agreement(method, False,
+                         problem=problem or 'no input excites a band to compare in.')
+    excess, worst = max(found, key=lambda pair: pair[0])
+    return replace(worst, method=method, agrees=not problem and excess <= 1.0, problem=problem)
+
+
+def _finite(model: StateSpace) -> bool:
+    return all(bool(np.isfinite(M).all()) for M in (model.A, model.B, model.C, model.D))
+
+
+def _band(x: Excitation) -> Array:
+    return np.geomspace(max(x.low, x.high / _SPAN), x.high, _FREQUENCIES)
+
+
+def _scale(model: StateSpace, excitation: tuple[Excitation, ...]) -> Array:
+    """Return one over the size of each output, by all inputs in their bands; 0 if it has none."""
+    power = sum((np.mean(np.abs(model.frequency_response(_band(x))[:, :, j]) ** 2, axis=0)
+                 for j, x in enumerate(excitation) if x.high > 0.0), np.zeros(model.ny))
+    return np.asarray(np.where(power > 0.0, 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0)),
+                               0.0))
+
+
+def _farthest(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
+              scale: Array, j: int, x: Excitation, limit: float) -> tuple[float, Agreement]:
+    """Return the difference that counts most, over what may be, and where it is."""
+    omega = _band(x)
+    response = one.frequency_response(omega)[:, :, j]
+    away = np.linalg.norm(scale * (other.frequency_response(omega)[:, :, j] - response), axis=1)
+    size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        relative = away / size
+        deviations = away / np.hypot(_deviation(first, one, omega, scale, j),
+                                     _deviation(second, other, omega, scale, j))
+    # Where deviations are not known, only the difference tells.
+    excess = np.fmin(relative / RELATIVE, deviations / limit)
+    excess[~np.isfinite(relative)] = np.inf
+    at = int(np.argmax(excess))
+    return float(excess[at]), Agreement('', False, float(relative[at]), float(deviations[at]),
+                                        x.name, float(omega[at]))
+
+
+def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array,
+               j: int) -> Array:
+    if estimate.covariance is None:
+        return np.full(len(omega), np.nan)
+    changes = estimate.covariance.response_changes(model, omega)[..., j]
+    return np.sqrt(np.sum((scale * np.abs(changes)) ** 2, axis=(0, 2)))
