@@ -10,7 +10,7 @@ its own way. That they agree does not prove that they are right: what they are t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from ctsid_core.estimate import Estimate
 from ctsid_core.settings import UNCHECKED, Settings
 from ctsid_core.signals import Array
 from ctsid_core.statespace import StateSpace
-from ctsid_core.verdict import Excitation
 
 _FREQUENCIES = 60     # compared for each input
 _SPAN = 1000.0        # between the last and the first of them, at most
@@ -71,9 +70,10 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     if one is None or other is None or not (_finite(one) and _finite(other)):
         return Agreement(method, False, problem=problem or 'there is no model to compare.')
     try:
-        scale = _scale(one, first.verdict.excitation)
-        found = [_farthest(first, second, one, other, scale, j, x, limit(method))
-                 for j, x in enumerate(first.verdict.excitation) if x.high > 0.0]
+        bands = _bands(first)
+        scale = _scale(one, bands)
+        found = [_farthest(first, second, one, other, scale, j, omega, limit(method))
+                 for j, omega in bands.items()]
     except np.linalg.LinAlgError:                       # an undamped pole at one of them
         return Agreement(method, False, problem=problem or 'a response is not finite.')
     if not found:
@@ -87,22 +87,25 @@ def _finite(model: StateSpace) -> bool:
     return all(bool(np.isfinite(M).all()) for M in (model.A, model.B, model.C, model.D))
 
 
-def _band(x: Excitation) -> Array:
-    return np.geomspace(max(x.low, x.high / _SPAN), x.high, _FREQUENCIES)
+def _bands(estimate: Estimate) -> dict[int, Array]:
+    """Return the frequencies that inputs excite, by their places; none that is too slow to see."""
+    slowest = 2e9 * np.pi / max(estimate.end_ns - estimate.start_ns, 1)
+    return {j: np.geomspace(min(max(x.low, x.high / _SPAN, slowest), x.high), x.high,
+                            _FREQUENCIES)
+            for j, x in enumerate(estimate.verdict.excitation) if x.high > 0.0}
 
 
-def _scale(model: StateSpace, excitation: tuple[Excitation, ...]) -> Array:
+def _scale(model: StateSpace, bands: Mapping[int, Array]) -> Array:
     """Return one over the size of each output, by all inputs in their bands; 0 if it has none."""
-    power = sum((np.mean(np.abs(model.frequency_response(_band(x))[:, :, j]) ** 2, axis=0)
-                 for j, x in enumerate(excitation) if x.high > 0.0), np.zeros(model.ny))
+    power = sum((np.mean(np.abs(model.frequency_response(omega)[:, :, j]) ** 2, axis=0)
+                 for j, omega in bands.items()), np.zeros(model.ny))
     return np.asarray(np.where(power > 0.0, 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0)),
                                0.0))
 
 
 def _farthest(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
-              scale: Array, j: int, x: Excitation, limit: float) -> tuple[float, Agreement]:
+              scale: Array, j: int, omega: Array, most: float) -> tuple[float, Agreement]:
     """Return the difference that counts most, over what may be, and where it is."""
-    omega = _band(x)
     response = one.frequency_response(omega)[:, :, j]
     away = np.linalg.norm(scale * (other.frequency_response(omega)[:, :, j] - response), axis=1)
     size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
@@ -111,11 +114,11 @@ def _farthest(first: Estimate, second: Estimate, one: StateSpace, other: StateSp
         deviations = away / np.hypot(_deviation(first, one, omega, scale, j),
                                      _deviation(second, other, omega, scale, j))
     # Where deviations are not known, only the difference tells.
-    excess = np.fmin(relative / RELATIVE, deviations / limit)
+    excess = np.fmin(relative / RELATIVE, deviations / most)
     excess[~np.isfinite(relative)] = np.inf
     at = int(np.argmax(excess))
     return float(excess[at]), Agreement('', False, float(relative[at]), float(deviations[at]),
-                                        x.name, float(omega[at]))
+                                        one.input_names[j], float(omega[at]))
 
 
 def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array,

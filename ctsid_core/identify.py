@@ -84,10 +84,10 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     records = (record,) if isinstance(record, Record) else tuple(record)
     check_alike(records)
     settings = settings or Settings()
-    found = cross_checked(_identify(records, settings, like.n if like else FIRST), settings,
-                          lambda other: _identify(records, other, FIRST))
-    return replace(found, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
-                   end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
+    found = _identify(records, settings, like.n if like else FIRST)
+    found = replace(found, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+                    end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
+    return cross_checked(found, settings, lambda other: _identify(records, other, FIRST))
 
 
 def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Estimate:
