@@ -31,13 +31,14 @@ class Agreement:
         deviations (2 if the second method is hd-pbsid) at every frequency compared.
     relative : float
         Difference of the frequency responses over the response, rms, of the model within the
-        band that the input excites; NaN if there is nothing to compare.
+        band that the input excites: the largest of those beyond both limits, or of all if there
+        are none; NaN if there is nothing to compare.
     deviations : float
         The same difference in standard deviations of both models together; NaN if not known.
     input : str
         Of whose response.
     frequency : float
-        Where the difference counts most [rad/s].
+        Where that is [rad/s].
     problem : str
         Why the second method has no model to compare with; empty if it has.
     """

@@ -2,6 +2,8 @@
 """
 The same record by a second method, with the order and the dead times that the first one found.
 
+Dead times that the first method did not look for and that are not given are left to the second.
+
 Two methods that treat the same data differently agree where the model is right, to within what
 noise does; where it cannot be right (a dead time not allowed for, an order too low), each errs in
 its own way. That they agree does not prove that they are right: what they are told in common
@@ -12,17 +14,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.agreement import RELATIVE, Agreement, limit
 from ctsid_core.estimate import Estimate
-from ctsid_core.settings import UNCHECKED, Settings
+from ctsid_core.settings import METHODS, UNCHECKED, Settings
 from ctsid_core.signals import Array
 from ctsid_core.statespace import StateSpace
 
 _FREQUENCIES = 60     # compared for each input
 _SPAN = 1000.0        # between the last and the first of them, at most
+_LOOKS = METHODS[0]   # for dead times; no other does
 
 
 def cross_checked(found: Estimate, settings: Settings,
@@ -40,9 +45,10 @@ def cross_checked(found: Estimate, settings: Settings,
     """
     if settings.cross_check == UNCHECKED or found.model is None:
         return found
-    model = found.model
+    # What the first method did not look for is still to be found.
+    delay = found.model.delay if settings.method == _LOOKS else settings.delay
     other = identify(settings.replace(method=settings.cross_check, cross_check=UNCHECKED,
-                                      order=model.n, delay=model.delay))
+                                      order=found.model.n, delay=delay))
     verdict = replace(found.verdict, agreement=agreement(found, other, settings.cross_check))
     return replace(found, verdict=verdict.weakened)
 
@@ -65,26 +71,23 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     both estimates, as if they were independent.
     """
     problem = '' if second.ok else f'{second.status.name}. {second.verdict.reason}'
-    models = [e.model or e.rejected_model for e in (first, second)]
-    one, other = models
-    if one is None or other is None or not (_finite(one) and _finite(other)):
+    one, other = (e.model or e.rejected_model for e in (first, second))
+    if one is None or other is None:
         return Agreement(method, False, problem=problem or 'there is no model to compare.')
-    try:
-        bands = _bands(first)
-        scale = _scale(one, bands)
-        found = [_farthest(first, second, one, other, scale, j, omega, limit(method))
-                 for j, omega in bands.items()]
-    except np.linalg.LinAlgError:                       # an undamped pole at one of them
-        return Agreement(method, False, problem=problem or 'a response is not finite.')
-    if not found:
+    bands = _bands(first)
+    if not bands:
         return Agreement(method, False,
                          problem=problem or 'no input excites a band to compare in.')
-    excess, worst = max(found, key=lambda pair: pair[0])
-    return replace(worst, method=method, agrees=not problem and excess <= 1.0, problem=problem)
-
-
-def _finite(model: StateSpace) -> bool:
-    return all(bool(np.isfinite(M).all()) for M in (model.A, model.B, model.C, model.D))
+    try:
+        found = _differences(first, second, one, other, bands)
+    except np.linalg.LinAlgError:                       # an undamped pole at one of them
+        return Agreement(method, False, problem=problem or 'a response is not finite.')
+    beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= limit(method))
+    seen = np.where(np.isfinite(found.relative), found.relative, np.inf)
+    at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
+    return Agreement(method, not (problem or beyond.any()), float(found.relative[at]),
+                     float(found.deviations[at]), one.input_names[found.input[at]],
+                     float(found.omega[at]), problem)
 
 
 def _bands(estimate: Estimate) -> dict[int, Array]:
@@ -103,22 +106,28 @@ def _scale(model: StateSpace, bands: Mapping[int, Array]) -> Array:
                                0.0))
 
 
-def _farthest(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
-              scale: Array, j: int, omega: Array, most: float) -> tuple[float, Agreement]:
-    """Return the difference that counts most, over what may be, and where it is."""
-    response = one.frequency_response(omega)[:, :, j]
-    away = np.linalg.norm(scale * (other.frequency_response(omega)[:, :, j] - response), axis=1)
-    size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
-    with np.errstate(divide='ignore', invalid='ignore'):
-        relative = away / size
-        deviations = away / np.hypot(_deviation(first, one, omega, scale, j),
-                                     _deviation(second, other, omega, scale, j))
-    # Where deviations are not known, only the difference tells.
-    excess = np.fmin(relative / RELATIVE, deviations / most)
-    excess[~np.isfinite(relative)] = np.inf
-    at = int(np.argmax(excess))
-    return float(excess[at]), Agreement('', False, float(relative[at]), float(deviations[at]),
-                                        one.input_names[j], float(omega[at]))
+class _Differences(NamedTuple):
+    """Of responses to the inputs, all inputs after each other."""
+
+    input: NDArray[np.int_]
+    omega: Array
+    relative: Array
+    deviations: Array
+
+
+def _differences(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
+                 bands: Mapping[int, Array]) -> _Differences:
+    scale, rows = _scale(one, bands), []
+    for j, omega in bands.items():
+        response = one.frequency_response(omega)[:, :, j]
+        away = np.linalg.norm(scale * (other.frequency_response(omega)[:, :, j] - response),
+                              axis=1)
+        size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
+        with np.errstate(divide='ignore', invalid='ignore'):
+            rows.append((np.full(len(omega), j), omega, away / size, away / np.hypot(
+                _deviation(first, one, omega, scale, j),
+                _deviation(second, other, omega, scale, j))))
+    return _Differences(*(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
 def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array,

@@ -140,9 +140,9 @@ def _sections(found: Sequence[Contender]) -> list[Section]:
                   for k in range(c.model.n) if c.model.poles[k].imag <= 0.0)
     reasons = tuple(f'{c.method}: {c.estimate.verdict.reason}' for c in found)
     words = [] if reference is None else [
-        f'Differs: the frequency response from that of {reference}, over its size, in the band '
-        'that the inputs excite, where it counts most; and the same in standard deviations of '
-        'both.']
+        f'Differs: the frequency response from that of {reference}, over its size, where that is '
+        'largest in the band that the inputs excite; and the same in standard deviations of both. '
+        'It agrees if one of the two is small (5 %, 3 deviations) everywhere.']
     return [Section('Methods side by side',
                     (Table(head, rows, ('method', 'verdict', 'agrees')), *words)),
             *([Section('Poles', (Table(('method', 'pole [rad/s]', 'std', 'dead time [s]'), poles,
