@@ -41,6 +41,7 @@ def test_models_by_another_method_are_published_and_replayed(live, tmp_path, met
     said = node.next_health('identification').values
     assert said.get('cross-check', '').startswith('hd-pbsid agrees') == (checker != 'none')
     assert said['skipped windows'] == '0'
+    assert f"is '{method}', as `method` is" in node.set(validation__cross_check=method)
     assert node.program.end()[0] == 0
     with open_bag(path) as bag:
         replay = Replay(bag, read_config(tmp_path / 'params0.yaml'))

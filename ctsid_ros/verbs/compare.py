@@ -176,7 +176,8 @@ def _document(c: Contender) -> dict[str, object]:
             'poles': list(c.model.poles) if c.model else [], 'pole_std': c.estimate.pole_std,
             'delay': c.model.delay if c.model else [],
             'fit': c.estimate.fit, 'held_out_fit': c.estimate.held_out_fit,
-            'agrees': a.agrees if a else None, 'differs': a.relative if a else 0.0,
-            'deviations': a.deviations if a else 0.0,
+            'agrees': a.agrees if a else None,
+            **({'differs': a.relative, 'deviations': a.deviations} if a else
+               dict.fromkeys(('differs', 'deviations'), 0.0 if c.model else math.nan)),
             'input': a.input if a else '', 'frequency': a.frequency if a else math.nan,
             'seconds': c.seconds}
