@@ -27,8 +27,9 @@ class Agreement:
     method : str
         The second method.
     agrees : bool
-        Whether it has a model, and this differs by less than 5 % or by less than 3 standard
-        deviations (2 if the second method is hd-pbsid) at every frequency compared.
+        Whether it has a model, this differs by less than 5 % or by less than 3 standard
+        deviations (2 if the second method is hd-pbsid) at every frequency compared, and has no
+        dead time that the model lacks.
     relative : float
         Difference of the frequency responses over the response, rms, of the model within the
         band that the input excites: the largest of those beyond both limits, or of all if there
@@ -39,6 +40,11 @@ class Agreement:
         Of whose response.
     frequency : float
         Where that is [rad/s].
+    late : str
+        Input that the second method finds to act later, by more than 3 standard deviations; empty
+        if there is none.
+    dead_time : float
+        How much later [s].
     problem : str
         Why the second method has no model to compare with; empty if it has.
     """
@@ -49,6 +55,8 @@ class Agreement:
     deviations: float = float('nan')
     input: str = ''
     frequency: float = float('nan')
+    late: str = ''
+    dead_time: float = 0.0
     problem: str = ''
 
     @property
@@ -58,14 +66,24 @@ class Agreement:
             return ''
         if self.problem:
             return f'The cross-check by {self.method} failed: {self.problem}'
+        if self.late:
+            return (f'Another method, {self.method}, finds that input {self.late} acts '
+                    f'{self._late}; set its `delay`, or `method: {self.method}`.')
         return (f'Another method, {self.method}, {self._differs}; raise `order` or `max_order`, '
                 'check the dead time and the hold of the inputs, or the plant is not linear.')
 
     @property
     def words(self) -> str:
         """The outcome in a sentence."""
-        return self.weakness if self.problem else \
-            f'{self.method} {"agrees" if self.agrees else "does not agree"}: it {self._differs}.'
+        if self.problem:
+            return self.weakness
+        late = f', and finds that input {self.late} acts {self._late}' if self.late else ''
+        return (f'{self.method} {"agrees" if self.agrees else "does not agree"}: it '
+                f'{self._differs}{late}.')
+
+    @property
+    def _late(self) -> str:
+        return f'{abs(self.dead_time):.3g} s {"later" if self.dead_time > 0.0 else "earlier"}'
 
     @property
     def _differs(self) -> str:

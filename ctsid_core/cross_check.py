@@ -2,7 +2,8 @@
 """
 The same record by a second method, with the order and the dead times that the first one found.
 
-Dead times that the first method did not look for and that are not given are left to the second.
+Dead times that the first method did not look for, and with them the order, are left to the second
+if that looks for them.
 
 Two methods that treat the same data differently agree where the model is right, to within what
 noise does; where it cannot be right (a dead time not allowed for, an order too low), each errs in
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.agreement import RELATIVE, Agreement, limit
+from ctsid_core.agreement import DEVIATIONS, RELATIVE, Agreement, limit
 from ctsid_core.estimate import Estimate
 from ctsid_core.settings import METHODS, UNCHECKED, Settings
 from ctsid_core.signals import Array
@@ -45,12 +46,18 @@ def cross_checked(found: Estimate, settings: Settings,
     """
     if settings.cross_check == UNCHECKED or found.model is None:
         return found
-    # What the first method did not look for is still to be found.
-    delay = found.model.delay if settings.method == _LOOKS else settings.delay
-    other = identify(settings.replace(method=settings.cross_check, cross_check=UNCHECKED,
-                                      order=found.model.n, delay=delay))
+    other = identify(_told(settings, found.model))
     verdict = replace(found.verdict, agreement=agreement(found, other, settings.cross_check))
     return replace(found, verdict=verdict.weakened)
+
+
+def _told(settings: Settings, model: StateSpace) -> Settings:
+    """Return the settings of the second method."""
+    other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED)
+    if other.method == _LOOKS and any(settings.unknown_delays(model.nu)):
+        # States may stand for a dead time that the first did not look for.
+        return other
+    return other.replace(order=model.n, delay=model.delay)
 
 
 def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
@@ -82,12 +89,23 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
         found = _differences(first, second, one, other, bands)
     except np.linalg.LinAlgError:                       # an undamped pole at one of them
         return Agreement(method, False, problem=problem or 'a response is not finite.')
+    late, dead_time = _later(first, second, one, other)
     beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= limit(method))
     seen = np.where(np.isfinite(found.relative), found.relative, np.inf)
     at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
-    return Agreement(method, not (problem or beyond.any()), float(found.relative[at]),
+    return Agreement(method, not (problem or late or beyond.any()), float(found.relative[at]),
                      float(found.deviations[at]), one.input_names[found.input[at]],
-                     float(found.omega[at]), problem)
+                     float(found.omega[at]), late, dead_time, problem)
+
+
+def _later(first: Estimate, second: Estimate, one: StateSpace,
+           other: StateSpace) -> tuple[str, float]:
+    """Return the input whose dead time the second method most surely finds otherwise, and how."""
+    away = np.subtract(other.delay, one.delay)
+    std = np.hypot(first.delay_std, second.delay_std)
+    sure = np.where(away == 0.0, 0.0, np.abs(away) / np.where(std > 0.0, std, 1e-300))
+    at = int(np.argmax(sure))
+    return (one.input_names[at], float(away[at])) if sure[at] > DEVIATIONS else ('', 0.0)
 
 
 def _bands(estimate: Estimate) -> dict[int, Array]:

@@ -399,11 +399,11 @@ def _read_agreement(found: Any) -> Agreement:
     if not isinstance(found['agrees'], bool):
         raise StorageError(f'`{where}.agrees` is {_shown(found["agrees"])}, but true or false is '
                            'wanted')
-    method, channel, problem = (_word(found[key], f'{where}.{key}')
-                                for key in ('method', 'input', 'problem'))
-    relative, deviations, frequency = (_number(found[key], f'{where}.{key}', nan=True)
-                                       for key in ('relative', 'deviations', 'frequency'))
-    return Agreement(method, found['agrees'], relative, deviations, channel, frequency, problem)
+    words = [_word(found[key], f'{where}.{key}') for key in ('method', 'input', 'late', 'problem')]
+    numbers = [_number(found[key], f'{where}.{key}', nan=True)
+               for key in ('relative', 'deviations', 'frequency', 'dead_time')]
+    return Agreement(words[0], found['agrees'], numbers[0], numbers[1], words[1], numbers[2],
+                     words[2], numbers[3], words[3])
 
 
 def _read_settings(found: Any) -> Settings:
