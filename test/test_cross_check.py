@@ -182,9 +182,50 @@ def test_the_second_method_is_told_order_and_dead_time():
     given = Settings(cross_check='gobf', feedthrough=False)
     cross_checked(found, given, identify_again)
     assert asked[-1] == Settings(method='gobf', order=1, delay=(0.3,), feedthrough=False)
-    # Those that the first did not look for are left to one that does.
+    # What the first did not look for is left to one that does, and the order that stood for it.
     cross_checked(found, Settings(method='gobf', cross_check='hd-pbsid'), identify_again)
-    assert asked[-1] == Settings(order=1)
+    assert asked[-1] == Settings()
+    cross_checked(found, Settings(method='gobf', cross_check='hd-pbsid', delay=0.3),
+                  identify_again)
+    assert asked[-1] == Settings(order=1, delay=(0.3,))
+
+
+def with_delay(estimate: Estimate, delay: float, std: float) -> Estimate:
+    root = estimate.covariance.root.copy()
+    root[0, -1] = std
+    return replace(estimate, model=replace(estimate.model, delay=(delay,)),
+                   covariance=Covariance(root, 1, 1, 1))
+
+
+@pytest.mark.parametrize(('delay', 'std', 'agrees'), [
+    (1e-3, 1e-4, False), (1e-3, 4e-4, True), (0.0, 0.0, True), (1e-3, 0.0, False)])
+def test_a_dead_time_beyond_its_deviation_is_no_agreement(delay, std, agrees):
+    found = agreement(first_order(1.0), with_delay(first_order(1.0), delay, std), 'hd-pbsid')
+    assert found.relative < 0.05
+    assert found.agrees == agrees
+    assert (found.late, found.dead_time) == (('', 0.0) if agrees else ('u', delay))
+    if not agrees:
+        assert 'acts 0.001 s later; set its `delay`, or `method: hd-pbsid`' in found.weakness
+        assert 'finds that input u acts 0.001 s later' in found.words
+    back = agreement(with_delay(first_order(1.0), delay, std), first_order(1.0), 'gobf')
+    assert agrees or 'earlier' in back.words
+
+
+@pytest.mark.parametrize('method', ['gobf', 'ct-pbsid'])
+def test_a_dead_time_that_a_method_does_not_look_for_is_noticed(method):
+    """States stand for it so well that the model passes every other test; its poles are wrong."""
+    late = held(np.random.default_rng(6), PLANTS['hd51'], 50.0, 100.0, delay=0.08, snr=25)
+    alone = identify(late, Settings(method=method))
+    assert alone.good
+    assert alone.model.n > 2
+    both = identify(late, Settings(method=method, cross_check='hd-pbsid'))
+    assert both.verdict.grade is Grade.WEAK
+    assert both.verdict.agreement.dead_time == pytest.approx(0.08, abs=0.003)
+    assert both.verdict.agreement.late == 'u1'
+    assert plain(both) == plain(alone)
+    known = identify(late, Settings(method=method, cross_check='hd-pbsid', delay=0.08))
+    assert known.verdict.agreement.agrees
+    assert known.good
 
 
 def test_several_records_and_dead_time_are_checked():
@@ -201,6 +242,7 @@ def test_several_records_and_dead_time_are_checked():
 @pytest.mark.parametrize('seen', [
     Agreement('gobf', True, 0.012, 0.7, 'stick "é"', 3.25),
     Agreement('ct-pbsid', False, np.inf, np.nan, 'u', 0.1 + 0.2),
+    Agreement('hd-pbsid', False, 0.01, 0.3, 'u', 2.0, 'u', 1 / 30),
     Agreement('gobf', False, problem='TOO_SHORT. Take more.')])
 def test_it_is_stored_to_the_last_bit(seen):
     found = first_order(1.0, verdict=replace(GOOD, agreement=seen).weakened)
