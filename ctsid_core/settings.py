@@ -160,8 +160,8 @@ class Settings:
         UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
         'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',
         choices=(UNCHECKED, *METHODS),
-        when='Set it if there is computing time for twice the work; with method: gobf or ct-pbsid '
-        'best to hd-pbsid.')
+        when='Set it to hd-pbsid where another method is used and there is time for it; it finds '
+        'dead times, too.')
     window_length: float = parameter(
         10.0, 'Length of the sliding window.', name='window.length', unit='s', low=1e-3,
         high=1e5, structural=True,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import json
 
 import numpy as np
-from plants import PLANTS, held, running
+from plants import PLANTS, held, random_plant, running
 import pytest
 
 from ctsid_core import Record, Settings, StateSpace, identify
@@ -93,6 +93,24 @@ def test_the_difference_is_that_of_the_responses(factor):
     if factor != 1.0:
         assert found.frequency == pytest.approx(0.5)
         assert found.input == 'u'
+
+
+def test_the_input_whose_response_differs_is_named():
+    def two(gain: float) -> Estimate:
+        model = StateSpace(A=[[-2.0]], B=[[1.0, gain]], C=[[1.0], [1e3]], D=np.zeros((2, 2)),
+                           K=np.zeros((1, 2)), input_names=('stick', 'pedal'))
+        root = np.zeros((1, Covariance.entry_count(1, 2, 2)))
+        root[0, 1:3] = 0.01, 0.01 * gain
+        bands = (replace(BAND, name='stick'), replace(BAND, name='pedal', low=0.0, high=5.0))
+        return Estimate(status=Status.OK, settings=Settings(), model=model, end_ns=10 * 10**9,
+                        covariance=Covariance(root, 1, 2, 2),
+                        verdict=replace(GOOD, excitation=bands))
+
+    found = agreement(two(1e-3), two(1.5e-3), 'gobf')
+    assert found.input == 'pedal'
+    assert found.frequency == pytest.approx(2 * np.pi / 10)      # the slowest that 10 s can tell
+    assert found.deviations == pytest.approx(0.5 / np.hypot(0.01, 0.015))
+    assert not found.agrees
 
 
 @pytest.mark.parametrize(('relative', 'spread', 'method', 'agrees'), [
@@ -226,6 +244,16 @@ def test_a_dead_time_that_a_method_does_not_look_for_is_noticed(method):
     known = identify(late, Settings(method=method, cross_check='hd-pbsid', delay=0.08))
     assert known.verdict.agreement.agrees
     assert known.good
+
+
+@pytest.mark.parametrize('method', ['gobf', 'ct-pbsid'])
+def test_a_state_too_few_is_noticed(method):
+    rng = np.random.default_rng([78, 1])
+    data = running(rng, random_plant(rng, 3, 1, 2), 25, rate=200.0)
+    for order, agrees in ((2, False), (3, True)):
+        found = identify(data, Settings(method=method, cross_check='hd-pbsid', order=order))
+        assert found.verdict.agreement.agrees == agrees
+        assert found.good == agrees
 
 
 def test_several_records_and_dead_time_are_checked():
