@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.by_method import identify_by
+from ctsid_core.cross_check import cross_checked
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.estimation import confirmed, estimate, undoubted, without_outliers
 from ctsid_core.joint import check_alike, join_records
@@ -82,9 +83,11 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     """
     records = (record,) if isinstance(record, Record) else tuple(record)
     check_alike(records)
-    found = _identify(records, settings or Settings(), like.n if like else FIRST)
-    return replace(found, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
-                   end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
+    settings = settings or Settings()
+    found = _identify(records, settings, like.n if like else FIRST)
+    found = replace(found, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+                    end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
+    return cross_checked(found, settings, lambda other: _identify(records, other, FIRST))
 
 
 def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Estimate:

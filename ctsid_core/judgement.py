@@ -275,7 +275,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         return replace(estimate, verdict=verdict)
     if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
         verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the model '
-                          'before this one foretold the data that are new in it.')
+                          'before this one foretold the data that are new in it.').weakened
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
                    *_moves(model.n, before, moved)]

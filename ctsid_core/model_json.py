@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.agreement import Agreement
 from ctsid_core.covariance import Covariance
 from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.estimate import Choice, Estimate, OrderTried, RecordShare, Status
@@ -45,6 +46,7 @@ TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 's
             'settings', 'metadata')
 RECORD_KEYS = ('number', 'start_ns', 'end_ns', 'x_trim', 'y_trim', 'fit', 'weight')  # of several
 ORDER_KEYS = ('order', 'criterion', 'fit', 'held_out_fit')  # if the order was chosen
+AGREEMENT_KEYS = tuple(f.name for f in fields(Agreement))  # if a second method was asked
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
@@ -145,6 +147,9 @@ def describe(verdict: Verdict) -> dict[str, object]:
     """Return a verdict as words, numbers, and lists and mappings of them."""
     found: dict[str, object] = {f.name: getattr(verdict, f.name) for f in fields(Verdict)}
     found['grade'] = verdict.grade.name
+    agreement = found.pop('agreement')
+    if agreement is not None:
+        found['agreement'] = {key: getattr(agreement, key) for key in AGREEMENT_KEYS}
     found['excitation'] = [{'input': x.name, 'low': x.low, 'high': x.high,
                             'frequencies': x.frequencies, 'own': x.own,
                             'uncertainty': x.uncertainty} for x in verdict.excitation]
@@ -360,7 +365,7 @@ def read_verdict(found: Any) -> Verdict:
         If it is none.
     """
     found = _object(found, 'verdict')
-    _check_keys(found, tuple(f.name for f in fields(Verdict)), 'verdict')
+    _check_keys({'agreement': None, **found}, tuple(f.name for f in fields(Verdict)), 'verdict')
     grade = found['grade']
     if not isinstance(grade, str) or grade not in Grade.__members__:
         raise StorageError(f'`verdict.grade` is {_shown(grade)}; this ctsid knows '
@@ -369,11 +374,14 @@ def read_verdict(found: Any) -> Verdict:
     numbers: dict[str, Any] = {
         key: _number(value, f'verdict.{key}', nan=True) if key in scalars else
         _numbers(value, f'verdict.{key}', nan=True)
-        for key, value in found.items() if key not in ('grade', 'reason', 'excitation')}
+        for key, value in found.items()
+        if key not in ('grade', 'reason', 'excitation', 'agreement')}
     return Verdict(
         grade=Grade[grade], reason=_word(found['reason'], 'verdict.reason'),
         excitation=tuple(_read_excitation(x, f'verdict.excitation[{i}]')
-                         for i, x in enumerate(_list(found, 'excitation'))), **numbers)
+                         for i, x in enumerate(_list(found, 'excitation'))),
+        agreement=_read_agreement(found['agreement']) if 'agreement' in found else None,
+        **numbers)
 
 
 def _read_excitation(found: Any, where: str) -> Excitation:
@@ -382,6 +390,20 @@ def _read_excitation(found: Any, where: str) -> Excitation:
     _check_keys(found, ('input', *names), where)
     return Excitation(_word(found['input'], f'{where}.input'),
                       **{key: _number(found[key], f'{where}.{key}', nan=True) for key in names})
+
+
+def _read_agreement(found: Any) -> Agreement:
+    where = 'verdict.agreement'
+    found = _object(found, where)
+    _check_keys(found, AGREEMENT_KEYS, where)
+    if not isinstance(found['agrees'], bool):
+        raise StorageError(f'`{where}.agrees` is {_shown(found["agrees"])}, but true or false is '
+                           'wanted')
+    words = [_word(found[key], f'{where}.{key}') for key in ('method', 'input', 'late', 'problem')]
+    numbers = [_number(found[key], f'{where}.{key}', nan=True)
+               for key in ('relative', 'deviations', 'frequency', 'dead_time')]
+    return Agreement(words[0], found['agrees'], numbers[0], numbers[1], words[1], numbers[2],
+                     words[2], numbers[3], words[3])
 
 
 def _read_settings(found: Any) -> Settings:

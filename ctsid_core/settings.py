@@ -18,6 +18,7 @@ from ctsid_core.errors import SettingsError
 
 Hold = Literal['zoh', 'linear', 'smooth']
 METHODS = ('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter', 'gobf')
+UNCHECKED = 'none'
 HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
 
 
@@ -155,6 +156,12 @@ class Settings:
         0.3, 'Last part of every window on which a model of the rest is tested; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,
         when='Set it to 0 to halve the computing time, if models are tested elsewhere.')
+    cross_check: str = parameter(
+        UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
+        'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',
+        choices=(UNCHECKED, *METHODS),
+        when='Set it to hd-pbsid where another method is used and there is time for it; it finds '
+        'dead times, too.')
     window_length: float = parameter(
         10.0, 'Length of the sliding window.', name='window.length', unit='s', low=1e-3,
         high=1e5, structural=True,
@@ -173,6 +180,9 @@ class Settings:
         if not faults and self.past and self.future > self.past:
             faults.append(f'`pbsid.future` is {self.future} but must not exceed `pbsid.past` '
                           f'({self.past}); lower it or set it to 0')
+        if not faults and self.cross_check == self.method:
+            faults.append(f'`validation.cross_check` is {self.method!r}, as `method` is; choose '
+                          f'another method, or {UNCHECKED!r}')
         if faults:
             raise SettingsError(faults)
 

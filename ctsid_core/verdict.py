@@ -8,11 +8,13 @@ number means and where each threshold was measured.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ctsid_core.agreement import Agreement
 
 Array = NDArray[np.float64]
 
@@ -84,6 +86,8 @@ class Verdict:
     moved : float
         Distance of the pole that has moved most since the model before, in the standard
         deviation of both together; NaN if the orders differ or there was none.
+    agreement : Agreement or None
+        With a second method; None if none was asked for.
     """
 
     grade: Grade
@@ -96,6 +100,14 @@ class Verdict:
     next_ratio: Array = field(default_factory=lambda: np.empty(0))
     fresh_ratio: Array = field(default_factory=lambda: np.empty(0))
     moved: float = float('nan')
+    agreement: Agreement | None = None
+
+    @property
+    def weakened(self) -> Verdict:
+        """The same, WEAK instead of GOOD if a second method does not agree."""
+        if self.grade is not Grade.GOOD or self.agreement is None or self.agreement.agrees:
+            return self
+        return replace(self, grade=Grade.WEAK, reason=self.agreement.weakness)
 
 
 UNJUDGED = Verdict(grade=Grade.WEAK, reason='Nobody has judged this model; test it on data that '

@@ -157,6 +157,8 @@ def _verdict_values(verdict: Verdict) -> dict[str, object]:
     if verdict.excitation:
         values |= {'poles known to [%]': 100 * verdict.pole_uncertainty,
                    'missing of the response [%]': _numbers(100 * verdict.missing)}
+    if verdict.agreement is not None:
+        values['cross-check'] = verdict.agreement.words
     return values
 
 

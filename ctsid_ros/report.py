@@ -103,6 +103,8 @@ def model_section(estimate: Estimate, title: str) -> Section:
     """Return a model, accepted or rejected, with its poles, fits and gains."""
     model = estimate.model or estimate.rejected_model
     parts: list[str | Table | Bullets] = [verdict_text(estimate)]
+    if estimate.verdict.agreement is not None:
+        parts.append(f'Cross-check: {estimate.verdict.agreement.words}')
     if model is None:
         return Section(title, tuple(parts))
     if not estimate.ok:

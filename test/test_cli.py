@@ -263,15 +263,63 @@ def test_compare_sets_all_methods_side_by_side(ctsid, shared):
     code, out, _ = ctsid(*words)
     assert code == 0
     for method in METHODS:
-        assert re.search(rf'^ *{method} +(GOOD|WEAK|REJECT) +', out, flags=re.MULTILINE)
+        row = re.search(rf'^ *{method} +(GOOD|WEAK|REJECT) +\d .*', out, flags=re.MULTILINE)
+        assert (' yes ' in row[0] or ' no ' in row[0]) == (method != METHODS[0])
     code, out, _ = ctsid(*words, '--json')
     document = json.loads(out)
+    assert document['reference'] == METHODS[0]
     assert [m['method'] for m in document['methods']] == list(METHODS)
     first, *others = document['methods']
-    assert first['differs'] == 0.0
-    assert first['poles']
-    assert any(m['differs'] < 0.2 for m in others)           # one of them agrees at least
-    assert all(m['seconds'] > 0.0 for m in document['methods'])
+    assert (first['differs'], first['deviations'], first['agrees']) == (0.0, 0.0, None)
+    assert close([complex(*p) for p in first['poles']], 0.3)
+    assert any(m['agrees'] and m['differs'] < 0.1 for m in others)
+    for m in document['methods']:
+        assert len(m['pole_std']) == len(m['poles']) == m['order']
+        assert m['held_out_fit'][0] > 80
+        assert m['delay'] == first['delay']
+        assert m['seconds'] > 0.0
+
+
+def test_compare_is_of_methods_whatever_the_settings(ctsid, shared):
+    text = (shared / 'params.yaml').read_text().replace('method: hd-pbsid', 'method: gobf')
+    Path('other.yaml').write_text(text + '    method: gobf\n' * ('method: gobf' not in text)
+                                  + '    validation.cross_check: hd-pbsid\n')
+    found = [json.loads(ctsid('compare', shared / 'bag', '--params', path, '--duration', '6',
+                              '--json', '--quiet')[1]) for path in (
+        shared / 'params.yaml', 'other.yaml')]
+    for document in found:
+        for m in document['methods']:
+            del m['seconds']
+    assert found[0] == found[1]
+
+
+def test_compare_tells_what_cannot_be(ctsid, shared):
+    words = 'compare', shared / 'bag', '--params', shared / 'params.yaml'
+    for more, said in ((('--start', '1000'), 'nothing of the bag lies in the interval'),
+                       (('--start', 'x'), "'x' is not a number of seconds")):
+        code, out, err = ctsid(*words, *more)
+        assert (code, out) == (1 if said.startswith('nothing') else 2, '')
+        assert said in err
+    for other, said in (('nothere', 'nothere: no such file'),
+                        (shared / 'params.yaml', 'not a bag')):
+        code, out, err = ctsid('compare', other)
+        assert (code, out) == (1, '')
+        assert said in err
+    Path('odd.yaml').write_text((shared / 'params.yaml').read_text()
+                                + '    takenaka_malmquist.poles_real: [4.0, 5.0]\n'
+                                '    takenaka_malmquist.poles_imag: [1.0, 2.0, 3.0]\n')
+    code, out, err = ctsid('compare', shared / 'bag', '--params', 'odd.yaml', '--quiet')
+    assert (code, out) == (1, '')
+    assert 'poles_imag' in err
+    code, out, err = ctsid(*words, '--duration', '0.1', '--json', '--quiet')
+    assert code == 3
+    document = json.loads(out)
+    assert document['reference'] is None
+    assert {m['status'] for m in document['methods']} == {'TOO_SHORT'}
+    assert all(m['differs'] is None for m in document['methods'])
+    code, out, _ = ctsid(*words, '--duration', '0.1', '--quiet')
+    assert code == 3
+    assert 'too few samples' in ' '.join(out.split())
 
 
 def test_advise_tells_what_is_missing(ctsid, shared):

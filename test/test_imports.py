@@ -26,7 +26,7 @@ VERBS = [f'verbs.{verb}' for verb in (
     'study')]
 LEVELS = {
     'ctsid_core': [
-        ['errors'], ['settings'], ['signals'],
+        ['errors', 'agreement'], ['settings'], ['signals'],
         ['shapes', 'matrix_functions', 'frequency', 'residuals', 'mode_rows', 'spikes'],
         ['simulation', 'realisation'],
         ['statespace', 'verdict'], ['covariance'],
@@ -48,7 +48,7 @@ LEVELS = {
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
         ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'],
-        ['lateness', 'advice'],
+        ['lateness', 'advice', 'cross_check'],
         ['identify'], ['tracking']],
     'ctsid_ros': [
         ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],

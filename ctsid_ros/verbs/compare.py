@@ -4,22 +4,27 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
+import math
 import time
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.agreement import Agreement
+from ctsid_core.cross_check import agreement
 from ctsid_core.estimate import Estimate
 from ctsid_core.identify import identify
-from ctsid_core.settings import METHODS, Settings
+from ctsid_core.settings import METHODS, UNCHECKED, Settings
 from ctsid_core.signals import Record
 from ctsid_core.statespace import StateSpace
 from ctsid_ros.bag import open_bag
 from ctsid_ros.document import Bullets, Section, to_text
 from ctsid_ros.playback import read_record
-from ctsid_ros.progress import progress
-from ctsid_ros.tables import Table, number, percent
+from ctsid_ros.progress import Advance, progress, silent
+from ctsid_ros.report import complaint_section
+from ctsid_ros.tables import Table, number, percent, plus_minus, pole_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,
@@ -35,8 +40,8 @@ from ctsid_ros.verbs.arguments import (
 
 HELP = 'identify one interval of a bag by all methods, side by side'
 EPILOG = ('example: ctsid compare flight.mcap --params params.yaml --duration 20\n'
-          '         (methods that have little in common and agree are a reason for trust)')
-_FREQUENCIES = 60
+          '         (methods that have little in common and agree are a reason for trust;\n'
+          '         `validation.cross_check` lets one of them take part in every verdict)')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,15 +63,14 @@ class Contender:
     estimate : Estimate
     seconds : float
         Of processor time.
-    differs : float
-        Root mean square difference of its frequency response from that of the first method, over
-        the latter, in the band that is excited; NaN if either has no model.
+    agreement : Agreement or None
+        With the first method that has a model; None for that one and those before it.
     """
 
     method: str
     estimate: Estimate
     seconds: float
-    differs: float
+    agreement: Agreement | None
 
     @property
     def model(self) -> StateSpace | None:
@@ -80,15 +84,18 @@ def command(args: argparse.Namespace) -> int:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
-    found = compare(data.record, config.settings)
+        notes = (*bag.notes, *data.complaints)
+    with progress('identifying', quiet=args.quiet) as advance:
+        found = compare(data.record, config.settings, advance)
     if args.json:
-        tell({'verb': 'compare', 'bag': named(args.bag), 'methods': [_document(c) for c in found]})
+        tell({'verb': 'compare', 'bag': named(args.bag), 'reference': _reference(found),
+              'notes': notes, 'methods': [_document(c) for c in found]})
     else:
-        print(to_text(_sections(found)))
-    return ACCEPTED if found[0].estimate.ok else NO_MODEL
+        print(to_text([*_sections(found), complaint_section(notes)]))
+    return ACCEPTED if any(c.estimate.ok for c in found) else NO_MODEL
 
 
-def compare(record: Record, settings: Settings) -> list[Contender]:
+def compare(record: Record, settings: Settings, advance: Advance = silent) -> list[Contender]:
     """
     Return what every method makes of a record, HD-PBSID first.
 
@@ -96,45 +103,50 @@ def compare(record: Record, settings: Settings) -> list[Contender]:
     ----------
     record : Record
     settings : Settings
-        Dead times that HD-PBSID finds are given to the others, which do not look for any.
+        Dead times that HD-PBSID finds are given to the others, which do not look for any. The
+        order, if it is not given, each method chooses by itself.
+    advance : callable, optional
+        Told how far it is.
     """
+    settings = settings.replace(cross_check=UNCHECKED)
     found: list[Contender] = []
-    for method in METHODS:
+    first: Estimate | None = None
+    for k, method in enumerate(METHODS):
+        advance(k / len(METHODS), method)
         begin = time.process_time()
         estimate = identify(record, settings.replace(method=method))
         seconds = time.process_time() - begin
-        differs = _difference(found[0].estimate, estimate) if found else 0.0
-        found.append(Contender(method, estimate, seconds, differs))
-        first = found[0].model
-        if first is not None:
-            settings = settings.replace(delay=first.delay)
+        found.append(Contender(method, estimate, seconds,
+                               agreement(first, estimate, method) if first else None))
+        model = found[-1].model
+        if first is None and model is not None:
+            first, settings = estimate, settings.replace(delay=model.delay)
     return found
 
 
-def _difference(first: Estimate, other: Estimate) -> float:
-    """Return how much frequency responses differ where the inputs excite."""
-    a, b = (e.model or e.rejected_model for e in (first, other))
-    ends = [end for x in first.verdict.excitation for end in (x.low, x.high) if end > 0.0]
-    if a is None or b is None or not ends:
-        return float('nan')
-    omega = np.geomspace(min(ends), max(ends), _FREQUENCIES)
-    one, two = a.frequency_response(omega), b.frequency_response(omega)
-    return float(np.sqrt(np.mean(np.abs(two - one) ** 2) / np.mean(np.abs(one) ** 2)))
+def _reference(found: Sequence[Contender]) -> str | None:
+    """Return the method that the others are compared with."""
+    return next((c.method for c in found if c.model is not None), None)
 
 
-def _sections(found: list[Contender]) -> list[Section]:
+def _sections(found: Sequence[Contender]) -> list[Section]:
+    reference = _reference(found)
     rows = tuple((c.method, c.estimate.verdict.grade.name, str(c.model.n) if c.model else '-',
-                  _fits(c.estimate.fit), _fits(c.estimate.held_out_fit),
-                  '-' if c is found[0] else percent(100 * c.differs), number(c.seconds, 2))
-                 for c in found)
-    head = ('method', 'verdict', 'order', 'fit [%]', 'held-out fit [%]',
-            f'differs from {found[0].method} [%]', 'time [s]')
+                  _fits(c.estimate.fit), _fits(c.estimate.held_out_fit), *_differs(c.agreement),
+                  number(c.seconds, 2)) for c in found)
+    head = ('method', 'verdict', 'order', 'fit [%]', 'held-out fit [%]', 'agrees', 'differs [%]',
+            'in std', 'time [s]')
     poles = tuple((c.method, *_pole(c, k)) for c in found if c.model
                   for k in range(c.model.n) if c.model.poles[k].imag <= 0.0)
     reasons = tuple(f'{c.method}: {c.estimate.verdict.reason}' for c in found)
-    table = Table(('method', 'pole [rad/s]', 'std'), poles, ('method',))
-    return [Section('Methods side by side', (Table(head, rows, ('method', 'verdict')),)),
-            *([Section('Poles', (table,))] if poles else []),
+    words = [] if reference is None else [
+        f'Differs: the frequency response from that of {reference}, over its size, where that is '
+        'largest in the band that the inputs excite; and the same in standard deviations of both. '
+        'It agrees if one of the two is small (5 %, 3 deviations) everywhere.']
+    return [Section('Methods side by side',
+                    (Table(head, rows, ('method', 'verdict', 'agrees')), *words)),
+            *([Section('Poles', (Table(('method', 'pole [rad/s]', 'std', 'dead time [s]'), poles,
+                                       ('method',)),))] if poles else []),
             Section('Verdicts', (Bullets(reasons),))]
 
 
@@ -142,16 +154,30 @@ def _fits(values: NDArray[np.float64]) -> str:
     return ', '.join(percent(value) for value in values) or '-'
 
 
-def _pole(c: Contender, k: int) -> tuple[str, str]:
+def _differs(a: Agreement | None) -> tuple[str, str, str]:
+    if a is None or math.isnan(a.relative):
+        return '-', '-', '-'
+    return 'yes' if a.agrees else 'no', percent(100.0 * a.relative), number(a.deviations, 2)
+
+
+def _pole(c: Contender, k: int) -> tuple[str, str, str]:
     assert c.model is not None
-    pole, std = c.model.poles[k], c.estimate.pole_std
-    words = number(pole.real, 4) + (f' ± {number(-pole.imag, 4)}j' if pole.imag else '')
-    return words, number(float(std[k]), 2) if len(std) > k else '-'
+    std, late = c.estimate.pole_std, c.estimate.delay_std
+    dead = ', '.join(plus_minus(d, s, 3) for d, s in zip(c.model.delay, late, strict=True)) \
+        if k == 0 or not any(c.model.poles[:k].imag <= 0.0) else ''
+    return pole_text(c.model.poles[k]), number(float(std[k]), 2) if len(std) > k else '-', dead
 
 
 def _document(c: Contender) -> dict[str, object]:
+    a = c.agreement
     return {'method': c.method, 'status': c.estimate.status.name,
             'verdict': c.estimate.verdict.grade.name, 'reason': c.estimate.verdict.reason,
+            'order': c.model.n if c.model else None,
             'poles': list(c.model.poles) if c.model else [], 'pole_std': c.estimate.pole_std,
+            'delay': c.model.delay if c.model else [],
             'fit': c.estimate.fit, 'held_out_fit': c.estimate.held_out_fit,
-            'differs': c.differs, 'seconds': c.seconds}
+            'agrees': a.agrees if a else None,
+            **({'differs': a.relative, 'deviations': a.deviations} if a else
+               dict.fromkeys(('differs', 'deviations'), 0.0 if c.model else math.nan)),
+            'input': a.input if a else '', 'frequency': a.frequency if a else math.nan,
+            'seconds': c.seconds}

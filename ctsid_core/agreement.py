@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a second method, which has little in common with the first, finds the same model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+RELATIVE = 0.05       # of the response, above which a difference matters
+DEVIATIONS = 3.0      # above which it is not chance ...
+SURER = 2.0           # ... if the second method is at the maximum of the likelihood
+_LIKELIEST = 'hd-pbsid'
+
+
+def limit(method: str) -> float:
+    """Return how many standard deviations a second method may differ by."""
+    return SURER if method == _LIKELIEST else DEVIATIONS
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """
+    How far the model of a second method is from the model, where it is farthest.
+
+    Parameters
+    ----------
+    method : str
+        The second method.
+    agrees : bool
+        Whether it has a model, this differs by less than 5 % or by less than 3 standard
+        deviations (2 if the second method is hd-pbsid) at every frequency compared, and has no
+        dead time that the model lacks.
+    relative : float
+        Difference of the frequency responses over the response, rms, of the model within the
+        band that the input excites: the largest of those beyond both limits, or of all if there
+        are none; NaN if there is nothing to compare.
+    deviations : float
+        The same difference in standard deviations of both models together; NaN if not known.
+    input : str
+        Of whose response.
+    frequency : float
+        Where that is [rad/s].
+    late : str
+        Input that the second method finds to act later, by more than 3 standard deviations; empty
+        if there is none.
+    dead_time : float
+        How much later [s].
+    problem : str
+        Why the second method has no model to compare with; empty if it has.
+    """
+
+    method: str
+    agrees: bool
+    relative: float = float('nan')
+    deviations: float = float('nan')
+    input: str = ''
+    frequency: float = float('nan')
+    late: str = ''
+    dead_time: float = 0.0
+    problem: str = ''
+
+    @property
+    def weakness(self) -> str:
+        """What is wrong and what to do; empty if the methods agree."""
+        if self.agrees:
+            return ''
+        if self.problem:
+            return f'The cross-check by {self.method} failed: {self.problem}'
+        if self.late:
+            return (f'Another method, {self.method}, finds that input {self.late} acts '
+                    f'{self._late}; set its `delay`, or `method: {self.method}`.')
+        return (f'Another method, {self.method}, {self._differs}; raise `order` or `max_order`, '
+                'check the dead time and the hold of the inputs, or the plant is not linear.')
+
+    @property
+    def words(self) -> str:
+        """The outcome in a sentence."""
+        if self.problem:
+            return self.weakness
+        late = f', and finds that input {self.late} acts {self._late}' if self.late else ''
+        return (f'{self.method} {"agrees" if self.agrees else "does not agree"}: it '
+                f'{self._differs}{late}.')
+
+    @property
+    def _late(self) -> str:
+        return f'{abs(self.dead_time):.3g} s {"later" if self.dead_time > 0.0 else "earlier"}'
+
+    @property
+    def _differs(self) -> str:
+        sure = '' if math.isnan(self.deviations) else \
+            f', {self.deviations:.2g} standard deviations'
+        return (f'differs by {100 * self.relative:.2g} % of the response to {self.input} at '
+                f'{self.frequency:.3g} rad/s{sure}')
