@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ctsid_core.bending import with_bends
 from ctsid_core.by_method import identify_by
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.estimation import confirmed, estimate, undoubted, without_outliers
@@ -101,6 +102,7 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         found = estimate(part, known, first)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+        part, found = with_bends(part, found, known)
         part, found = without_outliers(part, found, known)
         found = undoubted(part, found, known, first)
         part, found = with_dead_time(records, part, found, settings)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.estimate import Status
 from ctsid_core.outliers import (
@@ -53,6 +54,8 @@ class Usable:
         Corrupt samples of the inputs and outputs of `record`.
     held : tuple of (ndarray or None)
         Held inputs at the stamps of each output signal, if it may follow them at once.
+    bends : Bends, optional
+        What the outputs of `record` do between their samples, if that is known.
     """
 
     record: Record
@@ -66,6 +69,7 @@ class Usable:
     corrupt_u: tuple[Spikes, ...]
     corrupt_y: tuple[Spikes, ...]
     held: tuple[Array | None, ...]
+    bends: Bends | None = None
 
     def doubtful(self, density: Array) -> bool:
         """

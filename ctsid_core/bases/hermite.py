@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.base import Lines, Projection
+from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.settings import Settings
@@ -112,7 +113,8 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
     return float(tau / (turning + settings.edge_margin * turning ** (-1.0 / 3.0)))
 
 
-def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
+def project_record(record: Record, settings: Settings, nmax: int,
+                   bends: Bends | None = None) -> Projection:
     """
     Project a record on Hermite functions, each signal from its own stamps.
 
@@ -123,6 +125,8 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
         Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
     nmax : int
         Highest order, in each of `settings.parts` parts of equal length.
+    bends : Bends, optional
+        What the outputs do between their samples; else they are interpolated.
 
     Notes
     -----
@@ -134,7 +138,7 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
     [HD] eq. 27, 33, 34.
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
-    parts = [_project_part(record, settings, nmax, float(start), float(end))
+    parts = [_project_part(record, settings, nmax, float(start), float(end), bends)
              for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
     if len(parts) == 1:
         return parts[0]
@@ -205,24 +209,28 @@ def input_slopes(record: Record, settings: Settings, nmax: int,
     return slopes
 
 
-def _project_part(record: Record, settings: Settings, nmax: int, start: float,
-                  end: float) -> Projection:
+def _project_part(record: Record, settings: Settings, nmax: int, start: float, end: float,
+                  bends: Bends | None) -> Projection:
     basis = hermite_lines(nmax)
     alpha = time_scale(nmax, 0.5 * (end - start), settings)
     inputs, delays = by_delay(record, settings.delays(record.nu))
-    signals = (*inputs, *record.outputs)
+    outputs = record.outputs if bends is None else bends.left_of(record.outputs)
+    signals = (*inputs, *outputs)
     found = coefficients(signals, start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     count = len(inputs)
+    y = np.vstack(found[count:])
+    if bends is not None:
+        y += bends.coefficients(start, end, alpha, nmax)
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
         u=basis.lines(np.vstack(found[:count])) if count else nothing,
-        y=basis.lines(np.vstack(found[count:])),
+        y=basis.lines(y),
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
-        unit=alpha, start=start, end=end)
+        unit=alpha, start=start, end=end, bent=bends is not None)
 
 
 def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int,
