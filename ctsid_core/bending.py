@@ -15,7 +15,7 @@ import numpy as np
 import time
 
 from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.bases.bends import ComplexArray, bends
+from ctsid_core.bases.bends import SPARE, ComplexArray, bends
 from ctsid_core.estimate import Choice
 from ctsid_core.estimation import estimate
 from ctsid_core.found import Found, own_delays
@@ -27,11 +27,10 @@ from ctsid_core.usable import Usable
 from ctsid_core.validation import simulation
 from ctsid_core.whole_model import moving_model
 
-_MATTERS = 1.0        # of what bends do to the lines, in variances of the noise of one line
+_MATTERS = 3.0        # of what bends do to the lines, in variances of the noise of one line
 _STAYS = 0.03         # the same from one pass to the next
-_ROUNDING = 1e-18     # of an output's power, that counts as noise
+_ROUNDING = 1e-22     # of an output's power, that counts as noise
 _PASSES = 8
-_SPAN = 8             # real poles in the span, beside those of the model
 _GROWTH = 5.0         # time constants for which an unstable pole may grow over a record
 _BAND = 0.8           # of the Nyquist frequency, beyond which a mode is none of the plant's
 _NO_WORSE = 1.05      # power that the last model leaves of the samples, over the first's
@@ -95,10 +94,11 @@ def _bending(p: Usable) -> bool:
 
 
 def _bent(part: Joint, found: Found) -> Joint:
-    """Return records whose outputs bend as a span does that has the modes of a model in it."""
-    return replace(part, parts=tuple(replace(p, bends=bends(
+    """Return records whose outputs bend as the modes of a model have it."""
+    trim, feed = found.settings.trim, found.settings.feedthrough
+    return replace(part, parts=tuple(p.bent(bends(
         p.record, _span(found.matrices, p), own_delays(p, found.settings).delays(p.record.nu),
-        trim=found.settings.trim, feedthrough=found.settings.feedthrough)) for p in part.parts))
+        [spiky.mask for spiky in p.corrupt_y], trim=trim, feedthrough=feed)) for p in part.parts))
 
 
 def _span(m: Matrices, p: Usable) -> ComplexArray:
@@ -106,8 +106,9 @@ def _span(m: Matrices, p: Usable) -> ComplexArray:
     top = _BAND * np.pi / max(s.period for s in p.record.outputs)
     poles = np.linalg.eigvals(m.A).astype(complex)
     kept = (poles.imag >= 0.0) & (poles.imag < top) & (poles.real * p.record.duration < _GROWTH)
-    grid = -np.geomspace(1.0 / p.record.duration, top, _SPAN)
-    return np.concatenate((poles[kept], grid))
+    own = poles[kept]
+    spare = -np.geomspace(1.0 / p.record.duration, top, SPARE)
+    return np.concatenate((own[np.argsort(np.abs(own))], spare))
 
 
 def _left(part: Joint, found: Found) -> float:

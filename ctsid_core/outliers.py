@@ -191,6 +191,23 @@ def _left(signal: Signal, times: Array, y_hat: Array, before: Spikes,
     return Spikes(mask, instead, found.scale, found.suspects, found.too_many), float(np.max(gain))
 
 
+def put_back(measured: Signal, found: Spikes, expected: Array) -> Spikes:
+    """
+    Return the corrupt samples but those that something else explains.
+
+    Parameters
+    ----------
+    measured : Signal
+        With its corrupt samples.
+    found : Spikes
+    expected : ndarray, shape (N, m)
+        What the samples should be by that.
+    """
+    off = np.abs(measured.values - expected)
+    mask = found.mask & (off > _EXPLAINED * np.abs(measured.values - found.instead))
+    return replace(found, mask=mask, instead=np.where(mask, found.instead, measured.values))
+
+
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
            record: Record) -> tuple[list[str], dict[str, float]]:
     """

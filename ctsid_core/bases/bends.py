@@ -26,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 
 _POINTS = 5           # of Gauss-Legendre, for each interval between the stamps of inputs
 _PHASE = 1.5          # top frequency times interval [rad] up to which they are enough
+SPARE = 8             # poles at the end of a list that come in all together
+_FLOOR = 1e-14        # of the power, that differences of squares do not tell from nothing
 _RANK = 1e-10         # of the responses that least squares tell apart
 
 
@@ -108,24 +110,30 @@ class Bends:
         return found
 
 
-def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...], *, trim: bool,
-          feedthrough: bool) -> Bends:
+def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
+          corrupt: Sequence[NDArray[np.bool_]], *, trim: bool, feedthrough: bool) -> Bends:
     """
-    Return the responses of a span of modes that are nearest to the samples of a record.
+    Return the responses of modes that are nearest to the samples of a record.
 
     Parameters
     ----------
     record : Record
     poles : ndarray
-        Of the modes, one of each pair; they may not grow by much over the record [rad/s].
+        Of the modes that may be needed, the surest ones first, one of each pair; they may not
+        grow by much over the record [rad/s]. Of these, Schwarz's criterion on the samples takes
+        the first ones, as many as they need.
     delay : tuple of float, length nu
         Dead time of each input [s].
+    corrupt : sequence of ndarray, shapes (N, channels)
+        Samples of each output signal that do not count.
     trim : bool
         Whether outputs have a constant.
     feedthrough : bool
-        Whether inputs act on outputs at once.
+        Whether inputs may act on outputs at once: what is tried after the poles before the last
+        `SPARE` ones.
     """
-    inside = [(s.time >= record.start) & (s.time <= record.end) for s in record.outputs]
+    inside = [(s.time >= record.start) & (s.time <= record.end) & ~mask.any(axis=1)
+              for s, mask in zip(record.outputs, corrupt, strict=True)]
     own = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     A, b = _modal(poles)
     nu, n = record.nu, len(A)
@@ -134,17 +142,47 @@ def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...], *, trim
         inputs=record.inputs, delay=delay, x0=np.concatenate((np.zeros(n * nu), b)),
         weights=np.zeros((record.ny, n * (nu + 1) + nu + 1)),
         start=min(float(t[0]) for t in own), end=max(float(t[-1]) for t in own))
-    wanted = np.concatenate((np.ones(n * (nu + 1)), np.full(nu, feedthrough), [trim])) > 0.0
-    weights, first = found.weights, 0
+    groups = _groups(poles, nu, trim=trim, feedthrough=feedthrough)
+    first = 0
     for signal, rows, times in zip(record.outputs, inside, own, strict=True):
         channels = slice(first, first + signal.width)
         first += signal.width
         if signal.hold == 'smooth':
-            columns = found.regressors(times)[wanted].T
+            columns, y = found.regressors(times).T, signal.values[rows]
+            wanted = _needed(columns, y, groups)
+            columns = columns[:, wanted]
             size = np.linalg.norm(columns, axis=0) + 1e-300
-            theta = np.linalg.lstsq(columns / size, signal.values[rows], rcond=_RANK)[0]
-            weights[channels, wanted] = theta.T / size
+            theta = np.linalg.lstsq(columns / size, y, rcond=_RANK)[0]
+            found.weights[channels, wanted] = theta.T / size
     return found
+
+
+def _groups(poles: ComplexArray, nu: int, *, trim: bool,
+            feedthrough: bool) -> list[NDArray[np.intp]]:
+    """Return the regressors that come in together, those that are surest first."""
+    sizes = np.where(poles.imag != 0.0, 2, 1)
+    n, ends = int(sizes.sum()), np.cumsum(sizes)
+    states = [(np.arange(nu + 1)[:, np.newaxis] * n + np.arange(end - size, end)).ravel()
+              for size, end in zip(sizes, ends, strict=True)]
+    direct = n * (nu + 1) + np.arange(nu)
+    own = states[:len(states) - SPARE]
+    return [np.full(int(trim), n * (nu + 1) + nu), *own, *([direct] if feedthrough else []),
+            np.concatenate(states[len(own):])]
+
+
+def _needed(columns: Array, y: Array, groups: list[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Return the regressors that Schwarz's criterion takes, the first of the groups."""
+    order = np.concatenate(groups)
+    size = np.linalg.norm(columns[:, order], axis=0) + 1e-300
+    q = np.linalg.qr(columns[:, order] / size)[0]
+    explained = np.cumsum((q.T @ y) ** 2, axis=0)
+    power = np.sum(y ** 2, axis=0)
+    ends = np.cumsum([len(g) for g in groups])
+    left = np.maximum(power - np.vstack((0.0 * power, explained))[ends], 0.0)
+    # What is left of the largest group is what differences of squares can tell.
+    cost = len(y) * np.log(left + _FLOOR * power + 1e-300).sum(axis=1) \
+        + ends * y.shape[1] * np.log(len(y))
+    return order[:ends[int(np.argmin(cost))]]
 
 
 def _modal(poles: ComplexArray) -> tuple[Array, Array]:
