@@ -24,8 +24,8 @@ from ctsid_core.simulation import knots_between, respond
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_POINTS = 5           # of Gauss-Legendre, for each interval between the stamps of inputs
-_PHASE = 1.5          # top frequency times interval [rad] up to which they are enough
+_POINTS = (3, 4, 5)   # of Gauss-Legendre, for each interval between the stamps of inputs
+_PHASES = (0.2, 0.7, 1.5)  # top frequency times interval [rad] up to which they are enough
 SPARE = 8             # poles at the end of a list that come in all together
 _FLOOR = 1e-14        # of the power, that differences of squares do not tell from nothing
 _RANK = 1e-10         # of the responses that least squares tell apart
@@ -97,11 +97,12 @@ class Bends:
         ndarray, shape (ny, nmax + 1)
         """
         knots = knots_between(self.inputs, self.delay, np.array([start, end]))
-        top = np.sqrt(2.0 * nmax + 1.0) / alpha
-        parts = np.maximum(np.ceil(np.diff(knots) * top / _PHASE), 1.0).astype(int)
+        phase = np.diff(knots) * np.sqrt(2.0 * nmax + 1.0) / alpha
+        parts = np.maximum(np.ceil(phase / _PHASES[-1]), 1.0).astype(int)
         place = np.concatenate(([0], np.cumsum(parts)))
         knots = np.interp(np.arange(place[-1] + 1), place, knots)
-        point, weight = np.polynomial.legendre.leggauss(_POINTS)
+        points = _POINTS[int(np.searchsorted(_PHASES[:-1], np.max(phase / parts)))]
+        point, weight = np.polynomial.legendre.leggauss(points)
         middle, half = 0.5 * (knots[1:] + knots[:-1]), 0.5 * np.diff(knots)
         at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
         x = (at - 0.5 * (start + end)) / alpha
@@ -154,7 +155,19 @@ def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
             size = np.linalg.norm(columns, axis=0) + 1e-300
             theta = np.linalg.lstsq(columns / size, y, rcond=_RANK)[0]
             found.weights[channels, wanted] = theta.T / size
-    return found
+    return _pruned(found, n)
+
+
+def _pruned(found: Bends, n: int) -> Bends:
+    """Return the same without the modes, of n states in all, that no output needs."""
+    copies = len(found.A) // n
+    used = found.weights[:, :len(found.A)].reshape(-1, n).any(axis=0)
+    # The two states of a pair go together.
+    used |= (np.abs(found.A[:n, :n]) @ used) > 0.0
+    kept = np.flatnonzero(np.tile(used, copies))
+    rest = np.arange(len(found.A), found.weights.shape[1])
+    return replace(found, A=found.A[np.ix_(kept, kept)], B=found.B[kept], x0=found.x0[kept],
+                   weights=found.weights[:, np.concatenate((kept, rest))])
 
 
 def _groups(poles: ComplexArray, nu: int, *, trim: bool,
