@@ -12,10 +12,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import time
 
 from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.bases.bends import SPARE, ComplexArray, bends
+from ctsid_core.bases.bends import SPARE, Bends, ComplexArray, bends
 from ctsid_core.estimate import Choice
 from ctsid_core.estimation import estimate
 from ctsid_core.found import Found, own_delays
@@ -23,12 +22,10 @@ from ctsid_core.joint import Joint
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import prediction_errors
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Array
 from ctsid_core.usable import Usable
 from ctsid_core.validation import simulation
 from ctsid_core.whole_model import moving_model
 
-_SIZES = (0.5, 0.12, 0.01, 0.001)  # of what interpolation makes of jumps, by derivative
 _MATTERS = 3.0        # of what bends do to the lines, in variances of the noise of one line
 _STAYS = 0.03         # the same from one pass to the next
 _ROUNDING = 1e-22     # of an output's power, that counts as noise
@@ -59,22 +56,21 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     found : Found
         Both as they are if it makes no difference, or none for the better.
     """
-    if settings.edges != 'exact' or not any(map(_bending, part.parts)):
+    if settings.edges != 'exact' or not any(map(_bending, part.parts)) or \
+            not _matters(part, found):
         return part, found
     own, last = part, found
-    bound=may_matter(part, found)
     for k in range(_PASSES):
-        t0=time.time()
         bent = _bent(own, last)
         new = bent.project(_projected(bent, last), last.layout)
         differ = _differ(new, last.projection, last)
         narrow = k and _quiet(last) and settings.edge_margin < _MARGIN
-        if LOG is not None: LOG.append((('b %.2g'%bound) if k==0 else k, len(last.matrices.A), last.process_noise, differ, settings.edge_margin))
+        if LOG is not None: LOG.append((k, len(last.matrices.A), last.process_noise, differ, settings.edge_margin))
         if narrow:
             settings = settings.replace(edge_margin=_MARGIN)
-        elif differ < (_STAYS if k else _MATTERS):
+        elif k and differ < _STAYS:
             break
-        again = estimate(bent, settings, last.settings.order) if narrow or differ > _MATTERS \
+        again = estimate(bent, settings, last.settings.order) if narrow or differ > _MATTERS or not k \
             else _again(bent, last)
         if again is None:
             break
@@ -85,39 +81,21 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     return own, replace(last, choices=(*last.choices, Choice('bends', 'model', why)))
 
 
-def may_matter(part: Joint, found: Found) -> float:
-    """
-    Return how much bends may do to the lines at most, roughly, in variances of one line's noise.
-
-    A jump of u, or of its slope, is one of the k-th derivative of an output times D, CB or CAB:
-    what interpolation makes of it is as much as an error of h^k times that in a sample.
-    """
-    m, error = found.matrices, as_real(prediction_errors(found.projection, found.matrices))
-    density = found.projection.unit * np.mean(error ** 2, axis=1) + 1e-300
-    gains = [m.D, *(m.C @ np.linalg.matrix_power(m.A, k) @ m.B for k in range(len(_SIZES) - 1))]
-    most = 0.0
-    for p, weight in zip(part.parts, found.layout.weights, strict=True):
-        h = np.array([s.period for s in p.record.outputs for _ in range(s.width)])
-        power = np.zeros(len(h))
-        for k, size in enumerate(_SIZES):
-            for less in range(min(k, 1) + 1):
-                power += (size * h ** k) ** 2 * (gains[k - less] ** 2 @ _jumps(p, less))
-        most = max(most, float(np.max(power * weight ** 2 / density)))
-    return most * found.projection.count
-
-
-def _jumps(p: Usable, degree: int) -> Array:
-    """Return the squared jumps of inputs of a degree, or of their slopes, per second, (nu,)."""
-    found = []
-    for signal in p.record.inputs:
-        if degree == ('zoh', 'linear', 'smooth').index(signal.hold):
-            rise = np.diff(signal.values, axis=0)
-            jump = rise if not degree else np.diff(
-                rise / np.diff(signal.time)[:, np.newaxis], axis=0)
-            found.append(np.sum(jump ** 2, axis=0) / (signal.time[-1] - signal.time[0]))
-        else:
-            found.append(np.zeros(signal.width))
-    return np.concatenate(found)
+def _matters(part: Joint, found: Found) -> bool:
+    """Return whether the bends of a model's own response show beside the noise."""
+    parts = []
+    for p, m in zip(part.parts, found.matrices.of_records(found.projection), strict=True):
+        model = moving_model(m, own_delays(p, found.settings).delays(p.record.nu))
+        if not (np.isfinite(m.A).all() and np.max(model.poles.real) * p.record.duration < _GROWTH):
+            return True
+        seen = simulation(model, p.record)
+        smooth = np.array([s.hold == 'smooth' for s in p.record.outputs for _ in range(s.width)])
+        weights = np.hstack((m.C, m.D, model.y_trim[:, np.newaxis])) * smooth[:, np.newaxis]
+        parts.append(replace(p, bends=Bends(
+            model.A, model.B, model.x_trim, p.record.inputs, model.delay, seen.x0, weights,
+            float(seen.times[0]), float(seen.times[-1]), rough=True)))
+    bent = replace(part, parts=tuple(parts)).project(_projected(part, found), found.layout)
+    return not _differ(bent, found.projection, found) < _MATTERS
 
 
 def _again(part: Joint, found: Found) -> Found | None:

@@ -34,12 +34,14 @@ _RANK = 1e-10         # of the responses that least squares tell apart
 @dataclass(frozen=True, eq=False)
 class Bends:
     """
-    Responses to the inputs of a record that are nearest to the samples of its smooth outputs.
+    A response to the inputs of a record that is near to the samples of its smooth outputs.
 
     Parameters
     ----------
     A, B : ndarray, shapes (n, n), (n, nu)
-        Of the span: all modes for every input, and all of them free.
+        Of a model; or of a span: all modes for every input, and all of them free.
+    drift : ndarray, shape (n,)
+        What drives the states beside the inputs.
     inputs : tuple of Signal
         Of the whole record.
     delay : tuple of float, length nu
@@ -50,16 +52,20 @@ class Bends:
         Of states, inputs and 1 in each output; zero for outputs that are not smooth.
     start, end : float
         First and last sample of the outputs [s]; beyond them the responses are held.
+    rough : bool
+        Whether four digits of the projection are enough.
     """
 
     A: Array
     B: Array
+    drift: Array
     inputs: tuple[Signal, ...]
     delay: tuple[float, ...]
     x0: Array
     weights: Array
     start: float
     end: float
+    rough: bool = False
 
     def at(self, times: Array) -> Array:
         """Return the outputs at increasing times, (ny, M)."""
@@ -69,8 +75,7 @@ class Bends:
     def regressors(self, times: Array) -> Array:
         """Return states, inputs and 1 at increasing times, (n + nu + 1, M)."""
         every = np.concatenate(([self.start], np.clip(times, self.start, self.end)))
-        x, u = respond(self.A, self.B, np.zeros(len(self.A)), self.inputs, self.delay, every,
-                       self.x0)
+        x, u = respond(self.A, self.B, self.drift, self.inputs, self.delay, every, self.x0)
         return np.vstack((x[1:].T, u[1:].T, np.ones((1, len(times)))))
 
     def left_of(self, outputs: Sequence[Signal]) -> list[Signal]:
@@ -101,7 +106,7 @@ class Bends:
         parts = np.maximum(np.ceil(phase / _PHASES[-1]), 1.0).astype(int)
         place = np.concatenate(([0], np.cumsum(parts)))
         knots = np.interp(np.arange(place[-1] + 1), place, knots)
-        points = _POINTS[int(np.searchsorted(_PHASES[:-1], np.max(phase / parts)))]
+        points = 2 if self.rough else _POINTS[int(np.searchsorted(_PHASES[:-1], np.max(phase / parts)))]
         point, weight = np.polynomial.legendre.leggauss(points)
         middle, half = 0.5 * (knots[1:] + knots[:-1]), 0.5 * np.diff(knots)
         at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
@@ -140,7 +145,7 @@ def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
     nu, n = record.nu, len(A)
     found = Bends(
         A=np.kron(np.eye(nu + 1), A), B=np.kron(np.eye(nu + 1, nu), b[:, np.newaxis]),
-        inputs=record.inputs, delay=delay, x0=np.concatenate((np.zeros(n * nu), b)),
+        drift=np.zeros(n * (nu + 1)), inputs=record.inputs, delay=delay, x0=np.concatenate((np.zeros(n * nu), b)),
         weights=np.zeros((record.ny, n * (nu + 1) + nu + 1)),
         start=min(float(t[0]) for t in own), end=max(float(t[-1]) for t in own))
     groups = _groups(poles, nu, trim=trim, feedthrough=feedthrough)
@@ -166,7 +171,8 @@ def _pruned(found: Bends, n: int) -> Bends:
     used |= (np.abs(found.A[:n, :n]) @ used) > 0.0
     kept = np.flatnonzero(np.tile(used, copies))
     rest = np.arange(len(found.A), found.weights.shape[1])
-    return replace(found, A=found.A[np.ix_(kept, kept)], B=found.B[kept], x0=found.x0[kept],
+    return replace(found, A=found.A[np.ix_(kept, kept)], B=found.B[kept],
+                   drift=found.drift[kept], x0=found.x0[kept],
                    weights=found.weights[:, np.concatenate((kept, rest))])
 
 
