@@ -103,7 +103,9 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
         part, found = with_bends(part, found, known)
-        part, found = without_outliers(part, found, known)
+        clean, found = without_outliers(part, found, known)
+        if clean is not part:
+            part, found = with_bends(clean, found, known)
         found = undoubted(part, found, known, first)
         part, found = with_dead_time(records, part, found, settings)
         return undistorted(part, found) or conclude(part, *confirmed(part, found, settings))

@@ -32,7 +32,7 @@ LEVELS = {
         ['estimate', 'samples', 'predictor', 'alignment'],
         ['windows', 'model_json'],
         ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
-        ['bases.base', 'bases.quadrature', 'bases.takenaka_malmquist', 'bases.kinks',
+        ['bases.base', 'bases.quadrature', 'bases.takenaka_malmquist', 'bases.kinks', 'bases.bends',
          'bases.local_polynomials'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable', 'colour', 'stuck'],
@@ -45,7 +45,7 @@ LEVELS = {
         ['driven'], ['ct_pbsid', 'gobf'], ['methods'],
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
-        ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'],
+        ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'], ['bending'],
         ['lateness', 'advice'],
         ['identify'], ['tracking']],
     'ctsid_ros': [

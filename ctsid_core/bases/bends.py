@@ -143,9 +143,11 @@ def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
     own = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     A, b = _modal(poles)
     nu, n = record.nu, len(A)
+    every = np.asarray(np.kron(np.eye(nu + 1), A), dtype=np.float64)
+    drive = np.asarray(np.kron(np.eye(nu + 1, nu), b[:, np.newaxis]), dtype=np.float64)
     found = Bends(
-        A=np.kron(np.eye(nu + 1), A), B=np.kron(np.eye(nu + 1, nu), b[:, np.newaxis]),
-        drift=np.zeros(n * (nu + 1)), inputs=record.inputs, delay=delay, x0=np.concatenate((np.zeros(n * nu), b)),
+        A=every, B=drive, drift=np.zeros(len(every)), inputs=record.inputs, delay=delay,
+        x0=np.concatenate((np.zeros(n * nu), b)),
         weights=np.zeros((record.ny, n * (nu + 1) + nu + 1)),
         start=min(float(t[0]) for t in own), end=max(float(t[-1]) for t in own))
     groups = _groups(poles, nu, trim=trim, feedthrough=feedthrough)
