@@ -79,6 +79,14 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     return own, replace(last, choices=(*choices, Choice('bends', 'response', _WHY)))
 
 
+def on_samples(part: Joint, found: Found) -> float:
+    """Return Schwarz's criterion of a simulation on the samples themselves, as if uniform."""
+    count = sum(len(s.time) * s.width for p in part.parts for s in p.whole.outputs)
+    m = found.matrices
+    free = len(m.A) * (m.B.shape[1] + len(m.C)) + m.D.size * found.settings.feedthrough
+    return float(count * np.log(_left(part, found)) + free * np.log(count))
+
+
 def bent_further(part: Joint, found: Found) -> tuple[Joint, Projection] | None:
     """Return records that bend as another model has it; None if they do not bend, or alike."""
     if all(p.bends is None for p in part.parts):

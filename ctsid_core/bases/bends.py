@@ -106,7 +106,8 @@ class Bends:
         parts = np.maximum(np.ceil(phase / _PHASES[-1]), 1.0).astype(int)
         place = np.concatenate(([0], np.cumsum(parts)))
         knots = np.interp(np.arange(place[-1] + 1), place, knots)
-        points = 2 if self.rough else _POINTS[int(np.searchsorted(_PHASES[:-1], np.max(phase / parts)))]
+        level = int(np.searchsorted(_PHASES[:-1], np.max(phase / parts)))
+        points = 2 if self.rough else _POINTS[level]
         point, weight = np.polynomial.legendre.leggauss(points)
         middle, half = 0.5 * (knots[1:] + knots[:-1]), 0.5 * np.diff(knots)
         at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
