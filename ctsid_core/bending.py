@@ -32,6 +32,7 @@ _ROUNDING = 1e-22     # of an output's power, that counts as noise
 _PASSES = 8           # two or three are usual
 _GROWTH = 5.0         # time constants for which an unstable pole may grow over a record
 _BAND = 0.8           # of the Nyquist frequency, beyond which a mode is none of the plant's
+_LITTLE = 1e-3        # power of an output, that stable modes may leave unexplained
 _NO_WORSE = 1.05      # power that the last model leaves of the samples, over the first's
 _QUIET = 1e-5         # errors over outputs below which the ends of the basis show
 _MARGIN = 10.0        # and the edge margin with which they do not
@@ -103,13 +104,13 @@ def _bending(p: Usable) -> bool:
 
 
 def _matters(part: Joint, found: Found) -> bool:
-    """Return whether the bends of a model's own response show beside the noise, if it is sane."""
+    """Return whether bends show beside the noise: of a model's own response unless it explodes."""
     parts = []
     for p, m in zip(part.parts, found.matrices.of_records(found.projection), strict=True):
         model = moving_model(m, own_delays(p, found.settings).delays(p.record.nu))
         if not (np.isfinite(m.A).all()
                 and np.max(model.poles.real) * p.record.duration < _GROWTH):
-            return True
+            return _explained(_bent(part, found))
         seen = simulation(model, p.record)
         smooth = np.array([s.hold == 'smooth' for s in p.record.outputs for _ in range(s.width)])
         weights = np.hstack((m.C, m.D, model.y_trim[:, np.newaxis])) * smooth[:, np.newaxis]
@@ -117,6 +118,17 @@ def _matters(part: Joint, found: Found) -> bool:
             model.A, model.B, model.x_trim, p.record.inputs, model.delay, seen.x0, weights,
             float(seen.times[0]), float(seen.times[-1]), rough=True)))
     return not _differ(replace(part, parts=tuple(parts)), found) < _MATTERS
+
+
+def _explained(part: Joint) -> bool:
+    """Return whether bends leave little of the samples: what explodes was no plant."""
+    for p in part.parts:
+        left = p.bends.left_of(p.record.outputs) if p.bends else p.record.outputs
+        for signal, rest in zip(p.record.outputs, left, strict=True):
+            power, kept = (np.mean(s.values ** 2, axis=0) for s in (signal, rest))
+            if signal.hold == 'smooth' and (kept > _LITTLE * power).any():
+                return False
+    return True
 
 
 def _bent(part: Joint, found: Found) -> Joint:
