@@ -26,7 +26,7 @@ from ctsid_core.usable import Usable
 from ctsid_core.validation import simulation
 from ctsid_core.whole_model import moving_model
 
-_MATTERS = 3.0        # of what bends do to all lines, in variances of the noise of one
+_MATTERS = 10.0       # of what bends do to all lines, in variances of the noise of one
 _STAYS = 0.03         # the same from one pass to the next
 _ROUNDING = 1e-22     # of an output's power, that counts as noise
 _PASSES = 8           # two or three are usual
