@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ctsid_core.bending import with_bends
 from ctsid_core.by_method import identify_by
 from ctsid_core.cross_check import cross_checked
 from ctsid_core.estimate import Estimate, Status
 from ctsid_core.estimation import confirmed, estimate, undoubted, without_outliers
 from ctsid_core.joint import check_alike, join_records
-from ctsid_core.lateness import with_dead_time
+from ctsid_core.lateness import likelier_dead_time
 from ctsid_core.methods import METHODS
 from ctsid_core.order import FIRST
 from ctsid_core.outcome import conclude
@@ -104,9 +105,13 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         found = estimate(part, known, first)
         if found is None:
             return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
-        part, found = without_outliers(part, found, known)
+        plain = part, found
+        part, found = with_bends(part, found, known)
+        clean, found = without_outliers(part, found, known)
+        if clean is not part:
+            part, found = with_bends(clean, found, known)
         found = undoubted(part, found, known, first)
-        part, found = with_dead_time(records, part, found, settings)
+        part, found = likelier_dead_time(records, plain, (part, found), settings)
         return undistorted(part, found) or conclude(part, *confirmed(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return Estimate(status=Status.UNRELIABLE, settings=settings, verdict=replace(

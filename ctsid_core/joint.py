@@ -139,7 +139,7 @@ class Joint:
 
     def project(self, settings: Settings, layout: Layout) -> Projection:
         """Project the records on bases of their own, side by side."""
-        return joined([project_record(p.record, settings.replace(parts=parts), nmax)
+        return joined([project_record(p.record, settings.replace(parts=parts), nmax, p.bends)
                        for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)],
                       layout.weights)
 
@@ -163,7 +163,7 @@ class Joint:
         first: list[Projection] = []
         last: list[Projection] = []
         for into, of_all, own in ((first, early, 1.0 - share), (last, late, share)):
-            into += [_share(p.record, settings, size, own)
+            into += [_share(p, settings, size, own)
                      for p, size in zip(of_all.parts, layout.sizes, strict=True)]
         return joined(first, layout.weights), joined(last, layout.weights)
 
@@ -200,11 +200,11 @@ class Joint:
         return found[0], found[1]
 
 
-def _share(record: Record, settings: Settings, size: tuple[int, int], share: float) -> Projection:
+def _share(p: Usable, settings: Settings, size: tuple[int, int], share: float) -> Projection:
     """Project a part of a record on a basis that reaches as far as that of the whole."""
     parts = max(round(size[1] * share), 1)
     nmax = max(round(size[0] * size[1] * share / parts), _LEAST_NMAX)
-    return project_record(record, settings.replace(parts=parts), nmax)
+    return project_record(p.record, settings.replace(parts=parts), nmax, p.bends)
 
 
 def join_records(records: Sequence[Record], settings: Settings) -> Joint | Estimate:

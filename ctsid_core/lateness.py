@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Projection
+from ctsid_core.bending import bent_further, on_samples, with_bends
 from ctsid_core.dead_time import LONGEST, DeadTimeSearch, LateFit, delayed
 from ctsid_core.estimate import Choice, Estimate
 from ctsid_core.estimation import estimate, without_outliers
@@ -21,6 +22,31 @@ from ctsid_core.refine import affordable, refine_innovation
 from ctsid_core.selection import model_criterion, most_likely
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Array, Record
+
+_ROUNDS = 4           # of climbing with outputs that bend as late inputs have it
+
+
+def likelier_dead_time(records: Sequence[Record], plain: tuple[Joint, Found],
+                       bent: tuple[Joint, Found], settings: Settings) -> tuple[Joint, Found]:
+    """
+    Return records and their model with the dead times that they show.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        As they were given.
+    plain : (Joint, Found)
+        What can be used of them without dead time, and the model of interpolated outputs.
+    bent : (Joint, Found)
+        The same of outputs that bend, if they do: a model without dead time bends them at the
+        wrong times if there is one, and the other one knows the dead time better then.
+    settings : Settings
+    """
+    found = with_dead_time(records, *bent, settings)
+    if all(p.bends is None for p in bent[0].parts):
+        return found
+    other = with_dead_time(records, *plain, settings)
+    return found if other[1] is plain[1] else min(found, other, key=lambda x: on_samples(*x))
 
 
 def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
@@ -64,8 +90,17 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     other = estimate(shorter, known, len(rough.poles))
     if other is None:
         return part, found
+    shorter, other = with_bends(shorter, other, known.replace(order=settings.order))
     shorter, other = without_outliers(shorter, other, known)
-    return shorter, _climbed(shorter, other, rough.late, rough.why(order))
+    climbed = _climbed(shorter, other, rough.late, rough.why(order))
+    for _ in range(_ROUNDS):
+        further = bent_further(shorter, climbed)
+        if further is None:
+            break
+        shorter, projection = further
+        climbed = _climbed(shorter, replace(climbed, projection=projection,
+                                            choices=other.choices), rough.late, rough.why(order))
+    return shorter, climbed
 
 
 def _likelier(hunt: DeadTimeSearch, rough: LateFit, found: Found) -> bool:

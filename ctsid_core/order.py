@@ -41,6 +41,7 @@ _WHITE = 1e-2                 # chance above which errors count as white
 _COLOURED, _LOUD = 1e-12, 3.0  # chance and ratio of a peak beyond which a mode is missing
 _MARGIN = 10.0                # by which lower orders must be worse: no maximum is exact
 EXPLAINED = 1e-6             # residual power below this fraction needs no further state
+_BENT = 1e-12                # the same where interpolation has no part in it
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,11 @@ class Search:
         return float((n * (inputs + 2 * ny) + direct) * self.charge) - self._discount(n)
 
     @property
+    def explained(self) -> float:
+        """Residual power, over that of an output, below which no further state is needed."""
+        return _BENT if self.projection.bent else EXPLAINED
+
+    @property
     def charge(self) -> float:
         """What Schwarz's criterion charges for one parameter."""
         return float(np.log(len(self.projection.y) * 2.0 * len(self.projection.s)))
@@ -253,7 +259,7 @@ class Search:
             if trial is None:
                 break
             tried[n] = trial
-            if trial.residual <= EXPLAINED or self._far_beyond(tried, n):
+            if trial.residual <= self.explained or self._far_beyond(tried, n):
                 break
         for n in range(min(tried, default=2) - 1, 0, -1):
             if tried and self._far_below(tried, n):
@@ -287,12 +293,12 @@ class Search:
         it, and cheaper.
         """
         best, above = min(t.criterion for t in tried.values()), tried[n + 1]
-        return above.residual > EXPLAINED and \
+        return above.residual > self.explained and \
             above.criterion - n * self._price_of_state - _MARGIN > best
 
     def _believed(self, trials: list[OrderTrial]) -> list[OrderTrial]:
         """Return the trials but those unstable, or of more states, for little."""
-        explained = [t.order for t in trials if t.residual <= EXPLAINED]
+        explained = [t.order for t in trials if t.residual <= self.explained]
         trials = [t for t in trials if t.order <= min(explained, default=t.order)]
         return [t for t in trials if not (
             t.pair.limit == np.inf and any(

@@ -33,6 +33,7 @@ from ctsid_core.validation import simulation
 
 FEWEST = 50             # samples of a channel that is looked at
 SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest
+_LEAST = 1e-6           # of a channel's motion, by which a corrupt sample is off at least
 _EXPLAINED = 0.3        # of how far off a sample seemed, up to which a model explains it
 _HELP = 1.2             # scale over that without a model from which on the model is no help
 
@@ -174,7 +175,8 @@ def _left(signal: Signal, times: Array, y_hat: Array, before: Spikes,
     expected = y_hat[np.searchsorted(times, signal.time[inside])]
     if not np.isfinite(expected).all():
         return before, 1.0
-    least = np.array([resolution(row) for row in signal.values.T])
+    least = np.array([max(resolution(row), _LEAST * float(np.std(row)))
+                      for row in signal.values.T])
     found = spikes(signal.time[inside], signal.values[inside] - expected, least=least,
                    inputs=None if inputs is None else inputs[inside], closely=True)
     useful = ~(found.scale > _HELP * before.scale)
@@ -189,6 +191,23 @@ def _left(signal: Signal, times: Array, y_hat: Array, before: Spikes,
                 for values in (before.instead, instead))
     gain = np.maximum(old, new) / np.maximum(np.minimum(old, new), np.finfo(float).tiny)
     return Spikes(mask, instead, found.scale, found.suspects, found.too_many), float(np.max(gain))
+
+
+def put_back(measured: Signal, found: Spikes, expected: Array) -> Spikes:
+    """
+    Return the corrupt samples but those that something else explains.
+
+    Parameters
+    ----------
+    measured : Signal
+        With its corrupt samples.
+    found : Spikes
+    expected : ndarray, shape (N, m)
+        What the samples should be by that.
+    """
+    off = np.abs(measured.values - expected)
+    mask = found.mask & (off > _EXPLAINED * np.abs(measured.values - found.instead))
+    return replace(found, mask=mask, instead=np.where(mask, found.instead, measured.values))
 
 
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],

@@ -30,6 +30,7 @@ _SMOOTHING = 9        # lines over which the residuals' power is averaged at fir
 _ROUNDS = 3           # of the regression, weighted by what the last one found
 _QUIET = 0.05         # of the residuals' power is measurement noise at least
 _WORTH = 0.5          # of Schwarz's price of K is gained at least, or else there is no K
+_NOTHING = 1e-6       # residuals over outputs that are those of the basis, and of rounding
 _DAMPED = 1.5         # distances of lines: least damping of the predictor
 
 
@@ -49,10 +50,13 @@ def with_process_noise(projection: Projection, m: Matrices,
     -------
     Matrices or None
         With the same A and C, and the B, D, trim and tail that go with K best. None if residuals
-        are white, or if the Riccati equation has no solution.
+        are white or nothing, or if the Riccati equation has no solution.
     """
     error = projection.y - simulate_lines(projection, m)
     size = np.sqrt(np.mean(as_real(error) ** 2, axis=1)) + 1e-150
+    if projection.bent and (size <= _NOTHING * np.sqrt(
+            np.mean(as_real(projection.y) ** 2, axis=1))).all():
+        return None
     power = 0.5 * np.sum(np.abs(error / size[:, np.newaxis]) ** 2, axis=0)
     gain = resolvent(m.A, projection.s).outputs(m.C) / size[:, np.newaxis]
     causes = _causes(m)

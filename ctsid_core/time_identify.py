@@ -42,7 +42,7 @@ def told_in_time(part: Joint, settings: Settings) -> Estimate | None:
 def undistorted(part: Joint, found: Found) -> Estimate | None:
     """Return the estimate from the raw samples if a model tells that interpolation did harm."""
     usable = part.parts[0]
-    known = found.projection.slopes is None
+    known = found.projection.slopes is None and not found.projection.bent
     if part.several or not (known and found.settings.refine and np.isfinite(
             found.matrices.A).all()):
         return None

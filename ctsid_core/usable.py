@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.estimate import Status
 from ctsid_core.outliers import (
@@ -15,6 +16,7 @@ from ctsid_core.outliers import (
     against_model,
     despiked,
     no_spikes,
+    put_back,
     report,
 )
 from ctsid_core.settings import Settings
@@ -53,6 +55,8 @@ class Usable:
         Corrupt samples of the inputs and outputs of `record`.
     held : tuple of (ndarray or None)
         Held inputs at the stamps of each output signal, if it may follow them at once.
+    bends : Bends, optional
+        What the outputs of `record` do between their samples, if that is known.
     """
 
     record: Record
@@ -66,6 +70,7 @@ class Usable:
     corrupt_u: tuple[Spikes, ...]
     corrupt_y: tuple[Spikes, ...]
     held: tuple[Array | None, ...]
+    bends: Bends | None = None
 
     def doubtful(self, density: Array) -> bool:
         """
@@ -117,6 +122,21 @@ class Usable:
                         for s, f in zip(self.measured, found, strict=True))
         return replace(self, record=replace(self.record, outputs=outputs),
                        corrupt_y=tuple(found)), gain
+
+    def bent(self, bends: Bends) -> Usable:
+        """Return this with outputs that bend so, and with the samples that this explains."""
+        outputs, found, first = [], [], 0
+        for own, measured, spiky in zip(self.record.outputs, self.measured, self.corrupt_y,
+                                        strict=True):
+            channels = slice(first, first + own.width)
+            first += own.width
+            if spiky.any and own.hold == 'smooth':
+                spiky = put_back(measured, spiky, bends.at(own.time)[channels].T)
+                own = replace(own, values=spiky.instead)
+            outputs.append(own)
+            found.append(spiky)
+        return replace(self, record=replace(self.record, outputs=tuple(outputs)),
+                       corrupt_y=tuple(found), bends=bends)
 
     def corrupt(self) -> tuple[list[str], dict[str, float]]:
         """Return a sentence per channel with corrupt samples, and their numbers by name."""

@@ -35,7 +35,7 @@ LEVELS = {
         ['bases.chirp_sums', 'bases.blocks'],
         ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
         ['bases.base', 'bases.quadrature', 'bases.takenaka_malmquist', 'bases.kinks',
-         'bases.local_polynomials'], ['bases.hermite', 'storage', 'validation'],
+         'bases.bends', 'bases.local_polynomials'], ['bases.hermite', 'storage', 'validation'],
         ['outliers'], ['tall_qr'],
         ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable', 'colour', 'stuck'],
         ['window_ends', 'gobf_subspace'], ['pole_fit', 'prediction_errors', 'delay_columns'],
@@ -47,7 +47,7 @@ LEVELS = {
         ['driven'], ['ct_pbsid', 'gobf'], ['methods'],
         ['mode_sensitivity', 'sameness'], ['time_prediction'],
         ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
-        ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'],
+        ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'], ['bending'],
         ['lateness', 'advice', 'cross_check'],
         ['identify'], ['tracking']],
     'ctsid_ros': [

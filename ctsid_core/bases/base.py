@@ -45,6 +45,8 @@ class Projection:
     slopes : ndarray, shape (nu, L), or None
         Derivatives of u by the dead times that were estimated [1/s], zero for those that are
         known; None if all are.
+    bent : bool
+        Whether outputs are known between their samples, and not only interpolated.
     """
 
     s: Lines
@@ -57,6 +59,7 @@ class Projection:
     end: float
     members: tuple[Projection, ...] = ()
     slopes: Lines | None = None
+    bent: bool = False
 
     @property
     def records(self) -> tuple[Projection, ...]:
@@ -105,7 +108,8 @@ def joined(records: Sequence[Projection], weights: Sequence[float]) -> Projectio
         s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
         y=np.hstack([p.y for p in members]), tail=_apart([p.tail for p in members]),
         ones=_apart([p.ones for p in members]), unit=unit, start=0.0,
-        end=sum(p.end - p.start for p in members), members=members)
+        end=sum(p.end - p.start for p in members), members=members,
+        bent=all(p.bent for p in members))
 
 
 def _scaled(p: Projection, factor: float) -> Projection:

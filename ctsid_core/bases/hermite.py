@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.base import Lines, Projection
+from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.quadrature import coefficients
@@ -113,7 +114,8 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
     return float(tau / (turning + settings.edge_margin * turning ** (-1.0 / 3.0)))
 
 
-def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
+def project_record(record: Record, settings: Settings, nmax: int,
+                   bends: Bends | None = None) -> Projection:
     """
     Project a record on Hermite functions, each signal from its own stamps.
 
@@ -124,6 +126,8 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
         Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
     nmax : int
         Highest order, in each of `settings.parts` parts of equal length.
+    bends : Bends, optional
+        What the outputs do between their samples; else they are interpolated.
 
     Notes
     -----
@@ -135,7 +139,7 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
     [HD] eq. 27, 33, 34.
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
-    parts = [_project_part(record, settings, nmax, float(start), float(end))
+    parts = [_project_part(record, settings, nmax, float(start), float(end), bends)
              for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
     if len(parts) == 1:
         return parts[0]
@@ -206,15 +210,20 @@ def input_slopes(record: Record, settings: Settings, nmax: int,
     return slopes
 
 
-def _project_part(record: Record, settings: Settings, nmax: int, start: float,
-                  end: float) -> Projection:
+def _project_part(record: Record, settings: Settings, nmax: int, start: float, end: float,
+                  bends: Bends | None) -> Projection:
     basis = hermite_lines(nmax)
     alpha = time_scale(nmax, 0.5 * (end - start), settings)
     inputs, delays = by_delay(record, settings.delays(record.nu))
-    signals = (*inputs, *record.outputs)
+    outputs = record.outputs if bends is None else bends.left_of(record.outputs)
+    signals = (*inputs, *outputs)
     found = coefficients(signals, start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
-    lines, nu = basis.lines(np.vstack(found)), sum(map(len, found[:len(inputs)]))
+    nu = sum(map(len, found[:len(inputs)]))
+    both = np.vstack(found)
+    if bends is not None:
+        both[nu:] += bends.coefficients(start, end, alpha, nmax)
+    lines = basis.lines(both)
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
@@ -222,7 +231,7 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
         u=lines[:nu], y=lines[nu:],
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
-        unit=alpha, start=start, end=end)
+        unit=alpha, start=start, end=end, bent=bends is not None)
 
 
 def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int,

@@ -173,7 +173,7 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
     x = _dimensionless(nodes, start, end, alpha)
     step, rise = np.diff(x), np.diff(level, axis=1)
     steep = step * top < _STEEP
-    slope = np.where(steep, 0.0, rise) / step
+    slope = np.where(steep, 0.0, rise) / np.where(steep, 1.0, step)
     kinks, jumps = np.zeros_like(level), np.zeros_like(level)
     kinks[:, :-1] = slope
     kinks[:, 1:] -= slope

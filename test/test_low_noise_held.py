@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Low noise and held inputs: what outputs do between their samples is told by their response."""
+
+from __future__ import annotations
+
+import numpy as np
+from plants import (
+    PLANTS,
+    Plant,
+    jittered,
+    match,
+    noisy,
+    plant,
+    random_plant,
+    random_signal,
+    running,
+)
+import pytest
+from scipy.signal import zpk2ss
+
+from ctsid_core import Record, Settings, Signal, StateSpace, identify
+from ctsid_core.bases.bends import SPARE, bends
+from ctsid_core.bases.hermite import project_record
+from ctsid_ros.studies import takenaka_malmquist as study
+
+FIRST = plant(*zpk2ss([-5.0], [-3.0, -12.0], 7.2))                    # relative degree 1
+SECOND = plant(*zpk2ss([-4 + 9j, -4 - 9j], [-1.5 + 6j, -1.5 - 6j, -2 + 15j, -2 - 15j], 100.0))
+MANY = random_plant(np.random.default_rng(0), 3, 2, 2)
+RATES = {'same stamps': (100.0, 100.0, False), 'input slower': (50.0, 200.0, True),
+         'input faster': (200.0, 100.0, True)}
+
+
+def driven(p: Plant, hold: str, rates: str, snr: float | None, seed: int = 1, *,
+           delay: float = 0.0, white: bool = True, duration: float = 10.0) -> Record:
+    """Return exact samples of a plant under steps or straight lines, and noise."""
+    rng, (rate_u, rate_y, jitter) = np.random.default_rng(seed), RATES[rates]
+    if jitter:
+        t_u, t_y = jittered(rng, rate_u, duration + 4.0) - 4.0, jittered(rng, rate_y, duration)
+    else:
+        t_u = np.arange(round((duration + 4.0) * rate_u) + 1) / rate_u - 4.0
+        t_y = np.arange(round(duration * rate_y) + 1) / rate_y
+    t_y = t_y[(t_y >= 0.0) & (t_y <= duration)]
+    nu = p.B.shape[1]
+    u = rng.standard_normal((len(t_u), nu)) if white else random_signal(rng, nu).at(t_u)
+    truth = StateSpace(A=p.A, B=p.B, C=p.C, D=p.D, delay=(delay,) * nu)
+    y = truth.simulate((Signal(t_u, u, hold),), np.concatenate((t_u[:1], t_y)))[1:]
+    kept = t_u > -0.5
+    return Record.from_arrays(t_u[kept], u[kept], t_y, noisy(rng, y, snr), input_hold=hold)
+
+
+def errors(found, p: Plant):
+    """Return the relative errors of the poles, and the errors over `pole_std`."""
+    order = [int(np.argmin(np.abs(found.model.poles - q)))
+             for q in match(found.model.poles, p.poles)]
+    off = np.abs(found.model.poles[order] - p.poles)
+    return off / np.abs(p.poles), off / found.pole_std[order]
+
+
+@pytest.mark.parametrize('snr', [60.0, 90.0, 120.0, None])
+@pytest.mark.parametrize('rates', RATES)
+@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+@pytest.mark.parametrize('p', [FIRST, SECOND, MANY], ids=['degree 1', 'degree 2', '2 x 2'])
+def test_order_and_poles_to_the_noise(p, hold, rates, snr):
+    found = identify(driven(p, hold, rates, snr), Settings(delay=0.0))
+    assert found.ok
+    assert found.model.n == len(p.poles)
+    relative, deviations = errors(found, p)
+    if snr is None:
+        assert relative.max() < 1e-8
+    else:
+        assert deviations.max() < 4.0
+        assert relative.max() < 10.0 ** (-snr / 20.0)
+
+
+@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+@pytest.mark.parametrize('rates', RATES)
+def test_feedthrough_and_moderate_noise(hold, rates):
+    p = PLANTS['hd52']
+    found = identify(driven(p, hold, rates, 40.0), Settings(delay=0.0))
+    assert found.ok
+    assert found.model.n == 3
+    relative, deviations = errors(found, p)
+    assert deviations.max() < 4.0
+    assert relative.max() < 3e-3
+
+
+def test_deviation_is_what_is_seen():
+    z = [errors(identify(driven(FIRST, 'zoh', 'same stamps', 40.0, seed, duration=5.0),
+                         Settings(delay=0.0, order=2)), FIRST)[1] for seed in range(10)]
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+@pytest.mark.parametrize('order', [0, 4])
+def test_printed_example(order):
+    """Of [TM] section V, in which a spline through the outputs loses the slow poles."""
+    truth = study.response(study.plant())
+    for seed in range(3):
+        found = identify(study.example(seed), Settings(order=order, delay=0.0))
+        assert found.model.n == 4
+        assert study.relative(np.abs(study.response(found.model) - truth)[np.newaxis])[0] < 1e-4
+
+
+def test_noise_and_smooth_inputs_are_left_alone():
+    for record in (driven(SECOND, 'zoh', 'same stamps', 20.0),
+                   running(np.random.default_rng(0), FIRST, None, duration=4.0)):
+        found = identify(record, Settings(delay=0.0))
+        assert 'bends' not in {c.name for c in found.choices}
+
+
+def test_lines_of_bent_outputs_are_exact():
+    """Of the plant's own modes: the lines of the output solve the equations of the lines."""
+    record = driven(FIRST, 'zoh', 'input slower', None)
+    poles = np.concatenate((FIRST.poles, -np.geomspace(0.1, 100.0, SPARE)))
+    bent = bends(record, poles, (0.0,), [np.zeros((len(s.time), 1), bool)
+                                         for s in record.outputs], trim=True, feedthrough=True)
+    settings = Settings(edge_margin=12.0, delay=0.0)
+    for own, least, most in ((None, 1e-4, np.inf), (bent, 0.0, 1e-9)):
+        p = project_record(record, settings, 250, own)
+        gain = np.linalg.solve(p.s[:, np.newaxis, np.newaxis] * np.eye(2) - FIRST.A,
+                               np.broadcast_to(np.eye(2), (len(p.s), 2, 2)))
+        forced = (FIRST.C @ gain @ FIRST.B)[:, 0, 0] * p.u[0]
+        free = (FIRST.C @ gain)[:, 0].T * p.tail[0]
+        left = p.y[0] - forced
+        both = np.concatenate((free.real, free.imag), axis=1)
+        own_left = np.concatenate((left.real, left.imag))
+        off = own_left - np.linalg.lstsq(both.T, own_left, rcond=None)[0] @ both
+        error = np.linalg.norm(off) / np.linalg.norm(p.y)
+        assert least < error < most
