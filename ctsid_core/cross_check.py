@@ -103,7 +103,8 @@ def _later(first: Estimate, second: Estimate, one: StateSpace,
     """Return the input whose dead time the second method most surely finds otherwise, and how."""
     away = np.subtract(other.delay, one.delay)
     std = np.hypot(first.delay_std, second.delay_std)
-    sure = np.where(away == 0.0, 0.0, np.abs(away) / np.where(std > 0.0, std, 1e-300))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        sure = np.where((away == 0.0) | np.isnan(std), 0.0, np.abs(away) / std)
     at = int(np.argmax(sure))
     return (one.input_names[at], float(away[at])) if sure[at] > DEVIATIONS else ('', 0.0)
 

@@ -42,11 +42,12 @@ def likelier_dead_time(records: Sequence[Record], plain: tuple[Joint, Found],
         wrong times if there is one, and the other one knows the dead time better then.
     settings : Settings
     """
-    found = with_dead_time(records, *bent, settings)
     if all(p.bends is None for p in bent[0].parts):
-        return found
-    other = with_dead_time(records, *plain, settings)
-    return found if other[1] is plain[1] else min(found, other, key=lambda x: on_samples(*x))
+        return with_dead_time(records, *bent, settings)
+    late = with_dead_time(records, *plain, settings)
+    if late[1] is not plain[1] and on_samples(*late) < on_samples(*bent):
+        return late
+    return with_dead_time(records, *bent, settings)
 
 
 def with_dead_time(records: Sequence[Record], part: Joint, found: Found,

@@ -159,7 +159,7 @@ class Settings:
     cross_check: str = parameter(
         UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
         'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',
-        choices=(UNCHECKED, *METHODS),
+        choices=(UNCHECKED, *(m for m in METHODS if m != 'ct-pbsid-filter')),
         when='Set it to hd-pbsid where another method is used and there is time for it; it finds '
         'dead times, too.')
     window_length: float = parameter(

@@ -81,7 +81,7 @@ def factors(columns: Array) -> tuple[Array, Array]:
     parts = [slice(start, end) for start, end in pairwise(edges)]
     alive = [np.flatnonzero((first < part.stop) & (last > part.start)) for part in parts] \
         if len(parts) > 1 else []
-    if sum(map(len, alive)) < n:
+    if len(parts) < 2 or sum(map(len, alive)) < n:
         whole = np.linalg.qr(columns)
         return whole[0], whole[1]
     Q, stack, row = np.empty((m, n)), np.zeros((sum(map(len, alive)), n)), 0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 import json
 import os
@@ -232,6 +233,7 @@ def test_study_prints_its_table(ctsid, tmp_path):
         assert len(re.findall(rf'dB +-\d.* {method} ', out)) == 8    # four SNRs, two poles
     assert '0.0882' in out                                            # CT-PBSID as published
     assert ctsid('study', 'nothing')[0] == 2
+    assert ctsid('study', 'all', '--seeds', '0')[0] == 2
 
 
 def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
@@ -246,6 +248,9 @@ def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
         if kept.exists() and len(kept.read_text().splitlines()) > 20:
             break
     os.killpg(study.pid, signal.SIGINT)
+    time.sleep(0.1)
+    with suppress(ProcessLookupError):
+        os.killpg(study.pid, signal.SIGINT)              # impatience does not make it hang
     _, err = study.communicate(timeout=60)
     assert study.returncode == 130
     assert err.strip().endswith('ctsid: interrupted')

@@ -301,7 +301,7 @@ def test_people_are_told():
 
 
 def test_a_method_does_not_check_itself():
-    for method in ALL:
+    for method in ('hd-pbsid', 'ct-pbsid', 'gobf'):
         with pytest.raises(SettingsError, match='as `method` is; choose another'):
             Settings(method=method, cross_check=method)
     with pytest.raises(SettingsError, match='cross_check` is .n4sid.; choose one of .none'):

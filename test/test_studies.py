@@ -67,7 +67,7 @@ def test_wrong_orders_are_counted_and_left_out():
 
 def test_several_processes_find_what_one_finds():
     task = partial(windows.one, name='quadrotor', snr=20)
-    one, two = (runs(task, 2, 'test', jobs) for jobs in (1, 2))
+    one, two = (runs(task, 'test', 2, jobs) for jobs in (1, 2))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_allclose(a.error, b.error, rtol=1e-9)
 
@@ -90,29 +90,38 @@ def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
     """Also if it was cut off while it wrote a row; what is read is what was found, bit by bit."""
     file, log = tmp_path / 'runs.csv', tmp_path / 'log'
     task = partial(counted, path=log)
-    first = runs(task, 3, 'one', kept=KeptRuns(file))
-    runs(task, 1, 'another', kept=KeptRuns(file))
+    first = runs(task, 'one', 3, kept=KeptRuns(file))
+    runs(task, 'another', 1, kept=KeptRuns(file))
     text = file.read_text()
     file.write_text(text[:-40])          # of the last row
-    again = runs(task, 5, 'one', kept=KeptRuns(file))
+    again = runs(task, 'one', 5, kept=KeptRuns(file))
     assert len(again) == 5
     assert log.read_text().split() == ['0', '1', '2', '0', '3', '4']
     for a, b in zip(first, again, strict=False):
         np.testing.assert_array_equal(a.error, b.error)
         np.testing.assert_array_equal(a.model.A, b.model.A)
         assert (a.order, a.status) == (b.order, b.status)
-    runs(task, 1, 'another', kept=KeptRuns(file))
+    runs(task, 'another', 1, kept=KeptRuns(file))
     assert log.read_text().split()[6:] == ['0']
 
 
 def test_runs_of_other_code_are_not_taken(tmp_path, monkeypatch):
     file, log = tmp_path / 'runs.csv', tmp_path / 'log'
     task = partial(counted, path=log)
-    runs(task, 2, 'one', kept=KeptRuns(file))
+    runs(task, 'one', 2, kept=KeptRuns(file))
     monkeypatch.setattr(kept_runs, 'code', lambda: 'changed')
-    runs(task, 1, 'one', kept=KeptRuns(file))
+    runs(task, 'one', 1, kept=KeptRuns(file))
     assert log.read_text().split() == ['0', '1', '0']
-    assert len(file.read_text().splitlines()) == 2
+    monkeypatch.undo()
+    runs(task, 'one', 2, kept=KeptRuns(file))            # and they are still there
+    assert log.read_text().split() == ['0', '1', '0']
+
+
+def test_studies_do_not_take_each_others_runs(tmp_path):
+    file, log = tmp_path / 'runs.csv', tmp_path / 'log'
+    for study in ('a', 'b', 'a'):
+        runs(partial(counted, path=log), '50 dB', 1, kept=KeptRuns(file), study=study)
+    assert log.read_text().split() == ['0', '0']
 
 
 def test_runs_without_a_model_are_kept(tmp_path):
@@ -189,7 +198,7 @@ def test_a_page_takes_its_tables():
 @pytest.mark.slow
 @pytest.mark.parametrize('snr', table1.SNRS)
 def test_table_1(snr):
-    found = summary(runs(partial(table1.one, snr=snr, settings=Settings(order=3)), 100, 'table 1'))
+    found = summary(runs(partial(table1.one, snr=snr, settings=Settings(order=3)), 'table 1', 100))
     assert found.right == 1.0
     assert (found.rmse <= 1.15 * table1.bound(snr)).all()
     assert max(table1.worst_ratio(found, snr, i) for _, i in of_poles(quadrotor())) <= 0.8
@@ -198,7 +207,7 @@ def test_table_1(snr):
 @pytest.mark.slow
 @pytest.mark.parametrize(('name', 'snr'), windows.EXPERIMENTS)
 def test_windows(name, snr):
-    found = summary(runs(partial(windows.one, name=name, snr=snr), 100, name))
+    found = summary(runs(partial(windows.one, name=name, snr=snr), name, 100))
     limit = 1.2 if snr == 50 or 'flexible' in name else 1.1
     assert found.right >= 0.9
     assert (found.rmse <= limit * windows.bound(name, snr)).all()
@@ -207,7 +216,7 @@ def test_windows(name, snr):
 @pytest.mark.slow
 @pytest.mark.parametrize('q', closed_loop.LEVELS[1:])
 def test_closed_loop(q):
-    found = summary(runs(partial(closed_loop.one, q=q), 100, f'q = {q}'))
+    found = summary(runs(partial(closed_loop.one, q=q), f'q = {q}', 100))
     assert found.right >= 0.95
     assert (found.bias < found.std).all()
     assert (found.rmse <= 1.3 * closed_loop.bound(q)).all()

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 _DECAY = 36.0               # beyond its reach h_nmax is below exp(-36) = 2e-16
 _LEAST_ORDER = 100          # below, or with few samples, the direct way is as quick
+_FEWEST = 0.125             # samples over frequencies: a table that is kept serves many times
 _LARGEST_TABLE = 2 ** 21    # values of h_n(w_j) that are kept: 16 MB, nmax up to 1700 or so
 
 
@@ -46,9 +47,19 @@ def project(nmax: int, x: Array, weights: Array) -> Array:
     ndarray, shape (m, nmax + 1)
         Which of the two ways is taken depends on nmax and N only; they agree to 1e-12.
     """
-    if nmax < _LEAST_ORDER or len(x) < len(frequency_grid(nmax).w):
+    if nmax < _LEAST_ORDER or len(x) < _fewest(nmax):
         return project_directly(nmax, x, weights)
     return _project_by_frequencies(nmax, x, weights)
+
+
+def _fewest(nmax: int) -> float:
+    """Return the number of samples from which on the way by frequencies is quicker."""
+    frequencies = len(frequency_grid(nmax).w)
+    return frequencies * (_FEWEST if _kept(nmax) else 1.0)
+
+
+def _kept(nmax: int) -> bool:
+    return (nmax + 1) * len(frequency_grid(nmax).w) <= _LARGEST_TABLE
 
 
 def _project_by_frequencies(nmax: int, x: Array, weights: Array) -> Array:
@@ -60,7 +71,7 @@ def _project_by_frequencies(nmax: int, x: Array, weights: Array) -> Array:
     spectrum *= grid.w[1] * np.sqrt(2.0 / np.pi)               # for both signs of w
     spectrum[:, 0] *= 0.5
     c = np.empty((len(weights), nmax + 1))
-    if (nmax + 1) * len(grid.w) <= _LARGEST_TABLE:
+    if _kept(nmax):
         even, odd = frequency_table(nmax)
         c[:, 0::2], c[:, 1::2] = even.times(spectrum.real), odd.times(spectrum.imag)
     else:

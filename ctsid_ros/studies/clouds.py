@@ -41,7 +41,8 @@ def bode(done: Sequence[Outcome], truth: StateSpace, omega: Array, output: int,
     """
     true = truth.frequency_response(omega)[:, output, 0]
     own = np.array([o.model.frequency_response(omega)[:, output, 0]
-                    for o in done if o.model is not None])
+                    for o in done if o.model is not None]).reshape(-1, len(omega))
+    own = own if len(own) else np.full((1, len(omega)), np.nan + 0j)
     turn = np.unwrap(np.angle(true))
     sizes = 20.0 * np.log10(np.abs(own))
     phases = np.degrees(turn + np.angle(own / np.exp(1j * turn)))

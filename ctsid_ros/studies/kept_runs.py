@@ -3,13 +3,14 @@
 Outcomes of runs in a CSV file: a study that was interrupted goes on where it was.
 
 Every row is a run, written as soon as it is done: names in `COLUMNS`, several numbers in one cell
-apart by spaces, matrices by rows. Rows are taken again only if the code that made them is the code
-that reads them, and NumPy and SciPy are the same.
+apart by spaces, matrices by rows; the last cell is written last. Rows are taken again only if the
+code that made them is the code that reads them, and NumPy and SciPy are the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 import csv
 from functools import cache
 import hashlib
@@ -25,7 +26,9 @@ from ctsid_core.statespace import StateSpace
 from ctsid_ros.studies.monte_carlo import Outcome
 
 COLUMNS = ('experiment', 'code', 'seed', 'order', 'status', 'error', 'deviation',
-           'A', 'B', 'C', 'D')
+           'A', 'B', 'C', 'D', 'whole')
+# Modules of the studies that results do not depend on.
+DRAWING = ('clouds', 'network', 'figure_files', 'hd_basis', 'page', 'runner', 'kept_runs')
 
 
 class KeptRuns:
@@ -35,25 +38,21 @@ class KeptRuns:
     Parameters
     ----------
     path : Path
-        The file; made when the first run is kept. Rows of other code, and a row that was cut off
-        while it was written, are removed from it.
+        The file; made when the first run is kept. Rows of other code are left as they are, and so
+        is a row that was cut off while it was written.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._done: dict[str, dict[int, Outcome]] = {}
         text = path.read_text(encoding='utf-8') if path.exists() else ''
-        good = list(self._read(text))
-        again = _as_text([COLUMNS, *good]) if good else ''
-        if again != text:
-            path.write_text(again, encoding='utf-8')
-
-    def _read(self, text: str) -> Iterator[list[str]]:
-        whole = text[:text.rfind('\n') + 1]
-        for row in csv.reader(io.StringIO(whole)):
+        self._torn = bool(text) and not text.endswith('\n')
+        for line in text.splitlines():
+            row = next(csv.reader([line]), [])
             if len(row) == len(COLUMNS) and row[1] == code():
-                self._done.setdefault(row[0], {})[int(row[2])] = _outcome(row)
-                yield row
+                with suppress(ValueError, IndexError):     # damaged, or cut off within a number
+                    self._done.setdefault(row[0], {})[int(row[2])] = _outcome(row)
+        self._empty = not text
 
     def of(self, experiment: str) -> dict[int, Outcome]:
         """Return the outcomes of an experiment by their seeds."""
@@ -62,10 +61,10 @@ class KeptRuns:
     def add(self, experiment: str, seed: int, found: Outcome) -> None:
         """Keep one run."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        row = (experiment, code(), str(seed), *_cells(found))
-        fresh = not self._path.exists() or self._path.stat().st_size == 0
+        row = (experiment, code(), str(seed), *_cells(found), 'end')
         with self._path.open('a', encoding='utf-8', newline='') as stream:
-            stream.write(_as_text([COLUMNS, row] if fresh else [row]))
+            stream.write('\n' * self._torn + _as_text([COLUMNS, row] if self._empty else [row]))
+        self._torn = self._empty = False
         self._done.setdefault(experiment, {})[seed] = found
 
 
@@ -75,7 +74,7 @@ def code() -> str:
     digest = hashlib.sha256(f'{np.__version__} {scipy.__version__}'.encode())
     for package in ('ctsid_core', 'ctsid_ros.studies'):
         folder = Path(str(import_module(package).__file__)).parent
-        for path in sorted(folder.rglob('*.py')):
+        for path in sorted(p for p in folder.rglob('*.py') if p.stem not in DRAWING):
             digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 
@@ -98,7 +97,7 @@ def _outcome(row: list[str]) -> Outcome:
     error = np.array([complex(x) for x in row[5].split()])
     model = None
     if row[7]:
-        A, B, C, D = (_array(cell) for cell in row[7:])
+        A, B, C, D = (_array(cell) for cell in row[7:11])
         n = round(np.sqrt(len(A)))
         ny, nu = len(C) // n, len(B) // n
         model = StateSpace(A.reshape(n, n), B.reshape(n, nu), C.reshape(ny, n), D.reshape(ny, nu))

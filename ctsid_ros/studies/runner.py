@@ -21,8 +21,8 @@ from ctsid_ros.studies.monte_carlo import Outcome
 Task = Callable[[int], Outcome]
 
 
-def runs(task: Task, count: int, title: str, jobs: int = 1,
-         kept: KeptRuns | None = None) -> list[Outcome]:
+def runs(task: Task, title: str, count: int, jobs: int = 1, kept: KeptRuns | None = None,
+         study: str = '') -> list[Outcome]:
     """
     Return the outcomes of seeds 0, 1, ...
 
@@ -30,21 +30,24 @@ def runs(task: Task, count: int, title: str, jobs: int = 1,
     ----------
     task : callable
         From the seed; of a module, for other processes have to find it.
-    count : int
     title : str
         Of the experiment: for the line that shows how far it is, and for what is kept.
+    count : int
     jobs : int
         Processes; 1: this one.
     kept : KeptRuns, optional
         What is in it is not run again, and what is run is added to it.
+    study : str
+        Whose experiment it is: others may have the same title.
     """
-    done = kept.of(title) if kept else {}
+    experiment = f'{study}: {title}' if study else title
+    done = kept.of(experiment) if kept else {}
     missing = [seed for seed in range(count) if seed not in done]
     with progress(title) as advance:
         for seed, found in zip(missing, _each(task, missing, jobs), strict=True):
             done[seed] = found
             if kept:
-                kept.add(title, seed, found)
+                kept.add(experiment, seed, found)
             advance(len(done) / max(count, len(done)), '')
     return [done[seed] for seed in range(count)]
 
@@ -67,12 +70,17 @@ def _each(task: Task, seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
             found = pool.map(task, seeds, chunksize=chunk)
         yield from found
     finally:
-        pool.shutdown(cancel_futures=True)
+        with _interrupts_held_back():
+            pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """Start processes that leave Ctrl-C to this one, where it counts as soon as this ends."""
+    """
+    Let Ctrl-C count as soon as this ends, and not at all in processes that are started here.
+
+    These are ended by this one, which nothing may keep from it.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -106,18 +114,20 @@ def arguments(doc: str | None, name: str, count: int | None,
     parser = argparse.ArgumentParser(description=doc, prog=f'ctsid study {name}',
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     if count:
-        parser.add_argument('--seeds', type=_positive, default=count, metavar='N',
+        parser.add_argument('--seeds', type=positive, default=count, metavar='N',
                             help='runs of each experiment (%(default)s)')
-        parser.add_argument('--jobs', type=_positive, default=cores(), metavar='N',
+        parser.add_argument('--jobs', type=positive, default=cores(), metavar='N',
                             help='processes (one for each core)')
     parser.add_argument('--out', type=Path, default=Path('results/studies') / name,
                         metavar='FOLDER', help='for tables, figures and, if runs are '
                         'random, runs.csv, which an interrupted study takes up again '
                         '(%(default)s)')
+    parser.set_defaults(study=name)
     return parser.parse_args(argv)
 
 
-def _positive(word: str) -> int:
+def positive(word: str) -> int:
+    """Return the number that a word of the command line is, 1 or more."""
     value = int(word)
     if value < 1:
         raise argparse.ArgumentTypeError(f'{value} is less than 1')
@@ -126,10 +136,5 @@ def _positive(word: str) -> int:
 
 def keeping(given: argparse.Namespace) -> Callable[[Task, str], list[Outcome]]:
     """Return `runs` with what the command line says."""
-    kept = KeptRuns(given.out / 'runs.csv')
-    return partial(_runs_kept, given=given, kept=kept)
-
-
-def _runs_kept(task: Task, title: str, given: argparse.Namespace,
-               kept: KeptRuns) -> list[Outcome]:
-    return runs(task, given.seeds, title, given.jobs, kept)
+    return partial(runs, count=given.seeds, jobs=given.jobs, study=given.study,
+                   kept=KeptRuns(given.out / 'runs.csv'))

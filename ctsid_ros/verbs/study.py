@@ -62,11 +62,12 @@ def _run(name: str, more: list[str]) -> int:
 
 
 def _of_all(more: list[str]) -> argparse.Namespace:
+    positive = import_module('ctsid_ros.studies.runner').positive
     parser = argparse.ArgumentParser(prog='ctsid study all', description='All studies of the '
                                      'two papers, one after the other.')
-    parser.add_argument('--seeds', type=int, metavar='N',
+    parser.add_argument('--seeds', type=positive, metavar='N',
                         help='runs of each experiment (each study has its own number)')
-    parser.add_argument('--jobs', type=int, metavar='N', help='processes (one for each core)')
+    parser.add_argument('--jobs', type=positive, metavar='N', help='processes (one for each core)')
     parser.add_argument('--out', type=Path, default=Path('results/studies'), metavar='FOLDER',
                         help='a folder of each study is made in it (%(default)s)')
     return parser.parse_args(more)
