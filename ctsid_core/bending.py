@@ -15,7 +15,7 @@ import numpy as np
 
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.bends import SPARE, Bends, ComplexArray, bends
-from ctsid_core.estimate import Choice
+from ctsid_core.estimate import Choice, Estimate
 from ctsid_core.estimation import estimate
 from ctsid_core.found import Found, own_delays
 from ctsid_core.joint import Joint
@@ -34,6 +34,7 @@ _GROWTH = 5.0         # time constants for which an unstable pole may grow over 
 _BAND = 0.8           # of the Nyquist frequency, beyond which a mode is none of the plant's
 _LITTLE = 1e-3        # power of an output, that stable modes may leave unexplained
 _NO_WORSE = 1.05      # power that the last model leaves of the samples, over the first's
+_FAR_BETTER = np.log(2.0)     # of the power, if bends were all that was wrong
 _QUIET = 1e-5         # errors over outputs below which the ends of the basis show
 _MARGIN = 10.0        # and the edge margin with which they do not
 _WHY = 'held inputs bend the outputs between their samples, by more than the noise hides'
@@ -78,6 +79,24 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
         return part, found
     choices = [c for c in last.choices if c.name != 'bends']
     return own, replace(last, choices=(*choices, Choice('bends', 'response', _WHY)))
+
+
+def bent(part: Joint) -> bool:
+    """Return whether any record has outputs that bend."""
+    return any(p.bends is not None for p in part.parts)
+
+
+def as_likely(told: Estimate, part: Joint, found: Found) -> bool:
+    """Return whether bent lines do not explain the samples far better than another estimate."""
+    model, p = told.model, part.parts[0]
+    if model is None or (model.nu, model.ny) != (p.record.nu, p.record.ny):
+        return False                           # rejected, or channels that rest
+    own = on_samples(part, found)
+    free = model.n * (model.nu + model.ny) + model.D.size * bool(np.any(model.D))
+    count = sum(len(s.time) * s.width for s in p.whole.outputs)
+    seen = simulation(model, p.record)
+    power = np.mean(np.log(np.nanmean((seen.y - seen.y_hat) ** 2, axis=0) + 1e-300))
+    return bool(count * (power - _FAR_BETTER) + free * np.log(count) < own)
 
 
 def on_samples(part: Joint, found: Found) -> float:

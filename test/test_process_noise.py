@@ -9,7 +9,10 @@ import pytest
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.hermite import project_record
+from ctsid_core.bending import with_bends
 from ctsid_core.deviation import pole_deviation
+from ctsid_core.estimation import estimate as by_order
+from ctsid_core.joint import join_records
 from ctsid_core.order import Search
 from ctsid_core.prediction_errors import innovation_cost, prediction_errors
 from ctsid_core.process_noise import driven, with_process_noise
@@ -113,7 +116,9 @@ def test_model_errors_are_no_process_noise(seed):
     assert np.abs(match(model.poles, truth) - truth).max() < 0.046
     # The K that a model of measurement noise gets, its plant held, does not change the claims.
     assert model.K.any()
-    lines = project_record(record, estimate.settings, estimate.settings.nmax)
+    known = estimate.settings
+    part = join_records((record,), known)
+    lines = with_bends(part, by_order(part, known, 3), known)[1].projection
     m, _ = refine_output_error(lines, realise_poles(lines, model.poles, True), True)
     np.testing.assert_allclose(np.sort(estimate.pole_std), np.sort(pole_deviation(lines, m, True)),
                                rtol=0.02)
