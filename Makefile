@@ -32,7 +32,7 @@ lint: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 
-# Half an hour on two cores; goes on where it was if it is interrupted.
+# Ten minutes on two cores; goes on where it was if it is interrupted.
 studies: $(VENV)/.installed
 	$(VENV)/bin/ctsid study all
 	$(PY) -m ctsid_ros.studies.page docs/papers.md results/studies

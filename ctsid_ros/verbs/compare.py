@@ -40,7 +40,8 @@ from ctsid_ros.verbs.arguments import (
 
 HELP = 'identify one interval of a bag by all methods, side by side'
 EPILOG = ('example: ctsid compare flight.mcap --params params.yaml --duration 20\n'
-          '         (methods that have little in common and agree are a reason for trust;\n'
+          '         (told the same wrong thing, methods agree in it; large deviations hide any\n'
+          '         difference, so look at the percentage;\n'
           '         `validation.cross_check` lets one of them take part in every verdict)')
 
 

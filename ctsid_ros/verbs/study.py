@@ -29,7 +29,8 @@ EPILOG = '\n'.join([
     '[HD] and [TM] are the papers on HD-PBSID and on Takenaka-Malmquist chains: docs/papers.md.',
     'A study that is interrupted goes on where it was when it is called again; each writes its',
     'single runs, tables (Markdown and CSV) and figures (SVG) to a folder. Its own options',
-    '(--seeds, --jobs, --out) are explained by `ctsid study NAME --help`.', '',
+    '(--seeds, --jobs, --out) are explained by `ctsid study NAME --help`. On two cores hd-vs-ct',
+    'takes three minutes, all of them ten.', '',
     'example: ctsid study hd-vs-ct --seeds 100'])
 
 
