@@ -56,7 +56,8 @@ def errors(found, p: Plant):
     return off / np.abs(p.poles), off / found.pole_std[order]
 
 
-@pytest.mark.parametrize('snr', [60.0, 90.0, 120.0, None])
+@pytest.mark.parametrize('snr', [pytest.param(60.0, marks=pytest.mark.slow), 90.0,
+                                 pytest.param(120.0, marks=pytest.mark.slow), None])
 @pytest.mark.parametrize('rates', RATES)
 @pytest.mark.parametrize('hold', ['zoh', 'linear'])
 @pytest.mark.parametrize('p', [FIRST, SECOND, MANY], ids=['degree 1', 'degree 2', '2 x 2'])

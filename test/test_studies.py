@@ -158,7 +158,7 @@ def test_figures_of_the_basis(tmp_path):
 
 
 def test_figures_4_to_7(tmp_path):
-    hd_robustness.main(['--seeds', '4', '--out', str(tmp_path)])
+    hd_robustness.main(['--seeds', '4', '--jobs', '1', '--out', str(tmp_path)])
     assert drawn(tmp_path) == {f'hd_figure_{k}{x}' for k in (4, 5, 6, 7) for x in 'ab'}
     found = rows(tmp_path / 'hd_robustness.csv')
     assert len(found) == 4 * 2 * 2
@@ -177,7 +177,7 @@ def test_figures_8_to_11(tmp_path, monkeypatch):
 
 
 def test_three_methods(tmp_path):
-    hd_vs_ct.main(['--seeds', '4', '--out', str(tmp_path)])
+    hd_vs_ct.main(['--seeds', '4', '--jobs', '1', '--out', str(tmp_path)])
     assert drawn(tmp_path) == {'hd_figure_12a', 'hd_figure_12b', 'hd_figure_13a', 'hd_figure_13b'}
     std = {(row['SNR'], row['pole'], row['method']): float(row['std'])
            for row in rows(tmp_path / 'hd_table_1.csv')}
