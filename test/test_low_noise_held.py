@@ -60,7 +60,8 @@ def errors(found, p: Plant):
                                  pytest.param(120.0, marks=pytest.mark.slow), None])
 @pytest.mark.parametrize('rates', RATES)
 @pytest.mark.parametrize('hold', ['zoh', 'linear'])
-@pytest.mark.parametrize('p', [FIRST, SECOND, MANY], ids=['degree 1', 'degree 2', '2 x 2'])
+@pytest.mark.parametrize('p', [FIRST, SECOND, pytest.param(MANY, marks=pytest.mark.slow)],
+                         ids=['degree 1', 'degree 2', '2 x 2'])
 def test_order_and_poles_to_the_noise(p, hold, rates, snr):
     found = identify(driven(p, hold, rates, snr), Settings(delay=0.0))
     assert found.ok
