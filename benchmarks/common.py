@@ -97,13 +97,15 @@ def least_deviation(t: Array, snr: float) -> Array:
     return deviation
 
 
-def interleaved(cases: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+def interleaved(cases: Mapping[str, Callable[[], object]], rounds: int,
+                summed_up: Callable[[Sequence[float]], object] = np.median) -> dict[str, float]:
     """
     Return the median seconds of processor time of every case, on one thread.
 
     All cases take their turn in every round: what else the machine does meets all of them alike.
     Time in which other programs had the processor does not count, for it would meet long cases
     more than short ones. One round before the first fills caches and is not counted either.
+    `summed_up` is what becomes of the rounds, instead of the median.
     """
     seconds: dict[str, list[float]] = {name: [] for name in cases}
     for _ in range(rounds + 1):
@@ -111,7 +113,7 @@ def interleaved(cases: Mapping[str, Callable[[], object]], rounds: int) -> dict[
             begin = time.process_time()
             run()
             seconds[name].append(time.process_time() - begin)
-    return {name: float(np.median(taken[1:])) for name, taken in seconds.items()}
+    return {name: float(summed_up(taken[1:])) for name, taken in seconds.items()}
 
 
 def machine() -> str:

@@ -15,11 +15,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 import os
-import time
 
 os.environ |= {'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1', 'MKL_NUM_THREADS': '1'}
 
-from common import experiment, machine, noisy, sweep, table  # noqa: E402
+from common import experiment, interleaved, machine, noisy, sweep, table  # noqa: E402
 import numpy as np  # noqa: E402
 from plain_laguerre import poles  # noqa: E402
 
@@ -79,18 +78,8 @@ def plainly(record: Record, keep: bool) -> object:
 
 
 def least(cases: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """
-    Return the least seconds of processor time of every case, of interleaved rounds.
-
-    What disturbs a case only ever adds to its time. One round before the first is not counted.
-    """
-    seconds: dict[str, list[float]] = {name: [] for name in cases}
-    for _ in range(rounds + 1):
-        for name, run in cases.items():
-            begin = time.process_time()
-            run()
-            seconds[name].append(time.process_time() - begin)
-    return {name: min(taken[1:]) for name, taken in seconds.items()}
+    """Return the least seconds: what disturbs a case of few rounds only ever adds to its time."""
+    return interleaved(cases, rounds, min)
 
 
 def measured(duration: float, rounds: int, longest: float) -> dict[str, float]:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.bases.bends import SPARE, Bends, ComplexArray, bends
+from ctsid_core.bases.bends import SPARE, Bends, ComplexArray, nearest_bends
 from ctsid_core.estimate import Choice, Estimate
 from ctsid_core.estimation import estimate
 from ctsid_core.found import Found, own_delays
@@ -22,6 +22,8 @@ from ctsid_core.joint import Joint
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import prediction_errors
 from ctsid_core.settings import Settings
+from ctsid_core.signals import Array, Record
+from ctsid_core.statespace import StateSpace
 from ctsid_core.usable import Usable
 from ctsid_core.validation import simulation
 from ctsid_core.whole_model import moving_model
@@ -33,7 +35,7 @@ _PASSES = 8           # two or three are usual
 _GROWTH = 5.0         # time constants for which an unstable pole may grow over a record
 _BAND = 0.8           # of the Nyquist frequency, beyond which a mode is none of the plant's
 _LITTLE = 1e-3        # power of an output, that stable modes may leave unexplained
-_NO_WORSE = 1.05      # power that the last model leaves of the samples, over the first's
+_NO_WORSE = np.log(1.05)      # of the power of the samples that the last model leaves more
 _FAR_BETTER = np.log(2.0)     # of the power, if bends were all that was wrong
 _QUIET = 1e-5         # errors over outputs below which the ends of the basis show
 _MARGIN = 10.0        # and the edge margin with which they do not
@@ -75,13 +77,13 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
         if again is None:
             break
         own, last, first = bent, again, False
-    if not _left(own, last) < _NO_WORSE * _left(part, found):
+    if not _left(own, last) < _NO_WORSE + _left(part, found):
         return part, found
     choices = [c for c in last.choices if c.name != 'bends']
     return own, replace(last, choices=(*choices, Choice('bends', 'response', _WHY)))
 
 
-def bent(part: Joint) -> bool:
+def bends(part: Joint) -> bool:
     """Return whether any record has outputs that bend."""
     return any(p.bends is not None for p in part.parts)
 
@@ -91,25 +93,26 @@ def as_likely(told: Estimate, part: Joint, found: Found) -> bool:
     model, p = told.model, part.parts[0]
     if model is None or (model.nu, model.ny) != (p.record.nu, p.record.ny):
         return False                           # rejected, or channels that rest
-    own = on_samples(part, found)
     free = model.n * (model.nu + model.ny) + model.D.size * bool(np.any(model.D))
-    count = sum(len(s.time) * s.width for s in p.whole.outputs)
-    seen = simulation(model, p.record)
-    power = np.mean(np.log(np.nanmean((seen.y - seen.y_hat) ** 2, axis=0) + 1e-300))
-    return bool(count * (power - _FAR_BETTER) + free * np.log(count) < own)
+    power = float(np.mean(_powers(model, p.record)))
+    return _criterion(part, power - _FAR_BETTER, free) < on_samples(part, found)
 
 
 def on_samples(part: Joint, found: Found) -> float:
     """Return Schwarz's criterion of a simulation on the samples themselves, as if uniform."""
-    count = sum(len(s.time) * s.width for p in part.parts for s in p.whole.outputs)
     m = found.matrices
     free = len(m.A) * (m.B.shape[1] + len(m.C)) + m.D.size * found.settings.feedthrough
-    return float(count * np.log(_left(part, found)) + free * np.log(count))
+    return _criterion(part, _left(part, found), free)
+
+
+def _criterion(part: Joint, power: float, free: int) -> float:
+    count = sum(len(s.time) * s.width for p in part.parts for s in p.whole.outputs)
+    return float(count * power + free * np.log(count))
 
 
 def bent_further(part: Joint, found: Found) -> tuple[Joint, Projection] | None:
     """Return records that bend as another model has it; None if they do not bend, or alike."""
-    if all(p.bends is None for p in part.parts):
+    if not bends(part):
         return None
     bent = _bent(part, found)
     if _differ(bent, found) < _STAYS:
@@ -153,7 +156,7 @@ def _explained(part: Joint) -> bool:
 def _bent(part: Joint, found: Found) -> Joint:
     """Return records whose outputs bend as responses of a model's modes do."""
     trim, feed = found.settings.trim, found.settings.feedthrough
-    return replace(part, parts=tuple(p.bent(bends(
+    return replace(part, parts=tuple(p.bent(nearest_bends(
         p.record, _modes(found.matrices, p), own_delays(p, found.settings).delays(p.record.nu),
         [spiky.mask for spiky in p.corrupt_y], trim=trim, feedthrough=feed)) for p in part.parts))
 
@@ -197,10 +200,13 @@ def _again(part: Joint, found: Found) -> Found | None:
 
 
 def _left(part: Joint, found: Found) -> float:
-    """Return what simulations leave of the samples: geometric mean over the outputs of power."""
-    powers = []
-    for p, m in zip(part.parts, found.matrices.of_records(found.projection), strict=True):
-        seen = simulation(moving_model(m, own_delays(p, found.settings).delays(p.record.nu)),
-                          p.record)
-        powers.append(np.log(np.nanmean((seen.y - seen.y_hat) ** 2, axis=0) + 1e-300))
-    return float(np.exp(np.mean(powers)))
+    """Return what simulations leave of the samples: mean logarithm of power over the outputs."""
+    return float(np.mean([
+        _powers(moving_model(m, own_delays(p, found.settings).delays(p.record.nu)), p.record)
+        for p, m in zip(part.parts, found.matrices.of_records(found.projection), strict=True)]))
+
+
+def _powers(model: StateSpace, record: Record) -> Array:
+    """Return logarithms of the power that a simulation leaves of each output's samples."""
+    seen = simulation(model, record)
+    return np.asarray(np.log(np.nanmean((seen.y - seen.y_hat) ** 2, axis=0) + 1e-300))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.bending import as_likely, bent, with_bends
+from ctsid_core.bending import as_likely, bends, with_bends
 from ctsid_core.by_method import identify_by
 from ctsid_core.cross_check import cross_checked
 from ctsid_core.estimate import Estimate, Status
@@ -110,7 +110,7 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         clean, found = without_outliers(part, found, known)
         if clean is not part:
             part, found = with_bends(clean, found, known)
-        if bent(part) and (told := undistorted(*plain)) and as_likely(told, part, found):
+        if bends(part) and (told := undistorted(*plain)) and as_likely(told, part, found):
             return told
         found = undoubted(part, found, known, first)
         part, found = likelier_dead_time(records, plain, (part, found), settings)

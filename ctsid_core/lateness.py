@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.base import Projection
-from ctsid_core.bending import bent_further, on_samples, with_bends
+from ctsid_core.bending import bends, bent_further, on_samples, with_bends
 from ctsid_core.dead_time import LONGEST, DeadTimeSearch, LateFit, delayed
 from ctsid_core.estimate import Choice, Estimate
 from ctsid_core.estimation import estimate, without_outliers
@@ -42,7 +42,7 @@ def likelier_dead_time(records: Sequence[Record], plain: tuple[Joint, Found],
         wrong times if there is one, and the other one knows the dead time better then.
     settings : Settings
     """
-    if all(p.bends is None for p in bent[0].parts):
+    if not bends(bent[0]):
         return with_dead_time(records, *bent, settings)
     late = with_dead_time(records, *plain, settings)
     if late[1] is not plain[1] and on_samples(*late) < on_samples(*bent):

@@ -198,6 +198,12 @@ class Record:
             outputs=tuple(s.between(start, end) for s in self.outputs))
 
 
+def channel_slices(signals: Sequence[Signal]) -> list[slice]:
+    """Return the places that the channels of each signal have among those of all."""
+    ends = np.cumsum([signal.width for signal in signals], dtype=int).tolist()
+    return [slice(end - signal.width, end) for signal, end in zip(signals, ends, strict=True)]
+
+
 def common_interval(signals: Sequence[Signal]) -> tuple[float, float]:
     """
     Return the longest interval on which every signal is known [s].

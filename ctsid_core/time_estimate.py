@@ -24,7 +24,7 @@ from ctsid_core.bases.quadrature import (
 from ctsid_core.estimate import OrderTried
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record, Signal
+from ctsid_core.signals import Record, Signal, channel_slices
 from ctsid_core.statespace import StateSpace
 from ctsid_core.time_refine import InTime, errors_in_time, refine_in_time
 from ctsid_core.time_responses import Stamps, responses, stamps_of
@@ -106,12 +106,9 @@ def distorted(record: Record, model: StateSpace, process_noise: bool) -> tuple[s
         return '', most
     left = np.nanmean((seen.y - seen.y_hat) ** 2, axis=0)
     power = np.zeros(model.ny)
-    first = 0
-    for signal in record.outputs:
-        channels = slice(first, first + signal.width)
-        first += signal.width
+    for signal, own in zip(record.outputs, channel_slices(record.outputs), strict=True):
         if signal.hold == 'smooth' and not _dense(signal, record, model):
-            power[channels] = _distortion(record, model, signal, channels, seen.times, seen.x0)
+            power[own] = _distortion(record, model, signal, own, seen.times, seen.x0)
     size = np.sqrt(power / (np.nanvar(seen.y, axis=0) + 1e-300))
     worst = int(np.argmax(size))
     if size[worst] < _NOTICED or not (power > _DISTORTED * left).any():

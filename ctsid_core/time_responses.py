@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ctsid_core.bases.base import Array, Lines
 from ctsid_core.matrix_functions import Modes, modes, phi
 from ctsid_core.pbsid import Matrices
-from ctsid_core.signals import Record
+from ctsid_core.signals import Record, channel_slices
 from ctsid_core.simulation import input_polynomials, knots_between, recursion
 
 _SAME = 1e-7          # relative distance of poles below which they count as equal
@@ -101,11 +101,8 @@ def stamps_of(record: Record, delay: tuple[float, ...], trim: bool) -> Stamps:
         constant = np.zeros((*drive.shape[:2], 1))
         constant[0] = 1.0
         drive = np.concatenate((drive, constant), axis=2)
-    streams: list[tuple[slice, NDArray[np.intp]]] = []
-    first = 0
-    for signal, stamps in zip(record.outputs, own, strict=True):
-        streams.append((slice(first, first + signal.width), np.searchsorted(times, stamps)))
-        first += signal.width
+    streams = [(places, np.searchsorted(times, stamps))
+               for places, stamps in zip(channel_slices(record.outputs), own, strict=True)]
     y = tuple(np.ascontiguousarray(s.values[rows].T)
               for s, rows in zip(record.outputs, inside, strict=True))
     ahead = times[np.searchsorted(times, knots[1:])] - knots[1:]

@@ -20,7 +20,7 @@ from ctsid_core.outliers import (
     report,
 )
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Array, Record, Signal
+from ctsid_core.signals import Array, Record, Signal, channel_slices
 from ctsid_core.spikes import SURE
 from ctsid_core.statespace import StateSpace
 
@@ -125,13 +125,12 @@ class Usable:
 
     def bent(self, bends: Bends) -> Usable:
         """Return this with outputs that bend so, and with the samples that this explains."""
-        outputs, found, first = [], [], 0
-        for own, measured, spiky in zip(self.record.outputs, self.measured, self.corrupt_y,
-                                        strict=True):
-            channels = slice(first, first + own.width)
-            first += own.width
+        outputs, found = [], []
+        slices = channel_slices(self.record.outputs)
+        for own, places, measured, spiky in zip(self.record.outputs, slices, self.measured,
+                                                self.corrupt_y, strict=True):
             if spiky.any and own.hold == 'smooth':
-                spiky = put_back(measured, spiky, bends.at(own.time)[channels].T)
+                spiky = put_back(measured, spiky, bends.at(own.time)[places].T)
                 own = replace(own, values=spiky.instead)
             outputs.append(own)
             found.append(spiky)

@@ -17,7 +17,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.matrix_functions import exponentials
 from ctsid_core.predictor import Stream, filter_states, predictor_gain, spread, start_rows
 from ctsid_core.residuals import independence, whiteness
-from ctsid_core.signals import Record
+from ctsid_core.signals import Record, channel_slices
 from ctsid_core.simulation import free_response, input_polynomials, respond
 from ctsid_core.statespace import StateSpace
 
@@ -131,12 +131,11 @@ def _samples(model: StateSpace, record: Record) -> _Samples:
     inside = [(s.time >= record.start) & (s.time <= record.end) for s in record.outputs]
     stamps = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     times = np.unique(np.concatenate(stamps))
-    y, streams, first = np.full((len(times), record.ny), np.nan), [], 0
-    for signal, own, rows in zip(record.outputs, stamps, inside, strict=True):
-        channels = slice(first, first + signal.width)
-        first += signal.width
-        streams.append(Stream(channels, np.searchsorted(times, own)))
-        y[streams[-1].rows, channels] = signal.values[rows]
+    y, streams = np.full((len(times), record.ny), np.nan), []
+    for signal, places, own, rows in zip(
+            record.outputs, channel_slices(record.outputs), stamps, inside, strict=True):
+        streams.append(Stream(places, np.searchsorted(times, own)))
+        y[streams[-1].rows, places] = signal.values[rows]
     return _Samples(times, y, tuple(streams))
 
 

@@ -19,7 +19,7 @@ import pytest
 from scipy.signal import zpk2ss
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
-from ctsid_core.bases.bends import SPARE, bends
+from ctsid_core.bases.bends import SPARE, nearest_bends
 from ctsid_core.bases.hermite import project_record
 from ctsid_ros.studies import takenaka_malmquist as study
 
@@ -113,7 +113,7 @@ def test_lines_of_bent_outputs_are_exact():
     """Of the plant's own modes: the lines of the output solve the equations of the lines."""
     record = driven(FIRST, 'zoh', 'input slower', None)
     poles = np.concatenate((FIRST.poles, -np.geomspace(0.1, 100.0, SPARE)))
-    bent = bends(record, poles, (0.0,), [np.zeros((len(s.time), 1), bool)
+    bent = nearest_bends(record, poles, (0.0,), [np.zeros((len(s.time), 1), bool)
                                          for s in record.outputs], trim=True, feedthrough=True)
     settings = Settings(edge_margin=12.0, delay=0.0)
     for own, least, most in ((None, 1e-4, np.inf), (bent, 0.0, 1e-9)):

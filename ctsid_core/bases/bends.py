@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.signals import Record, Signal
+from ctsid_core.signals import Record, Signal, channel_slices
 from ctsid_core.simulation import knots_between, respond
 
 Array = NDArray[np.float64]
@@ -80,13 +80,9 @@ class Bends:
 
     def left_of(self, outputs: Sequence[Signal]) -> list[Signal]:
         """Return what the responses leave of output signals."""
-        found, first = [], 0
-        for signal in outputs:
-            channels = slice(first, first + signal.width)
-            first += signal.width
-            found.append(signal if not self.weights[channels].any() else replace(
-                signal, values=signal.values - self.at(signal.time)[channels].T))
-        return found
+        return [signal if not self.weights[own].any() else replace(
+            signal, values=signal.values - self.at(signal.time)[own].T)
+            for signal, own in zip(outputs, channel_slices(outputs), strict=True)]
 
     def coefficients(self, start: float, end: float, alpha: float, nmax: int) -> Array:
         """
@@ -117,8 +113,9 @@ class Bends:
         return found
 
 
-def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
-          corrupt: Sequence[NDArray[np.bool_]], *, trim: bool, feedthrough: bool) -> Bends:
+def nearest_bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
+                  corrupt: Sequence[NDArray[np.bool_]], *, trim: bool,
+                  feedthrough: bool) -> Bends:
     """
     Return the responses of modes that are nearest to the samples of a record.
 
@@ -152,17 +149,15 @@ def bends(record: Record, poles: ComplexArray, delay: tuple[float, ...],
         weights=np.zeros((record.ny, n * (nu + 1) + nu + 1)),
         start=min(float(t[0]) for t in own), end=max(float(t[-1]) for t in own))
     groups = _groups(poles, nu, trim=trim, feedthrough=feedthrough)
-    first = 0
-    for signal, rows, times in zip(record.outputs, inside, own, strict=True):
-        channels = slice(first, first + signal.width)
-        first += signal.width
+    for signal, places, rows, times in zip(
+            record.outputs, channel_slices(record.outputs), inside, own, strict=True):
         if signal.hold == 'smooth':
             columns, y = found.regressors(times).T, signal.values[rows]
             wanted = _needed(columns, y, groups)
             columns = columns[:, wanted]
             size = np.linalg.norm(columns, axis=0) + 1e-300
             theta = np.linalg.lstsq(columns / size, y, rcond=_RANK)[0]
-            found.weights[channels, wanted] = theta.T / size
+            found.weights[places, wanted] = theta.T / size
     return _pruned(found, n)
 
 

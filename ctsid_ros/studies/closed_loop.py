@@ -25,9 +25,8 @@ import numpy as np
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.bounds import innovation_bound, stationary_gain
 from ctsid_ros.studies.experiments import flown
-from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
-from ctsid_ros.studies.runner import arguments, keeping
+from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.tables import Table
 
 LEVELS = (0.0, 0.05, 0.2, 1.0)
@@ -73,9 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for q in LEVELS:
         done = runs(partial(one, q=q), f'q = {q:g}')
         rows += lines(summary(done), q)
-    table = Table(HEAD, tuple(rows), ('pole',))
-    write_table(given.out / 'closed_loop', table)
-    print(f'\n{given.seeds} runs each\n\n{table.text()}')
+    conclude(given, 'closed_loop', Table(HEAD, tuple(rows), ('pole',)))
     return 0
 
 

@@ -43,12 +43,24 @@ def bode(done: Sequence[Outcome], truth: StateSpace, omega: Array, output: int,
     own = np.array([o.model.frequency_response(omega)[:, output, 0]
                     for o in done if o.model is not None]).reshape(-1, len(omega))
     own = own if len(own) else np.full((1, len(omega)), np.nan + 0j)
-    turn = np.unwrap(np.angle(true))
     sizes = 20.0 * np.log10(np.abs(own))
-    phases = np.degrees(turn + np.angle(own / np.exp(1j * turn)))
     return (_one(20.0 * np.log10(np.abs(true)), sizes, omega, title,
                  f'|y{output + 1}/u| [dB]', color),
-            _one(np.degrees(turn), phases, omega, '', f'phase y{output + 1}/u [deg]', color))
+            _one(phase(true, true), phase(own, true), omega, '',
+                 f'phase y{output + 1}/u [deg]', color))
+
+
+def phase(response: ComplexArray, true: ComplexArray) -> Array:
+    """
+    Return the phase of a response [deg], without jumps where it is near to the truth.
+
+    Parameters
+    ----------
+    response : ndarray, shape (..., K)
+    true : ndarray, shape (K,)
+    """
+    turn = np.unwrap(np.angle(true))
+    return np.asarray(np.degrees(turn + np.angle(response / np.exp(1j * turn))))
 
 
 def _one(true: Array, own: Array, omega: Array, title: str, label: str, color: int) -> Axes:

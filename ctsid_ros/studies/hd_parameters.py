@@ -19,10 +19,10 @@ import numpy as np
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.clouds import error_bars
 from ctsid_ros.studies.experiments import from_rest, second_order
-from ctsid_ros.studies.figure_files import write_drawings, write_table
+from ctsid_ros.studies.figure_files import write_drawings
 from ctsid_ros.studies.hd_robustness import METHODS
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
-from ctsid_ros.studies.runner import Task, arguments, keeping
+from ctsid_ros.studies.runner import Task, arguments, conclude, keeping
 from ctsid_ros.svg import Axes
 from ctsid_ros.tables import Table
 
@@ -96,10 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         found = swept(runs, sweep)
         rows += lines(sweep, found)
         write_drawings(given.out / f'hd_figure_{sweep.figure}.svg', drawn(sweep, found))
-    table = Table(HEAD, tuple(rows), ('varied', 'method'))
-    write_table(given.out / 'hd_parameters', table)
-    print(f'\n{given.seeds} runs of each\n\n{table.text()}\n\n'
-          f'Table, figures and single runs: {given.out}')
+    conclude(given, 'hd_parameters', Table(HEAD, tuple(rows), ('varied', 'method')))
     return 0
 
 

@@ -20,9 +20,9 @@ from ctsid_core.settings import Settings
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.clouds import bode, eigenvalues
 from ctsid_ros.studies.experiments import from_rest, second_order
-from ctsid_ros.studies.figure_files import write_drawings, write_table
+from ctsid_ros.studies.figure_files import write_drawings
 from ctsid_ros.studies.monte_carlo import Array, Outcome, of_poles, outcome, summary
-from ctsid_ros.studies.runner import arguments, keeping
+from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.tables import Table
 
 SNRS = (50, 20, 10, 6)
@@ -74,9 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         write_drawings(given.out / f'hd_figure_{PLANE_FILES[snr]}.svg', eigenvalues(
             [(method, done[method]) for method in METHODS], plant.poles,
             f'[HD] figure {PLANE_FILES[snr]}: {snr} dB', (-9.0, 0.0, 2.0)))
-    table = Table(HEAD, tuple(rows), ('pole', 'method'))
-    write_table(given.out / 'hd_robustness', table)
-    print(f'\n{table.text()}\n\nTable, figures and single runs: {given.out}')
+    conclude(given, 'hd_robustness', Table(HEAD, tuple(rows), ('pole', 'method')))
     return 0
 
 

@@ -19,10 +19,9 @@ import numpy as np
 
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.experiments import from_rest
-from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.hd_vs_ct import METHODS
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
-from ctsid_ros.studies.runner import arguments, keeping
+from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.studies.table1 import PUBLISHED, SNRS
 from ctsid_ros.tables import Table
 
@@ -74,9 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f'{name}, {count} samples, SNR of {said}, p = {p}, {snr} dB')) for snr in SNRS}
         shown, off = cells(found, int(name == 'CT'))
         rows.append((name, str(count), said, str(p), *shown, f'{off:.2f}'))
-    table = Table(HEAD, tuple(rows), ('method', 'SNR of'))
-    write_table(given.out / 'hd_unsaid', table)
-    print(f'\n{given.seeds} runs of each\n\n{table.text()}\n\nTable and runs: {given.out}')
+    conclude(given, 'hd_unsaid', Table(HEAD, tuple(rows), ('method', 'SNR of')))
     return 0
 
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from ctsid_core.settings import Settings
 from ctsid_ros.studies.clouds import eigenvalues
 from ctsid_ros.studies.experiments import quadrotor
-from ctsid_ros.studies.figure_files import write_drawings, write_table
+from ctsid_ros.studies.figure_files import write_drawings
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, summary
-from ctsid_ros.studies.runner import arguments, keeping
+from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.studies.table1 import PUBLISHED, SNRS, one
 from ctsid_ros.tables import Table
 
@@ -69,10 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for method in METHODS:
             rows += lines(method, summary(done[method]), snr)
         draw(done, snr, given.out)
-    table = Table(HEAD, tuple(rows), ('pole', 'method'))
-    write_table(given.out / 'hd_table_1', table)
-    print(f'\n{given.seeds} runs of each\n\n{table.text()}\n\n'
-          f'Table, figures and single runs: {given.out}')
+    conclude(given, 'hd_table_1', Table(HEAD, tuple(rows), ('pole', 'method')))
     return 0
 
 

@@ -15,8 +15,10 @@ import signal
 
 from ctsid_ros.blas import use_one_thread
 from ctsid_ros.progress import progress
+from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.kept_runs import KeptRuns
 from ctsid_ros.studies.monte_carlo import Outcome
+from ctsid_ros.tables import Table
 
 Task = Callable[[int], Outcome]
 
@@ -56,6 +58,25 @@ def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') \
         else os.cpu_count() or 1
+
+
+def conclude(given: argparse.Namespace, name: str, table: Table, words: str = '') -> None:
+    """
+    Write the table of a study and print it.
+
+    Parameters
+    ----------
+    given : Namespace
+        Of `arguments`.
+    name : str
+        Of the files.
+    table : Table
+    words : str
+        Before it; how many runs each row is of, if empty.
+    """
+    write_table(given.out / name, table)
+    print(f'\n{words or f"{given.seeds} runs of each"}\n\n{table.text()}\n\n'
+          f'Results: {given.out}')
 
 
 def _each(task: Task, seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:

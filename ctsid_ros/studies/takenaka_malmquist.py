@@ -25,10 +25,11 @@ from ctsid_core.identify import identify
 from ctsid_core.settings import Settings
 from ctsid_core.signals import Record, Signal
 from ctsid_core.statespace import StateSpace
-from ctsid_ros.studies.figure_files import write_csv, write_drawings, write_svg, write_table
+from ctsid_ros.studies.clouds import phase
+from ctsid_ros.studies.figure_files import write_csv, write_drawings, write_svg
 from ctsid_ros.studies.monte_carlo import Outcome, compared
 from ctsid_ros.studies.network import network
-from ctsid_ros.studies.runner import Task, arguments, keeping
+from ctsid_ros.studies.runner import Task, arguments, conclude, keeping
 from ctsid_ros.svg import Axes, Curve
 from ctsid_ros.tables import Table
 
@@ -138,17 +139,15 @@ def _samples() -> list[Axes]:
 
 def _bode(own: dict[str, ComplexArray], way: str) -> list[Axes]:
     truth = response(plant())
-    turn = np.unwrap(np.angle(truth))
-    phases = {name: turn + np.angle(g / np.exp(1j * turn)) for name, g in own.items()}
     size = [Curve(OMEGA, np.abs(truth), 'G', 0)]
     size += [Curve(OMEGA, np.abs(g), name, i, 'dashed') for i, (name, g) in
              enumerate(own.items(), 1)]
-    phase = [Curve(OMEGA, np.degrees(turn), '', 0)]
-    phase += [Curve(OMEGA, np.degrees(g), '', i, 'dashed') for i, g in
-              enumerate(phases.values(), 1)]
+    turns = [Curve(OMEGA, phase(truth, truth), '', 0)]
+    turns += [Curve(OMEGA, phase(g, truth), '', i, 'dashed') for i, g in
+              enumerate(own.values(), 1)]
     return [Axes(size, title=f'[TM] figure 3, {way}, seed 0', x_log=True, y_log=True,
                  x_label='frequency [rad/s]', y_label='magnitude', height=300.0),
-            Axes(phase, x_log=True, x_label='frequency [rad/s]', y_label='phase [deg]',
+            Axes(turns, x_log=True, x_label='frequency [rad/s]', y_label='phase [deg]',
                  height=300.0)]
 
 
@@ -181,15 +180,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     models = {key: np.array([response(o.model) for o in own]) for key, own in done.items()}
     errors = {key: np.asarray(np.abs(rows - truth)) for key, rows in models.items()}
     found = table(done, errors)
-    write_table(given.out / 'tm', found)
     middle = [tuple(f'{x:.4g}' for x in row) for row in np.column_stack(
         (OMEGA, *(np.median(own, axis=0) for own in errors.values())))]
     write_csv(given.out / 'tm_median_errors.csv', (
         ('omega [rad/s]', *(f'{name}, {way}' for name, way in errors)), *middle))
     draw(given.out, models, errors)
-    print(f'\n{given.seeds} runs; errors of the frequency response over 0.1 to 100 rad/s, over '
-          'the size of G;\nTM below: part of the frequencies where the median error of TM is '
-          f'the smaller\n\n{found.text()}\n\nTables, figures and single runs: {given.out}')
+    conclude(given, 'tm', found, f'{given.seeds} runs; errors of the frequency response over '
+             '0.1 to 100 rad/s, over the size of G;\nTM below: part of the frequencies where the '
+             'median error of TM is the smaller')
     return 0
 
 

@@ -19,9 +19,8 @@ import numpy as np
 
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.experiments import Run, flexible, quadrotor, running
-from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
-from ctsid_ros.studies.runner import arguments, keeping
+from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.tables import Table
 
 EXPERIMENTS = [('quadrotor', snr) for snr in (50, 20, 10, 6, 0)]
@@ -72,9 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, snr in EXPERIMENTS:
         done = runs(partial(one, name=name, snr=snr), f'{name}, {snr} dB')
         rows += lines(summary(done), name, snr)
-    table = Table(HEAD, tuple(rows), ('plant', 'pole'))
-    write_table(given.out / 'windows', table)
-    print(f'\n{given.seeds} runs each\n\n{table.text()}')
+    conclude(given, 'windows', Table(HEAD, tuple(rows), ('plant', 'pole')))
     return 0
 
 
