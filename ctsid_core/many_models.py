@@ -19,6 +19,7 @@ from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import (
     innovation_cost,
     least_power,
+    log_det,
     output_error_cost,
     spread,
 )
@@ -63,12 +64,11 @@ def innovation_costs(projection: Projection, models: Sequence[Matrices]) -> Arra
         return np.array([innovation_cost(projection, m) for m in models])
     errors, closed, sound = found
     real = errors.view(np.float64)
-    covariance = real @ real.transpose(0, 2, 1) / projection.count + np.diag(
-        least_power(projection))
+    covariance = real @ real.transpose(0, 2, 1) / projection.count
     plant = np.linalg.eigvals(stack.A).astype(complex)
     costs = np.full(len(models), np.inf)
     good = np.max(closed.real, axis=1) <= -LEAST_DAMPING * line_distance(projection)
-    costs[good] = (projection.count * np.linalg.slogdet(covariance[good])[1]
+    costs[good] = (projection.count * log_det(projection, covariance[good])
                    + spread(projection, plant[good], closed[good])
                    + ends_cost(projection, closed[good], plant[good]))
     for i in np.flatnonzero(~sound):

@@ -25,6 +25,7 @@ from ctsid_core.resolvent import Resolvent, resolvent
 from ctsid_core.window_ends import LEAST_DAMPING, ends_cost, ends_slopes, line_distance
 
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
+OWN = 1e-12           # share of each output's error power that no other output can foretell
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,21 @@ def output_error(projection: Projection, m: Matrices) -> Likelihood:
                       prediction.resolvent.poles)
 
 
+def log_det(projection: Projection, covariance: Array) -> Array:
+    """
+    Return log det of covariances of the errors over outputs.
+
+    Parameters
+    ----------
+    projection : Projection
+    covariance : ndarray, shape (..., ny, ny)
+        Each may be singular: without noise, errors of a missing state are the same in all outputs.
+    """
+    own = OWN * np.diagonal(covariance, axis1=-2, axis2=-1) + least_power(projection)
+    own = own[..., np.newaxis] * np.eye(own.shape[-1])
+    return np.asarray(np.linalg.slogdet(covariance + own)[1])
+
+
 def least_power(projection: Projection) -> Array:
     """Return the power of each output below which errors are rounding (ny,)."""
     y = as_real(projection.y)
@@ -151,8 +167,7 @@ def innovation(projection: Projection, m: Matrices) -> Likelihood:
         return Likelihood(np.inf, None, poles)
     prediction = predict(projection, m, closed)
     error = as_real(prediction.error)
-    covariance = error @ error.T / projection.count + np.diag(least_power(projection))
-    cost = projection.count * float(np.linalg.slogdet(covariance)[1])
+    cost = projection.count * float(log_det(projection, error @ error.T / projection.count))
     cost += float(spread(projection, poles, closed.poles))
     cost += float(ends_cost(projection, closed.poles.astype(complex), poles))
     return Likelihood(cost, prediction, poles)

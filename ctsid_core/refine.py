@@ -24,6 +24,7 @@ from ctsid_core.levenberg_marquardt import (
 )
 from ctsid_core.pbsid import Matrices, solve
 from ctsid_core.prediction_errors import (
+    OWN,
     Prediction,
     innovation,
     jacobian,
@@ -310,7 +311,7 @@ def whitener_of(projection: Projection, error: Array) -> Array:
     """Return what makes the covariance over outputs of errors (ny, 2 L) one."""
     covariance = error @ error.T / projection.count
     scale = np.sqrt(np.diag(covariance)) + 1e-150
-    root = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
+    root = np.linalg.cholesky(covariance / np.outer(scale, scale) + OWN * np.eye(len(scale)))
     whiten: Array = np.linalg.inv(root) / scale
     return whiten
 

@@ -2,13 +2,14 @@
 from dataclasses import replace
 
 import numpy as np
-from plants import PLANTS, random_plant, random_signal
+from plants import PLANTS, random_plant, random_signal, running
 import pytest
 
 from ctsid_core import Record, Settings, Signal
 from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record, time_scale
 from ctsid_core.bases.quadrature import coefficients
+from ctsid_core.many_models import innovation_costs
 from ctsid_core.pbsid import Matrices
 from ctsid_core.prediction_errors import (
     innovation_cost,
@@ -184,6 +185,24 @@ def test_innovation_cost(zero):
     wanted = count * np.linalg.slogdet(e @ e.T / count)[1] + spread(lines, m) + ends(lines, m)
     assert innovation_cost(lines, m) == pytest.approx(wanted, rel=1e-10)
     assert np.isfinite(innovation_cost(replace(lines, y=simulate_lines(lines, m)), m))
+
+
+def test_errors_that_all_outputs_share_do_not_make_a_model_likely():
+    """Without noise a missing state leaves them; rounding made det of their covariance zero."""
+    p = PLANTS['hd52']
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        record = running(rng, p, rate=200.0, duration=6.0)
+        lines = project_record(record, Settings(), 200)
+        model = lambda B: Matrices(A=p.A, B=B, C=p.C, D=p.D, K=np.zeros((3, 4)),  # noqa: E731
+                                   tail=np.zeros((3, len(lines.tail))),
+                                   x_trim=np.zeros((3, 1)), y_trim=np.zeros((4, 1)))
+        lines = replace(lines, y=simulate_lines(lines, model(p.B)))
+        missing = np.outer(np.linalg.eig(p.A)[1][:, 0], np.linalg.inv(np.linalg.eig(p.A)[1])[0])
+        costs = innovation_costs(lines, [model(p.B - missing.real @ p.B), model(p.B)])
+        assert np.isfinite(costs).all()
+        assert costs[0] > costs[1]
+        assert innovation_cost(lines, model(p.B - missing.real @ p.B)) == pytest.approx(costs[0])
 
 
 def test_an_unstable_predictor_is_inadmissible():
