@@ -4,7 +4,8 @@ Models of outputs that bend between their samples, under held inputs and inputs 
 
 The first model is made of interpolated outputs. Where the bends that interpolation misses
 (`bases/bends.py`) show beside the noise, the next model is made of outputs with the bends of a
-sum of responses in which the modes of the first one are; and so on until the lines stay.
+sum of responses in which the modes of the first one are; and so on until the lines stay, or their
+change no longer shrinks: then it is no response of a linear model that bends the outputs.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from ctsid_core.whole_model import moving_model
 
 _MATTERS = 10.0       # of what bends do to all lines, in variances of the noise of one
 _STAYS = 0.03         # the same from one pass to the next
+_SHRINKS = 0.5        # of the power by which lines change: at most this from pass to pass
 _ROUNDING = 1e-22     # of an output's power, that counts as noise
 _PASSES = 8           # two or three are usual
 _GROWTH = 5.0         # time constants for which an unstable pole may grow over a record
@@ -63,15 +65,16 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     if settings.edges != 'exact' or not any(map(_bending, part.parts)) \
             or not _matters(part, found):
         return part, found
-    own, last, first = part, found, True
+    own, last, first, before = part, found, True, np.inf
     for _ in range(_PASSES):
         bent = _bent(own, last)
-        differ = _differ(bent, last)
+        differ, change = _differ(bent, last)
         narrow = not first and settings.edge_margin < _MARGIN and _quiet(last)
         if narrow:
             settings = settings.replace(edge_margin=_MARGIN)
-        elif differ < _STAYS and not first:
+        elif (differ < _STAYS or change > _SHRINKS * before) and not first:
             break
+        before = change
         again = estimate(bent, settings, last.settings.order) \
             if first or narrow or differ > _MATTERS else _again(bent, last)
         if again is None:
@@ -115,7 +118,7 @@ def bent_further(part: Joint, found: Found) -> tuple[Joint, Projection] | None:
     if not bends(part):
         return None
     bent = _bent(part, found)
-    if _differ(bent, found) < _STAYS:
+    if _differ(bent, found)[0] < _STAYS:
         return None
     return bent, bent.project(_projected(found), found.layout)
 
@@ -139,7 +142,7 @@ def _matters(part: Joint, found: Found) -> bool:
         parts.append(replace(p, bends=Bends(
             model.A, model.B, model.x_trim, p.record.inputs, model.delay, seen.x0, weights,
             float(seen.times[0]), float(seen.times[-1]), rough=True)))
-    return not _differ(replace(part, parts=tuple(parts)), found) < _MATTERS
+    return not _differ(replace(part, parts=tuple(parts)), found)[0] < _MATTERS
 
 
 def _explained(part: Joint) -> bool:
@@ -177,14 +180,15 @@ def _projected(found: Found) -> Settings:
     return found.search.settings
 
 
-def _differ(part: Joint, found: Found) -> float:
-    """Return by how much lines differ from a model's, in variances of the noise of one."""
+def _differ(part: Joint, found: Found) -> tuple[float, float]:
+    """Return by how much lines differ from a model's: in variances of its noise; of the power."""
     old = found.projection
     new = part.project(_projected(found), found.layout)
     change = np.sum(as_real(new.y - old.y) ** 2, axis=1)
     error, y = as_real(prediction_errors(old, found.matrices)), as_real(old.y)
-    noise = np.mean(error ** 2, axis=1) + _ROUNDING * np.sum(y ** 2, axis=1) + 1e-300
-    return float(np.max(change / noise))
+    power = np.sum(y ** 2, axis=1) + 1e-300
+    noise = np.mean(error ** 2, axis=1) + _ROUNDING * power
+    return float(np.max(change / noise)), float(np.max(change / power))
 
 
 def _quiet(found: Found) -> bool:

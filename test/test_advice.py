@@ -155,7 +155,7 @@ def test_numbers_and_channels_have_to_fit():
 
 
 @pytest.mark.parametrize(('case', 'seeds'), [
-    pytest.param(CASES['measurement noise'], 25, id='few'),
+    pytest.param(CASES['measurement noise'], 16, id='few'),
     *(pytest.param(case, 80, id=name, marks=pytest.mark.slow) for name, case in CASES.items())])
 def test_deviations_fall_as_foretold(case, seeds):
     """What is foretold of further excitation in a band, and of more amplitude, is what comes."""

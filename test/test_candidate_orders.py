@@ -46,7 +46,7 @@ def test_the_table_is_stored(found):
 
 def windows():
     for name, snr in (('hd51', 20), ('hd52', 20), ('hd52', 6)):
-        for seed in range(3):
+        for seed in range(2):
             yield running(np.random.default_rng(seed), PLANTS[name], snr, rate=200.0)
     for n in (2, 4, 5):
         yield running(np.random.default_rng(n), random_plant(np.random.default_rng(n), n, 2, 2),

@@ -124,7 +124,8 @@ def joints():
     return load
 
 
-@pytest.mark.parametrize('leg', [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize('leg', range(4))
 def test_a_walking_leg_is_not_explained(data_folder, joints, leg):
     """Contacts make it a hybrid system: the right answer is a verdict, not a model."""
     record = joints(data_folder, [3 * leg, 3 * leg + 1, 3 * leg + 2])
