@@ -24,7 +24,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from ctsid_core.errors import DataError
 from ctsid_core.matrix_functions import Modes, modes, phi
@@ -144,6 +143,7 @@ def steady_recursion(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> Comp
     -------
     ndarray, shape (K + 1, m, P)
     """
+    from scipy.signal import lfilter        # heavy: as long to load as all the rest
     z = np.empty((len(g) + 1, *z0.shape), dtype=complex)
     z[0] = z0
     for i, factor in enumerate(a):

@@ -16,6 +16,7 @@ from fnmatch import fnmatch
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
+import subprocess
 import sys
 
 import pytest
@@ -160,6 +161,14 @@ def test_the_core_does_not_know_ros():
     wrong = [name for name in modules() if name.startswith('ctsid_core')
              and any(target.startswith('ctsid_ros') for target, _ in imported(name))]
     assert wrong == []
+
+
+def test_the_core_loads_nothing_heavy():
+    """scipy.signal brings scipy.stats: every command and node would start a second later."""
+    code = "import ctsid_core, sys; print({'scipy.signal', 'scipy.stats'} & set(sys.modules))"
+    loaded = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            check=True)
+    assert loaded.stdout == 'set()\n'
 
 
 def test_libraries_are_known_where_they_may_be():
