@@ -143,7 +143,8 @@ def steady_recursion(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> Comp
     -------
     ndarray, shape (K + 1, m, P)
     """
-    from scipy.signal import lfilter        # heavy: as long to load as all the rest
+    from scipy.signal import lfilter  # heavy: half as long to load as all the rest
+
     z = np.empty((len(g) + 1, *z0.shape), dtype=complex)
     z[0] = z0
     for i, factor in enumerate(a):

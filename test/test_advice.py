@@ -4,9 +4,8 @@
 import numpy as np
 from plants import PLANTS, Multisine, _stationary, match
 import pytest
-from scipy.linalg import expm
 
-from ctsid_core import Record, Settings, identify
+from ctsid_core import Record, Settings, Signal, StateSpace, identify
 from ctsid_core.advice import advise
 from ctsid_core.errors import DataError
 
@@ -34,11 +33,9 @@ def experiment(seed: int, parts, *, name: str, gusts: float, noise: float) -> Re
             for i, (size, band) in enumerate(parts)]
     u = np.concatenate((rows[0][-lead:], *rows))
     t_u = (np.arange(len(u)) - lead) / 1000
-    step = expm(np.block([[p.A, p.B], [np.zeros((1, len(p.A) + 1))]]) / 1000)[:-1]
-    x = np.zeros((len(u), len(p.A)))
-    for k in range(len(u) - 1):
-        x[k + 1] = step[:, :-1] @ x[k] + step[:, -1] * u[k, 0]
-    t_y, y = t_u[lead::5], x[lead::5] @ p.C.T
+    t_y = t_u[lead::5]
+    truth = StateSpace(A=p.A, B=p.B, C=p.C, D=p.D)
+    y = truth.simulate((Signal(t_u, u, 'zoh'),), np.concatenate((t_u[:1], t_y)))[1:]
     y = y + _stationary(rng, p.A, gusts ** 2 * p.B @ p.B.T + 1e-12 * np.eye(len(p.A)), 1 / 200,
                         len(t_y)) @ p.C.T
     y += noise * rng.standard_normal(y.shape)
