@@ -152,11 +152,13 @@ def _right_but_slow(e: Evidence) -> bool:
     Return whether the part held out is badly told for want of motion only.
 
     After a step little moves: a right model leaves of that little what noise there is, no more.
+    Noise that drives the plant has no such level: it may be all that moves.
     """
     erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
     known = all(x.uncertainty < _UNKNOWN for x in e.numbers.excitation)  # else nothing tells it
     settles = np.max(e.poles.real) < -0.5 * e.resolution         # a vibration goes on by itself
-    return bool(known and settles and np.nanmin(e.fit) > _CLEAR and np.all(erring < _NEXT))
+    clear = np.nanmin(e.fit) > _CLEAR and not e.process_noise
+    return bool(known and settles and clear and np.all(erring < _NEXT))
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:

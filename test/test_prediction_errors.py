@@ -188,7 +188,7 @@ def test_innovation_cost(zero):
 
 
 def test_errors_that_all_outputs_share_do_not_make_a_model_likely():
-    """Without noise a missing state leaves them; det of their covariance was then 0 by rounding."""
+    """Without noise a missing state leaves them; rounding made det of their covariance zero."""
     p = PLANTS['hd52']
     modes = np.linalg.eig(p.A)[1]
     lost = [np.outer(modes[:, i], np.linalg.inv(modes)[i]).real @ p.B for i in range(3)]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctsid_core import Record, Settings, Signal, Status, identify
+from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.validation import prediction, simulation
 
 # Output samples as they are, or a quarter of them lost and the other stamps off by up to 5 % of
@@ -139,10 +139,12 @@ def test_a_walking_leg_is_not_explained(data_folder, joints, leg):
 @pytest.mark.slow
 @pytest.mark.parametrize('joint', range(12))
 def test_a_walking_joint_is_not_explained(data_folder, joints, joint):
+    """In the part held out some stand still: that tells nothing, and WEAK is the most."""
     estimate = identify(joints(data_folder, [joint]))
     print(f'\njoint {joint}: {estimate.status.name}, fit {estimate.fit.round()}, held out '
           f'{estimate.held_out_fit.round()}')
-    assert estimate.status is not Status.OK
+    assert estimate.verdict.grade is not Grade.GOOD
+    assert estimate.status is not Status.OK or 'hardly explained' in estimate.verdict.reason
 
 
 @pytest.mark.slow
