@@ -213,4 +213,5 @@ def _left(part: Joint, found: Found) -> float:
 def _powers(model: StateSpace, record: Record) -> Array:
     """Return logarithms of the power that a simulation leaves of each output's samples."""
     seen = simulation(model, record)
-    return np.asarray(np.log(np.nanmean((seen.y - seen.y_hat) ** 2, axis=0) + 1e-300))
+    with np.errstate(over='ignore'):                       # of a model that explodes: infinite
+        return np.asarray(np.log(np.nanmean((seen.y - seen.y_hat) ** 2, axis=0) + 1e-300))

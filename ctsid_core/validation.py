@@ -203,9 +203,10 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
 
 def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:
     # columns (M, ny, k) on wanted (M, ny), where all of that is known and finite
-    rows = np.isfinite(wanted) & np.isfinite(columns).all(axis=2)
-    matrix, right = (columns / scale[:, np.newaxis])[rows], (wanted / scale)[rows]
     with np.errstate(over='ignore'):  # beyond 1e154 a column is left out: size inf
+        matrix, right = columns / scale[:, np.newaxis], wanted / scale
+        rows = np.isfinite(right) & np.isfinite(matrix).all(axis=2)
+        matrix, right = matrix[rows], right[rows]
         size = np.linalg.norm(matrix, axis=0)
     size[size == 0] = 1
     solution: Array = np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size

@@ -16,9 +16,10 @@ from plants import (
     running,
 )
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import zpk2ss
 
-from ctsid_core import Record, Settings, Signal, StateSpace, identify
+from ctsid_core import Record, Settings, Signal, StateSpace, bending, identify
 from ctsid_core.bases.bends import SPARE, nearest_bends
 from ctsid_core.bases.hermite import project_record
 from ctsid_ros.studies import takenaka_malmquist as study
@@ -100,6 +101,33 @@ def test_printed_example(order):
         found = identify(study.example(seed), Settings(order=order, delay=0.0))
         assert found.model.n == 4
         assert study.relative(np.abs(study.response(found.model) - truth)[np.newaxis])[0] < 1e-4
+
+
+def bouncing(seed: int, rate: float) -> Record:
+    """Return a mass on a spring that hits a stiff stop, under steps at 50 Hz, without noise."""
+    u = np.random.default_rng(seed).standard_normal(301)
+
+    def motion(t, x):
+        stop = (400.0 * (x[0] + 0.2) + 5.0 * x[1]) * (x[0] < -0.2)
+        return [x[1], -4.0 * x[0] - 2.0 * x[1] + 10.0 * u[min(int(t * 50.0), 300)] - stop]
+
+    t = np.arange(round(6.0 * rate) + 1) / rate
+    y = solve_ivp(motion, (0.0, 6.0), [0.0, 0.0], t_eval=t, max_step=0.01, rtol=1e-6).y[0]
+    return Record.from_arrays(np.arange(301) / 50.0, u, t, y, input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seed', 'rate'), [(0, 100.0), (1, 100.0), (1, 200.0), (7, 200.0)])
+def test_bends_that_do_not_settle_are_given_up(seed, rate, monkeypatch):
+    """No response of a linear model is what bends this output; models on the way may explode."""
+    passes, bent = [], bending._bent
+
+    def counted(*arguments):
+        passes.append(0)
+        return bent(*arguments)
+
+    monkeypatch.setattr(bending, '_bent', counted)
+    identify(bouncing(seed, rate), Settings(delay=0.0))
+    assert len(passes) < 6
 
 
 def test_noise_and_smooth_inputs_are_left_alone():
