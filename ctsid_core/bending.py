@@ -4,8 +4,8 @@ Models of outputs that bend between their samples, under held inputs and inputs 
 
 The first model is made of interpolated outputs. Where the bends that interpolation misses
 (`bases/bends.py`) show beside the noise, the next model is made of outputs with the bends of a
-sum of responses in which the modes of the first one are; and so on until the lines stay, or their
-change no longer shrinks: then it is no response of a linear model that bends the outputs.
+sum of responses in which the modes of the first one are; and so on until the lines stay, or
+their change no longer shrinks: then more than a response of these modes bends the outputs.
 """
 
 from __future__ import annotations
@@ -65,18 +65,18 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     if settings.edges != 'exact' or not any(map(_bending, part.parts)) \
             or not _matters(part, found):
         return part, found
-    own, last, first, before = part, found, True, np.inf
+    own, last, first, before = part, found, True, np.array(np.inf)
     for _ in range(_PASSES):
         bent = _bent(own, last)
         differ, change = _differ(bent, last)
         narrow = not first and settings.edge_margin < _MARGIN and _quiet(last)
         if narrow:
             settings = settings.replace(edge_margin=_MARGIN)
-        elif (differ < _STAYS or change > _SHRINKS * before) and not first:
+        elif not first and ((differ < _STAYS) | (change > _SHRINKS * before)).all():
             break
-        before = change
+        before = np.array(np.inf) if narrow else change          # of another basis
         again = estimate(bent, settings, last.settings.order) \
-            if first or narrow or differ > _MATTERS else _again(bent, last)
+            if first or narrow or (differ > _MATTERS).any() else _again(bent, last)
         if again is None:
             break
         own, last, first = bent, again, False
@@ -118,7 +118,7 @@ def bent_further(part: Joint, found: Found) -> tuple[Joint, Projection] | None:
     if not bends(part):
         return None
     bent = _bent(part, found)
-    if _differ(bent, found)[0] < _STAYS:
+    if (_differ(bent, found)[0] < _STAYS).all():
         return None
     return bent, bent.project(_projected(found), found.layout)
 
@@ -142,7 +142,7 @@ def _matters(part: Joint, found: Found) -> bool:
         parts.append(replace(p, bends=Bends(
             model.A, model.B, model.x_trim, p.record.inputs, model.delay, seen.x0, weights,
             float(seen.times[0]), float(seen.times[-1]), rough=True)))
-    return not _differ(replace(part, parts=tuple(parts)), found)[0] < _MATTERS
+    return not (_differ(replace(part, parts=tuple(parts)), found)[0] < _MATTERS).all()
 
 
 def _explained(part: Joint) -> bool:
@@ -180,15 +180,15 @@ def _projected(found: Found) -> Settings:
     return found.search.settings
 
 
-def _differ(part: Joint, found: Found) -> tuple[float, float]:
-    """Return by how much lines differ from a model's: in variances of its noise; of the power."""
+def _differ(part: Joint, found: Found) -> tuple[Array, Array]:
+    """Return by how much each output's lines differ: in variances of the noise; of the power."""
     old = found.projection
     new = part.project(_projected(found), found.layout)
     change = np.sum(as_real(new.y - old.y) ** 2, axis=1)
     error, y = as_real(prediction_errors(old, found.matrices)), as_real(old.y)
     power = np.sum(y ** 2, axis=1) + 1e-300
     noise = np.mean(error ** 2, axis=1) + _ROUNDING * power
-    return float(np.max(change / noise)), float(np.max(change / power))
+    return np.asarray(change / noise), np.asarray(change / power)
 
 
 def _quiet(found: Found) -> bool:

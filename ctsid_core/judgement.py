@@ -152,7 +152,7 @@ def _right_but_slow(e: Evidence) -> bool:
     Return whether the part held out is badly told for want of motion only.
 
     After a step little moves: a right model leaves of that little what noise there is, no more.
-    Noise that drives the plant has no such level: it may be all that moves.
+    Of noise that drives the plant that proves nothing: it may be all that moves.
     """
     erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
     known = all(x.uncertainty < _UNKNOWN for x in e.numbers.excitation)  # else nothing tells it

@@ -164,7 +164,7 @@ def test_the_core_does_not_know_ros():
 
 
 def test_the_core_loads_nothing_heavy():
-    """scipy.signal brings scipy.stats: every command and node would start a second later."""
+    """scipy.signal brings scipy.stats: every command and node would start 0.7 s later."""
     code = "import ctsid_core, sys; print({'scipy.signal', 'scipy.stats'} & set(sys.modules))"
     loaded = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             check=True)
