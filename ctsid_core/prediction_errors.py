@@ -137,6 +137,10 @@ def log_det(projection: Projection, covariance: Array) -> Array:
     projection : Projection
     covariance : ndarray, shape (..., ny, ny)
         Each may be singular: without noise, errors of a missing state are the same in all outputs.
+
+    Returns
+    -------
+    ndarray, shape (...)
     """
     own = OWN * np.diagonal(covariance, axis1=-2, axis2=-1) + least_power(projection)
     own = own[..., np.newaxis] * np.eye(own.shape[-1])
