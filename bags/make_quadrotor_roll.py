@@ -29,7 +29,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ctsid_core import storage
+from ctsid_core.model import storage
 from ctsid_ros.examples.quadrotor_roll import (
     ANGLE_NOISE,
     COMMAND_RATE,

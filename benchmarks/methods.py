@@ -23,13 +23,13 @@ import numpy as np  # noqa: E402
 from plain_laguerre import poles  # noqa: E402
 
 from ctsid_core import Record, Settings, identify  # noqa: E402
-from ctsid_core.bandwidth import choose_nmax  # noqa: E402
+from ctsid_core.bases.bandwidth import choose_nmax  # noqa: E402
 from ctsid_core.bases.hermite import project_record  # noqa: E402
 from ctsid_core.bases.laguerre import reach  # noqa: E402
-from ctsid_core.ct_pbsid import laguerre_levels, to_continuous  # noqa: E402
-from ctsid_core.pbsid import (  # noqa: E402
+from ctsid_core.linear.matrices import Matrices  # noqa: E402
+from ctsid_core.subspace.ct_pbsid import laguerre_levels, to_continuous  # noqa: E402
+from ctsid_core.subspace.pbsid import (  # noqa: E402
     Levels,
-    Matrices,
     Tuning,
     realise,
     regress,

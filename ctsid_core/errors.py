@@ -34,7 +34,3 @@ class SettingsError(CtsidError, ValueError):
 
 class StorageError(CtsidError, ValueError):
     """A file that is not what it should be, or of a version this ctsid cannot read."""
-
-
-class BagError(CtsidError, OSError):
-    """A bag that cannot be read, or that lacks what was asked of it."""

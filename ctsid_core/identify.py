@@ -8,21 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.bending import as_likely, bends, with_bends
-from ctsid_core.by_method import identify_by
-from ctsid_core.cross_check import cross_checked
-from ctsid_core.estimate import Estimate, Status
-from ctsid_core.estimation import confirmed, estimate, undoubted, without_outliers
-from ctsid_core.joint import check_alike, join_records
-from ctsid_core.lateness import likelier_dead_time
-from ctsid_core.methods import METHODS
-from ctsid_core.order import FIRST
-from ctsid_core.outcome import conclude
+from ctsid_core.bases.records import Unusable, check_alike, join_records
+from ctsid_core.judge.conclusion import conclude
+from ctsid_core.judge.conclusion_on_samples import conclude_on_samples
+from ctsid_core.judge.cross_check import cross_checked
+from ctsid_core.judge.rules import failed_estimate, unusable_estimate
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.search.bends_passes import as_likely, bends, with_bends
+from ctsid_core.search.dead_time_choice import likelier_dead_time
+from ctsid_core.search.lines import confirmed, estimate, undoubted, without_outliers
+from ctsid_core.search.order import FIRST
+from ctsid_core.search.other_methods import found_by
+from ctsid_core.search.samples import of_bursts, undistorted
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record
-from ctsid_core.statespace import StateSpace
-from ctsid_core.time_identify import told_in_time, undistorted
-from ctsid_core.verdict import UNJUDGED, Grade
+from ctsid_core.signals.record import Record
+from ctsid_core.subspace.methods import METHODS
 
 _NO_SEARCH = ('dead time is not looked for in outputs that come in bursts, and counts as 0; give '
               'it if there is one')
@@ -94,12 +95,16 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Estimate:
     known = settings.with_known_delays()
     part = join_records(records, known)
-    if isinstance(part, Estimate):
-        return replace(part, settings=settings)
+    if isinstance(part, Unusable):
+        return unusable_estimate(part.status, records[0], settings, part.notes)
+    method = METHODS[settings.method]
     try:
-        if settings.method in METHODS:
-            return identify_by(METHODS[settings.method], part, settings)
-        if told := told_in_time(part, known):
+        if not method.refines:
+            tried = found_by(method, part, settings)
+            return conclude(*tried) if tried else \
+                Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+        if on_samples := of_bursts(part, known):
+            told = conclude_on_samples(on_samples)
             unknown = any(settings.unknown_delays(records[0].nu))
             return replace(told, notes=(*told.notes, _NO_SEARCH)) if unknown else told
         found = estimate(part, known, first)
@@ -110,12 +115,14 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         clean, found = without_outliers(part, found, known)
         if clean is not part:
             part, found = with_bends(clean, found, known)
-        if bends(part) and (told := undistorted(*plain)) and as_likely(told, part, found):
-            return told
+        if bends(part) and (on_samples := undistorted(*plain)):
+            told = conclude_on_samples(on_samples)
+            if as_likely(told, part, found):
+                return told
         found = undoubted(part, found, known, first)
         part, found = likelier_dead_time(records, plain, (part, found), settings)
-        return undistorted(part, found) or conclude(part, *confirmed(part, found, settings))
+        if on_samples := undistorted(part, found):
+            return conclude_on_samples(on_samples)
+        return conclude(part, *confirmed(part, found, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
-        return Estimate(status=Status.UNRELIABLE, settings=settings, verdict=replace(
-            UNJUDGED, grade=Grade.REJECT, reason=f'The arithmetic failed ({error}); check the '
-            'signals, their sizes and units.'), notes=part.notes)
+        return failed_estimate(error, settings, part.notes)

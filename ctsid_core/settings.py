@@ -2,8 +2,8 @@
 """
 The one declaration of every parameter of identification.
 
-From the metadata of these fields come the validation, the ROS parameter names and descriptors,
-the command line's help, the commented YAML files and `docs/parameters.md`.
+From the metadata of these fields come the validation, the names and descriptions of parameters in
+files and nodes, the command line's help, the commented YAML files and `docs/parameters.md`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Literal
 from ctsid_core.errors import SettingsError
 
 Hold = Literal['zoh', 'linear', 'smooth']
-METHODS = ('hd-pbsid', 'ct-pbsid', 'ct-pbsid-filter', 'gobf')
+METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
 UNCHECKED = 'none'
 HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
 
@@ -37,7 +37,7 @@ def parameter(
     doc : str
         One sentence: what it means.
     name : str
-        Dotted ROS name; the field's own name where empty.
+        Dotted name; the field's own name where empty.
     unit : str
         Unit, for people.
     low, high : float, optional
@@ -63,7 +63,7 @@ def is_number(declared: Field[Any]) -> bool:
     return isinstance(declared.default, float) or bool(declared.metadata['words'])
 
 
-def ros_name(declared: Field[Any]) -> str:
+def parameter_name(declared: Field[Any]) -> str:
     """Return the dotted name under which a declared field appears in parameter files."""
     return declared.metadata['name'] or declared.name
 
@@ -144,12 +144,8 @@ class Settings:
         0, 'Number of filters in the chain, where their poles are not given.',
         name='takenaka_malmquist.functions', low=0, high=100,
         auto='8, or twice what the order needs')
-    tm_polynomial: int = parameter(
-        0, 'Degree of the polynomials through neighbouring samples that stand for signals between '
-        'them; 0: signals are what their holds say.', name='takenaka_malmquist.polynomial',
-        low=0, high=9, when='Set it to 3 to see the method as it was published.')
     laguerre_pole: float = parameter(
-        0.0, 'Pole of the Laguerre functions (methods ct-pbsid and ct-pbsid-filter).',
+        0.0, 'Pole of the Laguerre functions (method: ct-pbsid).',
         name='laguerre.pole', unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',
         when='A few times the fastest pole of interest, in steps of two if the model is poor.')
     held_out: float = parameter(
@@ -159,7 +155,7 @@ class Settings:
     cross_check: str = parameter(
         UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
         'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',
-        choices=(UNCHECKED, *(m for m in METHODS if m != 'ct-pbsid-filter')),
+        choices=(UNCHECKED, *METHODS),
         when='Set it to hd-pbsid where another method is used and there is time for it; it finds '
         'dead times, too.')
     window_length: float = parameter(
@@ -221,24 +217,24 @@ class Settings:
         return self.delay
 
     @classmethod
-    def from_ros(cls, values: Mapping[str, object]) -> Settings:
+    def from_dict(cls, values: Mapping[str, object]) -> Settings:
         """
-        Build settings from dotted ROS names.
+        Build settings from dotted names.
 
         Raises
         ------
         SettingsError
             If any name is unknown or any value is wrong; all faults are listed at once.
         """
-        settings: Settings = build_from_ros(cls, values)
+        settings: Settings = build_declared(cls, values)
         return settings
 
-    def to_ros(self) -> dict[str, object]:
-        """Return the values under their dotted ROS names."""
-        return {ros_name(f): getattr(self, f.name) for f in fields(self)}
+    def to_dict(self) -> dict[str, object]:
+        """Return the values under their dotted names."""
+        return {parameter_name(f): getattr(self, f.name) for f in fields(self)}
 
 
-def build_from_ros(cls: type[Any], values: Mapping[str, object], prefix: str = '') -> Any:
+def build_declared(cls: type[Any], values: Mapping[str, object], prefix: str = '') -> Any:
     """
     Build a declared dataclass from dotted names, listing unknown names and bad values at once.
 
@@ -256,7 +252,7 @@ def build_from_ros(cls: type[Any], values: Mapping[str, object], prefix: str = '
     SettingsError
         With one sentence per fault.
     """
-    declared = {ros_name(f): f for f in fields(cls)}
+    declared = {parameter_name(f): f for f in fields(cls)}
     faults, accepted = [], {}
     for name, value in values.items():
         if name not in declared:
@@ -283,7 +279,7 @@ def build_from_ros(cls: type[Any], values: Mapping[str, object], prefix: str = '
 
 def value_faults(declared: Field[Any], value: object, prefix: str = '') -> list[str]:
     """Return what is wrong with `value` for a declared field, as sentences; empty if nothing."""
-    name, meta = prefix + ros_name(declared), declared.metadata
+    name, meta = prefix + parameter_name(declared), declared.metadata
     if isinstance(value, tuple):
         if 'tuple' not in str(declared.type):
             return [f'`{name}` is a list, but one {_kind(declared)} is wanted']

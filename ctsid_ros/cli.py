@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from ctsid_ros.origin import package_version
+    from ctsid_ros.config.origin import package_version
     from ctsid_ros.verbs import (
         advise,
         compare,

@@ -17,9 +17,9 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from ctsid_core.errors import BagError
-from ctsid_ros.bag import open_bag
-from ctsid_ros.field_path import parse_field
+from ctsid_ros.decoding.field_path import parse_field
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.bag import open_bag
 
 CUSTOM = {
     'my_msgs/msg/Sample': 'uint8 flag\nfloat64 value\nstring note\nint16[3] triple\n',

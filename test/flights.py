@@ -10,8 +10,8 @@ from pathlib import Path
 from bag_fixtures import START, Sent, array, imu, write_rosbag2
 import numpy as np
 
-from ctsid_core.signals import Signal
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Signal
 
 # -1.5 +- 3j rad/s, steady gain 2, at an operating point other than zero
 TRUTH = StateSpace(

@@ -34,7 +34,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from ctsid_core.estimate import Estimate
+from ctsid_core.model.estimate import Estimate
 from ctsid_ros.messages import Health, decode_diagnostics, decode_metadata, decode_model
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from plants import Plant
 
-from ctsid_core.estimate import Estimate
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
 
 NORMAL, CHI_2 = 1.95996, 5.99146  # 95 % of a normal number, and of the sum of two squares
 

@@ -6,7 +6,7 @@ from plants import PLANTS, Multisine, _stationary, match
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
-from ctsid_core.advice import advise
+from ctsid_core.advice.advice import advise
 from ctsid_core.errors import DataError
 
 LENGTH = 10.0

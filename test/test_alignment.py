@@ -10,10 +10,10 @@ from plants import PLANTS, random_plant
 import pytest
 from scipy.optimize import least_squares
 
-from ctsid_core.alignment import align, reference_form
 from ctsid_core.errors import DataError
-from ctsid_core.signals import Signal
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.sequence.alignment import align, reference_form
+from ctsid_core.signals.record import Signal
 
 RNG = np.random.default_rng
 INTEGRATORS = StateSpace([[0, 1, 0], [0, 0, 1], [0, 0, -5]], [[0], [0], [5]], [[1, 0, 0]])

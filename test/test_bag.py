@@ -38,9 +38,9 @@ import pytest
 import yaml
 import zstandard
 
-from ctsid_core.errors import BagError
-from ctsid_ros.bag import open_bag
-from ctsid_ros.field_path import parse_field
+from ctsid_ros.decoding.field_path import parse_field
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.bag import open_bag
 
 
 def without_metadata(folder: Path) -> Path:

@@ -27,8 +27,8 @@ from mcap.stream_reader import StreamReader
 import numpy as np
 import pytest
 
-from ctsid_core.errors import BagError
-from ctsid_ros.bag import open_bag
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.bag import open_bag
 
 
 def rival(data: bytes) -> list[int]:

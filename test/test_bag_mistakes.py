@@ -15,9 +15,9 @@ from bag_fixtures import Sent, flight, joints, refused, write_mcap, write_rosbag
 import pytest
 import zstandard
 
-from ctsid_core.errors import BagError
-from ctsid_ros.bag import DecodeError, open_bag
-from ctsid_ros.field_path import parse_field
+from ctsid_ros.decoding.field_path import parse_field
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.bag import DecodeError, open_bag
 
 
 def test_missing_files(tmp_path):
@@ -75,8 +75,8 @@ def test_permission():
         locked.mkdir(mode=0)
         user = {'user': 65534, 'group': 65534} if os.geteuid() == 0 else {}
         code = ('import os, sys; sys.path[:] = eval(sys.argv[1])\n'
-                'from ctsid_ros.bag import open_bag\n'
-                'from ctsid_core.errors import BagError\n'
+                'from ctsid_ros.recordings.bag import open_bag\n'
+                'from ctsid_ros.errors import BagError\n'
                 'if int(sys.argv[2]): os.setgid(65534); os.setuid(65534)\n'
                 'for path in sys.argv[3:]:\n'
                 '    try: open_bag(path)\n'

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from ctsid_core.signals import Signal
-from ctsid_core.storage import load_model
+from ctsid_core.model.storage import load_model
+from ctsid_core.signals.record import Signal
 from ctsid_ros.examples import quadrotor_roll
 
 BAGS = Path(__file__).resolve().parent.parent / 'bags'

@@ -10,10 +10,10 @@ from plants import PLANTS, random_signal
 import pytest
 from scipy.linalg import expm
 
-from ctsid_core.mode_sensitivity import output_sensitivities
-from ctsid_core.signals import Signal
-from ctsid_core.simulation import respond
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.mode_sensitivity import output_sensitivities
+from ctsid_core.model.simulation import respond
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Signal
 from ctsid_ros.studies.bounds import (
     innovation_bound,
     innovations,

@@ -8,10 +8,10 @@ from plants import PLANTS, random_plant, running
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.estimate import OrderTried, with_fit
-from ctsid_core.estimation import confirmed, estimate
-from ctsid_core.joint import join_records
-from ctsid_core.model_json import from_json, to_json
+from ctsid_core.bases.records import join_records
+from ctsid_core.model.estimate import OrderTried, with_fit
+from ctsid_core.model.model_json import from_json, to_json
+from ctsid_core.search.lines import confirmed, estimate
 
 QUICK = Settings(held_out=0.0)
 

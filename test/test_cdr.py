@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from rosbags.serde import SerdeError
 
-from ctsid_ros.bag_recording import Connection
-from ctsid_ros.bag_types import message_type
-from ctsid_ros.cdr import DecodeError, Extractor
-from ctsid_ros.cdr_layout import layout_of
-from ctsid_ros.field_path import FieldError, header_stamp_ns, parse_field
-from ctsid_ros.message_fields import bind, scalar_fields
-from ctsid_ros.message_types import FieldType, MessageType, of_message_class, reachable
+from ctsid_ros.decoding.cdr import DecodeError, Extractor
+from ctsid_ros.decoding.cdr_layout import layout_of
+from ctsid_ros.decoding.field_path import FieldError, header_stamp_ns, parse_field
+from ctsid_ros.decoding.message_fields import bind, scalar_fields
+from ctsid_ros.decoding.message_types import FieldType, MessageType, of_message_class, reachable
+from ctsid_ros.recordings.definitions import message_type
+from ctsid_ros.recordings.recording import Connection
 
 
 def type_of(name: str, store=STORE) -> MessageType:
@@ -135,7 +135,8 @@ def test_random_messages_of_a_custom_type():
 
 def test_same_shape_is_walked_once(monkeypatch):
     walks = []
-    monkeypatch.setattr('ctsid_ros.cdr.layout_of', lambda *a: walks.append(1) or layout_of(*a))
+    monkeypatch.setattr('ctsid_ros.decoding.cdr.layout_of',
+                        lambda *a: walks.append(1) or layout_of(*a))
     extract = extractor('sensor_msgs/msg/JointState', 'effort[1]')
     for k in range(30):  # two publishers with joints of their own take turns
         extract(raw_of(joints(k, [k, 1.0] if k % 2 else [k, 1.0, 2.0])))

@@ -29,11 +29,17 @@ from flights import (
 import numpy as np
 import pytest
 
+from ctsid_core.model.storage import (
+    load_estimate,
+    load_metadata,
+    load_model,
+    load_series,
+    save_model,
+)
 from ctsid_core.settings import METHODS
-from ctsid_core.storage import load_estimate, load_metadata, load_model, load_series, save_model
 from ctsid_ros.cli import main
-from ctsid_ros.config_file import read_config
-from ctsid_ros.config_text import parameters_markdown
+from ctsid_ros.config.parameter_file import read_config
+from ctsid_ros.config.parameter_text import parameters_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 FILES = ['estimates.csv', 'estimates.npz', 'model.json', 'report.html', 'report.md']

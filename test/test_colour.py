@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from ctsid_core.colour import highest_peak
+from ctsid_core.likelihood.spectral_peak import highest_peak
 
 
 def white(rng, ny, count):

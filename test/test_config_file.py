@@ -5,9 +5,10 @@ import pytest
 import yaml
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.settings import Settings, ros_name, value_faults
-from ctsid_ros.channels import CHANNEL_KEYS, SETTINGS_KEYS, Channel, Config
-from ctsid_ros.config_file import (
+from ctsid_core.settings import Settings, parameter_name, value_faults
+from ctsid_ros.config.channels import CHANNEL_KEYS, SETTINGS_KEYS, Channel, Config
+from ctsid_ros.config.node_settings import NODE_KEYS, NodeSettings
+from ctsid_ros.config.parameter_file import (
     OWN_KEYS,
     dump_config,
     parameters_markdown,
@@ -15,7 +16,6 @@ from ctsid_ros.config_file import (
     parse_parameters,
     read_config,
 )
-from ctsid_ros.node_settings import NODE_KEYS, NodeSettings
 
 FILE = """\
 /**:
@@ -243,7 +243,7 @@ def test_declarations_of_the_node_are_in_order():
     assert not NODE_KEYS.keys() & SETTINGS_KEYS.keys()
     for declared in fields(NodeSettings):
         assert value_faults(declared, declared.default) == []
-        assert ros_name(declared).replace('.', '_') == declared.name
+        assert parameter_name(declared).replace('.', '_') == declared.name
         assert declared.metadata['doc'].endswith('.')
     with pytest.raises(SettingsError) as caught:
         NodeSettings(ingest_depth=0, ingest_reliability='some')

@@ -10,7 +10,8 @@ from regions import regions
 from scipy.stats import binom
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.covariance import (
+from ctsid_core.errors import DataError
+from ctsid_core.model.covariance import (
     Covariance,
     Entries,
     damping_deviation,
@@ -20,9 +21,8 @@ from ctsid_core.covariance import (
     pole_deviation,
     response_deviation,
 )
-from ctsid_core.errors import DataError
-from ctsid_core.estimate import Estimate, Status
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
 
 OMEGA = np.array([0.0, 0.7, 4.0, 30.0])
 STEP = 1e-6

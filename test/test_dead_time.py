@@ -23,13 +23,13 @@ from plants import (
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
-from ctsid_core.bases.base import as_real
 from ctsid_core.bases.hermite import input_slopes, project_inputs, project_record
-from ctsid_core.delay_columns import delay_columns
-from ctsid_core.joint_climb import climb_jointly
-from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import prediction_errors
-from ctsid_core.refine import refine_output_error
+from ctsid_core.bases.projection import as_real
+from ctsid_core.likelihood.dead_time_climb import climb_jointly
+from ctsid_core.likelihood.delay_columns import delay_columns
+from ctsid_core.likelihood.prediction_errors import prediction_errors
+from ctsid_core.likelihood.refine import refine_output_error
+from ctsid_core.linear.matrices import Matrices
 
 HD51 = PLANTS['hd51']
 FAST = Settings(held_out=0.0)

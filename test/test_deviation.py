@@ -8,10 +8,10 @@ from plants import PLANTS, match, running
 import pytest
 
 from ctsid_core import Settings
-from ctsid_core import deviation as module
 from ctsid_core.bases.hermite import project_record
-from ctsid_core.deviation import pole_deviation
-from ctsid_core.refine import realise_poles, refine_output_error
+from ctsid_core.likelihood import information as module
+from ctsid_core.likelihood.information import pole_deviation
+from ctsid_core.likelihood.refine import realise_poles, refine_output_error
 
 TRUTH = PLANTS['hd51'].poles
 

@@ -10,14 +10,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from ctsid_core.errors import SettingsError, StorageError
 from ctsid_core.settings import Settings
-from ctsid_ros.bag import open_bag
-from ctsid_ros.bag_writer import BagWriter
-from ctsid_ros.channels import Channel, Config
-from ctsid_ros.feed import Feed, Taken
-from ctsid_ros.ingest import Ingest
-from ctsid_ros.message_types import FieldType, MessageType
-from ctsid_ros.playback import Interval, fit_config, play
-from ctsid_ros.sim_clock import SimClock
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.decoding.message_types import FieldType, MessageType
+from ctsid_ros.ingest.feed import Feed, Taken
+from ctsid_ros.ingest.ingest import Ingest
+from ctsid_ros.ingest.sim_clock import SimClock
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.playback import Interval, fit_config, play
+from ctsid_ros.recordings.writer import BagWriter
 
 S, MS = 10**9, 10**6
 EPOCH = 1_700_000_000 * S

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ctsid_ros.field_path import (
+from ctsid_ros.decoding.field_path import (
     FieldError,
     ParseError,
     Range,

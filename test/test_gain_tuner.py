@@ -9,10 +9,10 @@ import time
 import numpy as np
 import pytest
 
-from ctsid_core.estimate import Estimate, Status
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.verdict import UNJUDGED, Grade, Verdict
+from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
-from ctsid_core.tracking import Tracked
-from ctsid_core.verdict import UNJUDGED, Grade, Verdict
 from ctsid_ros.examples.acceptance import Limits, objection
 from ctsid_ros.examples.lqr import Weights, compute_gains
 from ctsid_ros.examples.quadrotor_roll import Plant

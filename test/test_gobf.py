@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from ctsid_core.bases.kinks import integrated, missed_between
-from ctsid_core.bases.local_polynomials import derivatives
 from ctsid_core.bases.takenaka_malmquist import chain
-from ctsid_core.driven import simulated
 from ctsid_core.errors import SettingsError
-from ctsid_core.gobf_subspace import dynamics, filter_records, observe, realise
 from ctsid_core.identify import identify
+from ctsid_core.model.residue_fit import simulated
+from ctsid_core.model.simulation import input_polynomials
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record, Signal
-from ctsid_core.simulation import input_polynomials
-from ctsid_core.statespace import StateSpace
+from ctsid_core.signals.record import Record, Signal
+from ctsid_core.subspace.gobf_subspace import dynamics, filter_records, observe, realise
 from ctsid_ros.studies import takenaka_malmquist as study
 from ctsid_ros.studies.experiments import flexible, from_rest, quadrotor, running
+from ctsid_ros.studies.local_polynomials import derivatives, local_polynomials
 
 SEQUENCES = {
     'spread': np.linspace(1.0, 15.0, 8), 'laguerre': np.full(8, 6.0),
@@ -159,7 +159,7 @@ def test_local_polynomials_are_exact_for_polynomials():
 def test_local_polynomials_of_the_paper_on_irregular_stamps():
     own = record('smooth')
     filtered = filter_records([own], chain(SEQUENCES['spread']), (0.0, 0.0), trim=True,
-                              polynomial=3)
+                              pieces=local_polynomials(3))
     found = realise(observe(filtered, 1e-10), 3, feedthrough=True)
     np.testing.assert_allclose(StateSpace(found.A, found.B, found.C).poles, PLANT.poles, rtol=0.03)
 

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from scipy.signal import butter, sosfilt
 
 from ctsid_core import Record, Settings, Status, identify
-from ctsid_core.validation import simulation
+from ctsid_core.model.validation import simulation
 
 
 def steps(rng, count, hold):

@@ -9,7 +9,7 @@ from ctsid_core.bases import hermite_sums, quadrature
 from ctsid_core.bases.hermite import time_scale
 from ctsid_core.bases.hermite_functions import hermite_functions, project_directly
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.signals import Signal
+from ctsid_core.signals.record import Signal
 
 LONG = pytest.mark.skipif(np.finfo(np.longdouble).maxexp < 16000, reason='needs long exponents')
 WITHOUT_TABLE = 1800        # an order above which no table is kept

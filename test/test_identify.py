@@ -21,7 +21,7 @@ import pytest
 
 from ctsid_core import Record, Settings, Signal, Status, identify
 from ctsid_core.errors import CtsidError
-from ctsid_core.validation import simulation
+from ctsid_core.model.validation import simulation
 
 QUICK = Settings(held_out=0.0)
 FIRST = plant([[-3.0]], [[3.0]], [[1.0]])

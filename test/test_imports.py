@@ -2,8 +2,7 @@
 """
 The import law.
 
-The staircase below names the modules of the architecture and their levels. One that can reach
-another through imports, directly or through modules without a level of their own, lies higher.
+Packages stand one above the other: a module imports from its own package and from those below.
 Nothing is imported in a circle, the core knows nothing of ROS, messages and files of others, and
 each foreign library is known to a few modules only.
 """
@@ -22,73 +21,27 @@ import sys
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-VERBS = [f'verbs.{verb}' for verb in (
-    'advise', 'compare', 'identify', 'info', 'init', 'params', 'replay', 'show', 'simulate',
-    'study')]
-LEVELS = {
-    'ctsid_core': [
-        ['errors', 'agreement'], ['settings'], ['signals'],
-        ['shapes', 'matrix_functions', 'frequency', 'residuals', 'mode_rows', 'spikes'],
-        ['simulation', 'realisation'],
-        ['statespace', 'verdict'], ['covariance'],
-        ['estimate', 'samples', 'predictor', 'alignment'],
-        ['windows', 'model_json'],
-        ['bases.chirp_sums', 'bases.blocks'],
-        ['bases.fourier_sums', 'bases.hermite_functions'], ['bases.hermite_sums'],
-        ['bases.base', 'bases.quadrature', 'bases.takenaka_malmquist', 'bases.kinks',
-         'bases.bends', 'bases.local_polynomials'], ['bases.hermite', 'storage', 'validation'],
-        ['outliers'], ['tall_qr'],
-        ['bases.instants', 'pbsid', 'resolvent', 'bandwidth', 'usable', 'colour', 'stuck'],
-        ['window_ends', 'gobf_subspace'], ['pole_fit', 'prediction_errors', 'delay_columns'],
-        ['levenberg_marquardt'],
-        ['record_equations'], ['refine', 'many_models', 'whole_model'],
-        ['time_responses'], ['time_refine'], ['time_search'], ['time_estimate'],
-        ['steadiness', 'process_noise', 'candidates', 'excitation', 'joint_climb'],
-        ['deviation', 'leftover', 'judgement'], ['examination', 'joint'], ['other_method'],
-        ['driven'], ['ct_pbsid', 'gobf'], ['methods'],
-        ['mode_sensitivity', 'sameness'], ['time_prediction'],
-        ['order'], ['closed_loop', 'found', 'selection'], ['held_out', 'dead_time'],
-        ['outcome', 'time_identify'], ['by_method', 'estimation', 'forecast'], ['bending'],
-        ['lateness', 'advice', 'cross_check'],
-        ['identify'], ['tracking']],
-    'ctsid_ros': [
-        ['angles', 'blas', 'svg', 'tables', 'progress'], ['field_grammar', 'document'],
-        ['field_path'],
-        ['node_settings'], ['channels'], ['config_file', 'cdr', 'health', 'origin'],
-        ['bag', 'bag_writer', 'ingest', 'matrix_messages', 'sim_clock', 'sequence_numbers'],
-        ['feed', 'messages'],
-        ['survey_stats', 'playback', 'tracks', 'recordings'], ['survey', 'replay'],
-        ['examples.quadrotor_roll', 'examples.lqr', 'examples.acceptance', 'examples.running',
-         'studies.bounds', 'studies.experiments', 'studies.figure_files'],
-        ['examples.flight', 'examples.tuner_node', 'examples.demo_table',
-         'examples.demo_processes', 'studies.monte_carlo', 'studies.network', 'studies.page'],
-        ['studies.kept_runs', 'studies.clouds'], ['studies.runner'],
-        ['examples.robot_node', 'examples.demo_node', 'studies.table1', 'studies.windows',
-         'studies.closed_loop', 'studies.takenaka_malmquist', 'studies.hd_basis',
-         'studies.hd_robustness'],
-        ['studies.hd_vs_ct', 'studies.hd_parameters'], ['studies.hd_unsaid'],
-        ['examples.simulated_robot', 'examples.gain_tuner', 'examples.live_demo'],
-        ['guess', 'figures', 'results', 'experiment'], ['report'],
-        ['parameters', 'intake', 'worker'],
-        ['session', 'plan'], ['diagnosis'], ['run'], ['identifier'], ['node'],
-        ['verbs.arguments'], VERBS, ['cli']],
+# From the bottom; a module may import from its own package and from those before it.
+PACKAGES = {
+    'ctsid_core': ['errors', 'linear', 'settings', 'signals', 'model', 'bases', 'subspace',
+                   'likelihood', 'search', 'judge', 'advice', 'identify', 'sequence'],
+    'ctsid_ros': ['errors', 'blas', 'progress', 'decoding', 'config', 'ingest', 'recordings',
+                  'replay', 'messages', 'report', 'node', 'verbs', 'cli', 'studies', 'examples'],
 }
-ROS = ('rclpy', 'rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
+ROS = ('rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
        'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs')
 # Which modules may know a library. Those of the core may import it inside a function only.
 USERS = {
-    **dict.fromkeys(ROS, ['ctsid_ros.examples.*', 'ctsid_ros.parameters', 'ctsid_ros.descriptors',
-                          'ctsid_ros.intake', 'ctsid_ros.plan', 'ctsid_ros.run',
-                          'ctsid_ros.identifier', 'ctsid_ros.node',
-                          # inside functions, where a message is made:
-                          'ctsid_ros.messages', 'ctsid_ros.matrix_messages', 'ctsid_ros.health']),
-    'control': ['ctsid_core.statespace'],
-    'lz4': ['ctsid_ros.bag*'],
-    'mcap': ['ctsid_ros.bag*'],
-    'rich': ['ctsid_ros.cli*', 'ctsid_ros.progress'],
-    'rosbags': ['ctsid_ros.bag*'],
-    'yaml': ['ctsid_ros.config_file', 'ctsid_ros.bag*'],
-    'zstandard': ['ctsid_ros.bag*'],
+    'rclpy': ['ctsid_ros.node.*', 'ctsid_ros.examples.*'],
+    **dict.fromkeys(ROS, ['ctsid_ros.node.*', 'ctsid_ros.examples.*',
+                          'ctsid_ros.messages.*']),  # inside functions, where one is made
+    'control': ['ctsid_core.model.statespace'],
+    'lz4': ['ctsid_ros.recordings.*'],
+    'mcap': ['ctsid_ros.recordings.*'],
+    'rich': ['ctsid_ros.cli', 'ctsid_ros.progress'],
+    'rosbags': ['ctsid_ros.recordings.*'],
+    'yaml': ['ctsid_ros.config.parameter_file', 'ctsid_ros.recordings.*'],
+    'zstandard': ['ctsid_ros.recordings.*'],
     'numpy': ['ctsid_core*', 'ctsid_ros*'],
     'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*'],
 }
@@ -97,7 +50,7 @@ USERS = {
 @cache
 def modules() -> dict[str, Path]:
     """Dotted name of every module, and its file."""
-    files = [f for package in LEVELS for f in (ROOT / package).rglob('*.py')]
+    files = [f for package in PACKAGES for f in (ROOT / package).rglob('*.py')]
     return {'.'.join(f.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): f
             for f in files}
 
@@ -132,28 +85,32 @@ def reached(name: str) -> frozenset[str]:
     return frozenset(own(name)).union(*(reached(target) for target in own(name)))
 
 
-def levels(package: str) -> dict[str, int]:
-    return {f'{package}.{name}': level for level, names in enumerate(LEVELS[package])
-            for name in names if f'{package}.{name}' in modules()}
+def package_of(name: str) -> tuple[str, str]:
+    """Return 'ctsid_core', 'model' of 'ctsid_core.model.estimate'."""
+    top, _, rest = name.partition('.')
+    return top, rest.partition('.')[0]
 
 
 def test_nothing_is_imported_in_a_circle():
     list(TopologicalSorter({name: own(name) for name in modules()}).static_order())
 
 
-@pytest.mark.parametrize('package', LEVELS)
-def test_modules_reach_lower_levels_only(package):
-    level = levels(package)
-    assert len(level) > 4
-    wrong = [f'{name} reaches {target}' for name in level for target in reached(name)
-             if level.get(target, -1) >= level[name]]
+@pytest.mark.parametrize('top', PACKAGES)
+def test_packages_import_from_those_below_only(top):
+    place = {name: level for level, name in enumerate(PACKAGES[top])}
+    arrows = [(name, target) for name in modules() if package_of(name)[0] == top
+              for target in own(name) if package_of(target)[0] == top]
+    assert len(arrows) > 100
+    wrong = [f'{name} imports {target}' for name, target in arrows
+             if place[package_of(target)[1]] > place[package_of(name)[1]]]
     assert wrong == []
 
 
 def test_modules_do_not_use_the_lists_of_public_names():
-    """They exist for users; inside, one imports from where a name is made."""
+    """They exist for users, and for examples to copy from; else, one imports from the maker."""
     lists = {name for name, path in modules().items() if path.name == '__init__.py'}
-    wrong = {name: own(name) & lists for name in modules() if own(name) & lists}
+    wrong = {name: own(name) & lists for name in modules()
+             if own(name) & lists and '.examples.' not in name}
     assert wrong == {}
 
 
@@ -176,7 +133,7 @@ def test_libraries_are_known_where_they_may_be():
     for name in modules():
         for target, lazy in imported(name):
             library = target.partition('.')[0]
-            if library in {*sys.stdlib_module_names, '__future__', *LEVELS}:
+            if library in {*sys.stdlib_module_names, '__future__', *PACKAGES}:
                 continue
             allowed = any(fnmatch(name, pattern) for pattern in USERS.get(library, ()))
             extra = name.startswith('ctsid_core') and library not in ('numpy', 'scipy')
@@ -185,7 +142,7 @@ def test_libraries_are_known_where_they_may_be():
     assert wrong == []
 
 
-def test_the_staircase_names_real_modules():
-    named = {f'{package}.{name}' for package, steps in LEVELS.items()
-             for names in steps for name in names}
-    assert named - set(modules()) == set()
+def test_the_list_names_every_package():
+    found = {top: {package_of(name)[1] for name in modules() if name.startswith(f'{top}.')}
+             for top in PACKAGES}
+    assert found == {top: set(names) for top, names in PACKAGES.items()}

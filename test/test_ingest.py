@@ -7,9 +7,9 @@ import pytest
 
 from ctsid_core.errors import DataError, SettingsError
 from ctsid_core.settings import Settings
-from ctsid_ros.channels import Channel, Config
-from ctsid_ros.field_path import parse_field
-from ctsid_ros.ingest import Ingest
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.decoding.field_path import parse_field
+from ctsid_ros.ingest.ingest import Ingest
 
 S = 10**9
 EPOCH = 1_700_000_000 * S

@@ -11,19 +11,19 @@ from plants import PLANTS, held, match, plant, random_signal, running
 import pytest
 
 from ctsid_core import DataError, Record, Settings, Status, identify
-from ctsid_core.bases.base import as_real
-from ctsid_core.joint import join_records
-from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import (
+from ctsid_core.bases.projection import as_real
+from ctsid_core.bases.records import join_records
+from ctsid_core.likelihood.prediction_errors import (
     innovation_cost,
     predict,
     prediction_errors,
     spread_gradient,
 )
-from ctsid_core.record_equations import record_equations
-from ctsid_core.refine import moved, whitened, whitener
-from ctsid_core.resolvent import resolvent
-from ctsid_core.storage import load_estimate, save_model
+from ctsid_core.likelihood.record_equations import record_equations
+from ctsid_core.likelihood.refine import moved, whitened, whitener
+from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.resolvent import resolvent
+from ctsid_core.model.storage import load_estimate, save_model
 
 QUICK = Settings(held_out=0.0)
 MATRICES = ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'noise')

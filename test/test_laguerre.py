@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad_vec
 
 from ctsid_core.bases.laguerre import coefficients, laguerre_functions, reach, shifted
-from ctsid_core.signals import Signal
+from ctsid_core.signals.record import Signal
 
 A = 3.0
 

@@ -12,8 +12,8 @@ import subprocess
 
 import pytest
 
-from ctsid_ros.config_file import read_config
-from ctsid_ros.config_text import dump_config
+from ctsid_ros.config.parameter_file import read_config
+from ctsid_ros.config.parameter_text import dump_config
 
 ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted((ROOT / 'launch').glob('*.launch.py'))

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ctsid_core.levenberg_marquardt import LEAST_DAMPING, climb, normal_equations
-from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import Likelihood
+from ctsid_core.likelihood.levenberg_marquardt import LEAST_DAMPING, climb, normal_equations
+from ctsid_core.likelihood.prediction_errors import Likelihood
+from ctsid_core.linear.matrices import Matrices
 
 
 def at(x: float, y: float, pole: float = -1.0) -> Matrices:

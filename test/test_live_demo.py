@@ -14,9 +14,9 @@ import time
 import numpy as np
 import pytest
 
-from ctsid_core.estimate import Estimate, Status
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
-from ctsid_core.statespace import StateSpace
 from ctsid_ros.examples.demo_table import Truth, judge, line, summary
 from ctsid_ros.examples.quadrotor_roll import Plant
 

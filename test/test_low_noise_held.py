@@ -19,9 +19,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import zpk2ss
 
-from ctsid_core import Record, Settings, Signal, StateSpace, bending, identify
+from ctsid_core import Record, Settings, Signal, StateSpace, identify
 from ctsid_core.bases.bends import SPARE, nearest_bends
 from ctsid_core.bases.hermite import project_record
+from ctsid_core.search import bends_passes as bending
 from ctsid_ros.studies import takenaka_malmquist as study
 
 FIRST = plant(*zpk2ss([-5.0], [-3.0, -12.0], 7.2))                    # relative degree 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ctsid_core.errors import DataError
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.statespace import StateSpace
 from ctsid_ros.examples.lqr import Weights, compute_gains, corners, design, disc_margin
 from ctsid_ros.examples.quadrotor_roll import Plant
 

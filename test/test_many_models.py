@@ -13,9 +13,9 @@ import pytest
 
 from ctsid_core import Settings
 from ctsid_core.bases.hermite import project_record
-from ctsid_core.many_models import innovation_costs, output_error_costs
-from ctsid_core.order import Search
-from ctsid_core.prediction_errors import innovation_cost, output_error_cost
+from ctsid_core.likelihood.many_models import innovation_costs, output_error_costs
+from ctsid_core.likelihood.prediction_errors import innovation_cost, output_error_cost
+from ctsid_core.search.order import Search
 
 
 def lines_of(p, settings=None, *, seed=0, snr=20):
@@ -25,7 +25,7 @@ def lines_of(p, settings=None, *, seed=0, snr=20):
 
 def models_of(projection, n):
     search = Search(projection, Settings())
-    return [c.matrices for c in search.candidates(n, search.tunings(n))]
+    return [c.matrices for c in search.candidates(n, search.subspaces.tunings(n))]
 
 
 @pytest.mark.parametrize('name', ['hd51', 'hd52', 'flexible'])
@@ -59,7 +59,7 @@ def test_poles_alone_are_judged_as_by_a_fit():
     projection = lines_of(PLANTS['hd52'])
     search = Search(projection, Settings())
     for n in (1, 2, 3, 4):
-        poles = [c.poles for c in search.candidates(n, search.tunings(n))]
+        poles = [c.poles for c in search.candidates(n, search.subspaces.tunings(n))]
         slow = poles[0].copy()
         slow[np.argmin(np.abs(slow))] = -1e-4 if slow.imag[np.argmin(np.abs(slow))] == 0 \
             else slow[np.argmin(np.abs(slow))]

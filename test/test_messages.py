@@ -15,12 +15,12 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String  # noqa: E402
 
 from ctsid_core.errors import DataError, StorageError  # noqa: E402
-from ctsid_core.estimate import Choice, Estimate, Status  # noqa: E402
+from ctsid_core.model.estimate import Choice, Estimate, Status  # noqa: E402
+from ctsid_core.model.statespace import StateSpace  # noqa: E402
+from ctsid_core.model.storage import from_json, to_json  # noqa: E402
+from ctsid_core.sequence.tracking import Tracked  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402
-from ctsid_core.statespace import StateSpace  # noqa: E402
-from ctsid_core.storage import from_json, to_json  # noqa: E402
-from ctsid_core.tracking import Tracked  # noqa: E402
-from ctsid_ros.channels import Channel  # noqa: E402
+from ctsid_ros.config.channels import Channel  # noqa: E402
 from ctsid_ros.messages import (  # noqa: E402
     Health,
     Level,

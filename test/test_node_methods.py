@@ -9,10 +9,10 @@ from live import Live  # noqa: E402
 from plants import match  # noqa: E402
 from robot import SOFT, Robot, motion, params  # noqa: E402
 
-from ctsid_core.model_json import to_json  # noqa: E402
-from ctsid_ros.bag import open_bag  # noqa: E402
-from ctsid_ros.config_file import read_config  # noqa: E402
-from ctsid_ros.replay import Replay  # noqa: E402
+from ctsid_core.model.model_json import to_json  # noqa: E402
+from ctsid_ros.config.parameter_file import read_config  # noqa: E402
+from ctsid_ros.recordings.bag import open_bag  # noqa: E402
+from ctsid_ros.replay.replay import Replay  # noqa: E402
 
 
 @pytest.fixture

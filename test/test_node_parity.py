@@ -11,12 +11,12 @@ from live import Live  # noqa: E402
 from robot import EPOCH, Robot, S, motion, params  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
-from ctsid_core.model_json import to_json  # noqa: E402
-from ctsid_ros.bag import open_bag  # noqa: E402
-from ctsid_ros.config_file import read_config  # noqa: E402
-from ctsid_ros.message_types import definition, of_message_class  # noqa: E402
+from ctsid_core.model.model_json import to_json  # noqa: E402
+from ctsid_ros.config.parameter_file import read_config  # noqa: E402
+from ctsid_ros.decoding.message_types import definition, of_message_class  # noqa: E402
 from ctsid_ros.messages import decode_metadata, encode_model  # noqa: E402
-from ctsid_ros.replay import Replay  # noqa: E402
+from ctsid_ros.recordings.bag import open_bag  # noqa: E402
+from ctsid_ros.replay.replay import Replay  # noqa: E402
 
 
 @pytest.fixture

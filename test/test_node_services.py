@@ -13,8 +13,8 @@ from plants import match  # noqa: E402
 from robot import EPOCH, SOFT, Robot, S, motion, params  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
-from ctsid_core.model_json import to_json  # noqa: E402
-from ctsid_core.storage import load_estimate  # noqa: E402
+from ctsid_core.model.model_json import to_json  # noqa: E402
+from ctsid_core.model.storage import load_estimate  # noqa: E402
 from ctsid_ros.messages import Level  # noqa: E402
 
 

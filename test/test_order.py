@@ -7,11 +7,11 @@ import pytest
 
 from ctsid_core import Settings, identify
 from ctsid_core.bases.hermite import project_record
-from ctsid_core.order import OrderTrial, Search, by_either
-from ctsid_core.pole_fit import OutputError
-from ctsid_core.prediction_errors import innovation_cost
-from ctsid_core.selection import choose_order
-from ctsid_core.window_ends import ends_cost_of_simulation
+from ctsid_core.likelihood.prediction_errors import innovation_cost
+from ctsid_core.likelihood.simulation_of_poles import OutputError
+from ctsid_core.likelihood.window_ends import ends_cost_of_simulation
+from ctsid_core.search.order import OrderTrial, Search, by_either
+from ctsid_core.search.selection import choose_order
 
 
 def window(p, snr=20, seed=0, *, nmax=150, settings=None):
@@ -81,7 +81,7 @@ def test_given_tunings_are_kept(lines):
                              (Settings(past=5, future=2), {'past': {5}, 'future': {2}}),
                              (Settings(beta=3.0, gamma=20.0, past=4, future=3),
                               {'beta': {3.0}, 'gamma': {20.0}, 'past': {4}, 'future': {3}})):
-        tunings = Search(lines, settings).tunings(3)
+        tunings = Search(lines, settings).subspaces.tunings(3)
         assert tunings
         for name, values in wanted.items():
             assert {getattr(t, name) for t in tunings} == values
@@ -90,19 +90,19 @@ def test_given_tunings_are_kept(lines):
 def test_tunings_suit_the_order_and_the_data(lines):
     search = Search(lines, Settings())
     for n in (1, 4, 9, 20):
-        for t in search.tunings(n):
+        for t in search.subspaces.tunings(n):
             assert t.past * len(lines.y) > n
             assert t.future == t.past
             assert 0.0 < t.beta < t.gamma
-    spread = [t.beta for t in search.tunings(3)]
+    spread = [t.beta for t in search.subspaces.tunings(3)]
     assert max(spread) > 10.0 * min(spread)              # slow and fast plants are both met
-    assert len(search.tunings(3)) >= 10
+    assert len(search.subspaces.tunings(3)) >= 10
 
 
 def test_one_output_can_hold_any_order():
     one = window(random_plant(np.random.default_rng(0), 2, 1, 1), nmax=600)
     for n in (11, 20, 40):
-        tunings = Search(one, Settings()).tunings(n)
+        tunings = Search(one, Settings()).subspaces.tunings(n)
         assert tunings
         assert all(t.past > n for t in tunings)
 
@@ -113,7 +113,7 @@ def test_parts_are_judged_by_their_own_length():
     record = running(rng, PLANTS['hd51'], 20, rate=100.0, duration=40.0, band=3.0)
     search = Search(project_record(record, settings, 100), settings)
     assert search.pair(2).limit == pytest.approx(1.0 / 10.0)
-    assert min(t.beta for t in search.tunings(2)) == pytest.approx(1.0)
+    assert min(t.beta for t in search.subspaces.tunings(2)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -127,7 +127,7 @@ def test_the_order_under_process_noise(seed):
 def test_a_short_window_gives_no_model():
     tiny = window(PLANTS['hd52'], nmax=8)
     search = Search(tiny, Settings())
-    assert search.tunings(3) == []
+    assert search.subspaces.tunings(3) == []
     assert search.pair(3) is None
     assert search.trial(3) is None
     assert search.orders() == []
@@ -157,7 +157,7 @@ def test_an_unstable_plant_is_seen_to_be_unstable(q):
 def test_the_pair_holds_the_best_of_all_candidates(lines):
     search = Search(lines, Settings())
     pair = search.pair(3)
-    all_of_them = list(search.candidates(3, search.tunings(3)))
+    all_of_them = list(search.candidates(3, search.subspaces.tunings(3)))
     stable = [c for c in all_of_them if c.growth <= pair.limit]
     assert pair.simulating.simulated.cost == min(c.simulated.cost for c in stable)
     assert pair.predicting.innovation == min(c.innovation for c in stable)
@@ -175,7 +175,7 @@ def test_one_tuning_is_taken_as_it_is(lines):
 
 def test_orders_beyond_the_singular_values_have_no_candidate(lines):
     search = Search(lines, Settings(past=2, future=1))
-    assert list(search.candidates(5, search.tunings(5))) == []
+    assert list(search.candidates(5, search.subspaces.tunings(5))) == []
 
 
 # The chosen orders of whole identifications: the plants of [HD] 5.1 and 5.2 at 20 dB, a flexible

@@ -10,8 +10,8 @@ from plants import PLANTS, asynchronous, held, held_response, match, noisy, pape
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.outliers import spikes
-from ctsid_core.usable import usable
+from ctsid_core.bases.preparation import usable
+from ctsid_core.signals.outliers import spikes
 
 
 def uneven(rng, count: int, rate: float = 200.0):

@@ -13,8 +13,8 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from ctsid_ros.config_file import read_config
-from ctsid_ros.config_text import dump_config
+from ctsid_ros.config.parameter_file import read_config
+from ctsid_ros.config.parameter_text import dump_config
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_SOURCE = shutil.ignore_patterns(

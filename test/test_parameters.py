@@ -18,11 +18,11 @@ from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
 
 from ctsid_core.errors import SettingsError  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402
-from ctsid_ros.channels import CHANNEL_KEYS, SETTINGS_KEYS, Config  # noqa: E402
-from ctsid_ros.config_file import OWN_KEYS, parse_parameters, read_config  # noqa: E402
-from ctsid_ros.config_text import dump_config  # noqa: E402
-from ctsid_ros.node_settings import NODE_KEYS, NodeSettings  # noqa: E402
-from ctsid_ros.parameters import declare, read, watch  # noqa: E402
+from ctsid_ros.config.channels import CHANNEL_KEYS, SETTINGS_KEYS, Config  # noqa: E402
+from ctsid_ros.config.node_settings import NODE_KEYS, NodeSettings  # noqa: E402
+from ctsid_ros.config.parameter_file import OWN_KEYS, parse_parameters, read_config  # noqa: E402
+from ctsid_ros.config.parameter_text import dump_config  # noqa: E402
+from ctsid_ros.node.parameters import declare, read, watch  # noqa: E402
 from ctsid_ros.verbs.params import example  # noqa: E402
 
 Make = Callable[..., Node]

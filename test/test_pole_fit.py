@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from ctsid_core import Record, Settings
-from ctsid_core.bases.base import as_real
 from ctsid_core.bases.hermite import project_record
-from ctsid_core.pole_fit import OutputError
+from ctsid_core.bases.projection import as_real
+from ctsid_core.likelihood.simulation_of_poles import OutputError
 
 MIXED = np.array([-1.0 + 2.0j, -1.0 - 2.0j, -4.0, -9.0, -0.5])
 

@@ -6,12 +6,11 @@ from plants import PLANTS, random_plant, random_signal, running
 import pytest
 
 from ctsid_core import Record, Settings, Signal
-from ctsid_core.bases.base import Projection, as_real
 from ctsid_core.bases.hermite import project_record, time_scale
+from ctsid_core.bases.projection import Projection, as_real
 from ctsid_core.bases.quadrature import coefficients
-from ctsid_core.many_models import innovation_costs
-from ctsid_core.pbsid import Matrices
-from ctsid_core.prediction_errors import (
+from ctsid_core.likelihood.many_models import innovation_costs
+from ctsid_core.likelihood.prediction_errors import (
     innovation_cost,
     jacobian,
     line_fit,
@@ -22,7 +21,8 @@ from ctsid_core.prediction_errors import (
     spread_gradient,
     unseen_fit,
 )
-from ctsid_core.window_ends import ends_cost
+from ctsid_core.likelihood.window_ends import ends_cost
+from ctsid_core.linear.matrices import Matrices
 
 PARTS = ('A', 'B', 'tail', 'x_trim', 'C', 'D', 'y_trim', 'K')
 

@@ -9,16 +9,16 @@ import pytest
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.hermite import project_record
-from ctsid_core.bending import with_bends
-from ctsid_core.deviation import pole_deviation
-from ctsid_core.estimation import estimate as by_order
-from ctsid_core.estimation import without_outliers
-from ctsid_core.joint import join_records
-from ctsid_core.order import Search
-from ctsid_core.prediction_errors import innovation_cost, prediction_errors
-from ctsid_core.process_noise import driven, with_process_noise
-from ctsid_core.refine import realise_poles, refine_innovation, refine_output_error
-from ctsid_core.selection import likeliest_simulation
+from ctsid_core.bases.records import join_records
+from ctsid_core.likelihood.information import pole_deviation
+from ctsid_core.likelihood.prediction_errors import innovation_cost, prediction_errors
+from ctsid_core.likelihood.process_noise import driven, with_process_noise
+from ctsid_core.likelihood.refine import realise_poles, refine_innovation, refine_output_error
+from ctsid_core.search.bends_passes import with_bends
+from ctsid_core.search.lines import estimate as by_order
+from ctsid_core.search.lines import without_outliers
+from ctsid_core.search.order import Search
+from ctsid_core.search.selection import likeliest_simulation
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 

@@ -13,7 +13,7 @@ from ctsid_core.bases.quadrature import (
     smooth_values,
     spline_degree,
 )
-from ctsid_core.signals import Signal
+from ctsid_core.signals.record import Signal
 
 NMAX, START, END = 80, -0.3, 9.8
 TURNING = np.sqrt(2.0 * NMAX + 1.0)

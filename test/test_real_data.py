@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
-from ctsid_core.validation import prediction, simulation
+from ctsid_core.model.validation import prediction, simulation
 
 # Output samples as they are, or a quarter of them lost and the other stamps off by up to 5 % of
 # the period. Lost samples of a held input would be another input: those are kept.

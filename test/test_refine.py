@@ -7,14 +7,11 @@ import pytest
 from scipy.optimize import least_squares
 
 from ctsid_core import Settings
-from ctsid_core import deviation as deviation_of
-from ctsid_core.bases.base import as_real
 from ctsid_core.bases.hermite import project_record
-from ctsid_core.deviation import pole_deviation
-from ctsid_core.order import Search
-from ctsid_core.pbsid import Tuning, realise, regress, stack_levels
-from ctsid_core.pole_fit import OutputError
-from ctsid_core.prediction_errors import (
+from ctsid_core.bases.projection import as_real
+from ctsid_core.likelihood import information as deviation_of
+from ctsid_core.likelihood.information import pole_deviation
+from ctsid_core.likelihood.prediction_errors import (
     innovation_cost,
     jacobian,
     line_fit,
@@ -22,12 +19,15 @@ from ctsid_core.prediction_errors import (
     prediction_errors,
     simulate_lines,
 )
-from ctsid_core.refine import (
+from ctsid_core.likelihood.refine import (
     realise_poles,
     refine_innovation,
     refine_output_error,
 )
-from ctsid_core.selection import most_likely
+from ctsid_core.likelihood.simulation_of_poles import OutputError
+from ctsid_core.search.order import Search
+from ctsid_core.search.selection import most_likely
+from ctsid_core.subspace.pbsid import Tuning, realise, regress, stack_levels
 
 NOISY = Settings(feedthrough=False)
 

@@ -14,18 +14,18 @@ import pytest
 from rosbags.highlevel import AnyReader
 import yaml
 
-from ctsid_core.errors import BagError
-from ctsid_core.estimate import Estimate, Status
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.storage import to_json
+from ctsid_core.model.validation import simulation
+from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
-from ctsid_core.storage import to_json
-from ctsid_core.tracking import Tracked, Tracker
-from ctsid_core.validation import simulation
-from ctsid_ros.bag import open_bag
-from ctsid_ros.channels import Channel, Config
-from ctsid_ros.config_file import parse_config
-from ctsid_ros.ingest import Ingest
-from ctsid_ros.playback import Interval, fit_config, read_record
-from ctsid_ros.replay import Replay, Result, best_of
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.config.parameter_file import parse_config
+from ctsid_ros.errors import BagError
+from ctsid_ros.ingest.ingest import Ingest
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.playback import Interval, fit_config, read_record
+from ctsid_ros.replay.replay import Replay, Result, best_of
 
 CONFIG = parse_config(yaml.safe_load(PARAMS))
 

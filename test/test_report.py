@@ -14,15 +14,17 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from ctsid_core.covariance import Covariance, Entries
-from ctsid_core.estimate import Choice, Estimate, Status
+from ctsid_core.model.covariance import Covariance, Entries
+from ctsid_core.model.estimate import Choice, Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import Validation
+from ctsid_core.model.verdict import Excitation, Grade, Verdict
+from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
-from ctsid_core.statespace import StateSpace
-from ctsid_core.tracking import Tracked
-from ctsid_core.validation import Validation
-from ctsid_core.verdict import Excitation, Grade, Verdict
-from ctsid_ros.document import Bullets, Figure, Section, to_html, to_markdown, to_text
-from ctsid_ros.figures import (
+from ctsid_ros.progress import progress
+from ctsid_ros.replay.replay import Result
+from ctsid_ros.report.document import Bullets, Figure, Section, to_html, to_markdown, to_text
+from ctsid_ros.report.figures import (
     bode_figures,
     output_figures,
     response_of,
@@ -31,18 +33,16 @@ from ctsid_ros.figures import (
     track_curve,
     track_figures,
 )
-from ctsid_ros.progress import progress
-from ctsid_ros.replay import Result
-from ctsid_ros.report import (
+from ctsid_ros.report.sections import (
     advice_section,
     bode_section,
     model_section,
     truth_section,
     window_section,
 )
-from ctsid_ros.svg import Axes, Curve, draw, linear_ticks, log_ticks
-from ctsid_ros.tables import Table, join, number, percent, plus_minus, pole_text, thinned
-from ctsid_ros.tracks import Mode, Track, match, modes, tracks
+from ctsid_ros.report.svg import Axes, Curve, draw, linear_ticks, log_ticks
+from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
+from ctsid_ros.report.tracks import Mode, Track, match, modes, tracks
 
 GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.',
                excitation=(Excitation('torque', 0.1, 30.0, 12.0, 1.0, 0.01),),
@@ -432,7 +432,7 @@ def test_bar_of_progress_is_drawn_for_a_person():
 
 
 def test_choices_are_told_in_the_files_only():
-    from ctsid_ros.report import choice_section
+    from ctsid_ros.report.sections import choice_section
     section = choice_section(estimate(choices=(Choice('order', 2, 'it is likeliest'),)))
     assert to_text([section]) == ''
     assert '- `order` = 2: it is likeliest' in to_markdown('', [section])

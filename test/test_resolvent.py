@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from ctsid_core.resolvent import resolvent
+from ctsid_core.linear.resolvent import resolvent
 
 S = 1j * np.linspace(0.0, 40.0, 31)
 

@@ -13,11 +13,11 @@ from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 
 from ctsid_core.settings import Settings  # noqa: E402
-from ctsid_ros.channels import Channel, Config  # noqa: E402
-from ctsid_ros.message_types import message_class, of_message_class  # noqa: E402
-from ctsid_ros.node_settings import NodeSettings  # noqa: E402
-from ctsid_ros.plan import Plan  # noqa: E402
-from ctsid_ros.run import begin  # noqa: E402
+from ctsid_ros.config.channels import Channel, Config  # noqa: E402
+from ctsid_ros.config.node_settings import NodeSettings  # noqa: E402
+from ctsid_ros.decoding.message_types import message_class, of_message_class  # noqa: E402
+from ctsid_ros.node.plan import Plan  # noqa: E402
+from ctsid_ros.node.run import begin  # noqa: E402
 
 
 @pytest.fixture

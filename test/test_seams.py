@@ -8,9 +8,9 @@ from plants import PLANTS, running
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, Status, identify
-from ctsid_core.advice import advise
+from ctsid_core.advice.advice import advise
 from ctsid_core.errors import DataError
-from ctsid_core.verdict import Grade
+from ctsid_core.model.verdict import Grade
 
 QUICK = Settings(delay=0.0, order=2)
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from ctsid_ros.sequence_numbers import SequenceNumbers
+from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
 
 def lost(numbers, publishers=1):

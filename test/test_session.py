@@ -6,10 +6,10 @@ from threading import Event
 import numpy as np
 import pytest
 
+from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record
-from ctsid_core.tracking import Tracker
-from ctsid_ros.session import Session
+from ctsid_core.signals.record import Record
+from ctsid_ros.node.session import Session
 
 SETTINGS = Settings(order=1, held_out=0.0)
 

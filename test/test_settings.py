@@ -6,7 +6,7 @@ import re
 import pytest
 
 from ctsid_core.errors import CtsidError, SettingsError
-from ctsid_core.settings import Settings, parameter, ros_name, value_faults
+from ctsid_core.settings import Settings, parameter, parameter_name, value_faults
 
 FIELDS = fields(Settings)
 NUMBERS = [f for f in FIELDS if f.metadata['low'] is not None]
@@ -14,16 +14,16 @@ NUMBERS = [f for f in FIELDS if f.metadata['low'] is not None]
 
 def test_defaults_are_valid_and_survive_ros_names():
     settings = Settings()
-    assert Settings.from_ros(settings.to_ros()) == settings
+    assert Settings.from_dict(settings.to_dict()) == settings
     other = Settings(order=3, delay=(0.1, 0.2), trim=False, window_length=3.5)
-    assert Settings.from_ros(other.to_ros()) == other
-    as_ros_has_it = {k: list(v) if isinstance(v, tuple) else v for k, v in other.to_ros().items()}
-    assert Settings.from_ros(as_ros_has_it) == other
-    assert Settings.from_ros({}) == settings
+    assert Settings.from_dict(other.to_dict()) == other
+    as_ros_has_it = {k: list(v) if isinstance(v, tuple) else v for k, v in other.to_dict().items()}
+    assert Settings.from_dict(as_ros_has_it) == other
+    assert Settings.from_dict({}) == settings
 
 
 def test_names_are_unique_dotted_lower_snake_case_and_explained():
-    names = [ros_name(f) for f in FIELDS]
+    names = [parameter_name(f) for f in FIELDS]
     assert len(set(names)) == len(names)
     for declared, name in zip(FIELDS, names, strict=True):
         assert re.fullmatch(r'[a-z][a-z_]*(\.[a-z][a-z_]*)?', name)
@@ -32,23 +32,24 @@ def test_names_are_unique_dotted_lower_snake_case_and_explained():
         assert declared.default is not MISSING
 
 
-@pytest.mark.parametrize('declared', NUMBERS, ids=ros_name)
+@pytest.mark.parametrize('declared', NUMBERS, ids=parameter_name)
 def test_ends_of_a_range_belong_to_it_and_nothing_beyond(declared):
     kind = float if declared.metadata['words'] else type(declared.default)
     for end, beyond in ((declared.metadata['low'], -1), (declared.metadata['high'], 1)):
         assert value_faults(declared, kind(end)) == []
         outside = end + beyond if kind is int else math.nextafter(end, beyond * math.inf)
         fault, = value_faults(declared, outside)
-        assert fault.startswith(f'`{ros_name(declared)}` is {outside!r}, but must lie between')
+        name = parameter_name(declared)
+        assert fault.startswith(f'`{name}` is {outside!r}, but must lie between')
         assert declared.metadata['unit'] in fault
 
 
-@pytest.mark.parametrize('declared', NUMBERS, ids=ros_name)
+@pytest.mark.parametrize('declared', NUMBERS, ids=parameter_name)
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, 10**400, -10**400, True, None,
                                    '3', [1], 1j, {}])
 def test_no_number_no_parameter(declared, value):
     fault, = value_faults(declared, value)
-    assert ros_name(declared) in fault
+    assert parameter_name(declared) in fault
     with pytest.raises(SettingsError):
         Settings(**{declared.name: value})
 
@@ -87,7 +88,7 @@ def test_whole_numbers_are_numbers():
 
 def test_all_faults_at_once():
     with pytest.raises(SettingsError) as caught:
-        Settings.from_ros({'ordr': 3, 'method': 'x', 'window.length': -1.0, 'pbsid.past': 2,
+        Settings.from_dict({'ordr': 3, 'method': 'x', 'window.length': -1.0, 'pbsid.past': 2,
                            'pbsid.future': 3, 'quite_something_else': 1})
     text = '\n'.join(caught.value.faults)
     assert len(caught.value.faults) == 5

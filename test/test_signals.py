@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ctsid_core.errors import CtsidError, DataError
-from ctsid_core.signals import Record, Signal, common_interval
+from ctsid_core.signals.record import Record, Signal, common_interval
 
 T = np.arange(11) * 0.1
 

@@ -9,8 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from ctsid_core.signals import Signal
-from ctsid_core.storage import from_json
+from ctsid_core.model.storage import from_json
+from ctsid_core.signals.record import Signal
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import GYRO_NOISE, Plant
 

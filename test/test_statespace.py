@@ -13,10 +13,11 @@ from scipy.interpolate import CubicSpline
 import scipy.linalg
 import scipy.signal
 
-from ctsid_core import matrix_functions, simulation
 from ctsid_core.errors import DataError
-from ctsid_core.signals import Signal
-from ctsid_core.statespace import StateSpace
+from ctsid_core.linear import matrix_functions
+from ctsid_core.model import simulation
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Signal
 
 
 def random_model(n, nu, ny, seed, *, shift=0.0, **more):

@@ -13,10 +13,10 @@ import pytest
 from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, Status, identify
-from ctsid_core.bases.base import as_real
 from ctsid_core.bases.hermite import project_record
 from ctsid_core.bases.instants import at_instants, instants
-from ctsid_core.steadiness import Change
+from ctsid_core.bases.projection import as_real
+from ctsid_core.judge.change_test import Change
 
 CLOSED_LOOP = Settings(feedthrough=False)
 

@@ -11,13 +11,12 @@ import threading
 import numpy as np
 import pytest
 
-from ctsid_core import storage
-from ctsid_core.covariance import Covariance
 from ctsid_core.errors import StorageError
-from ctsid_core.estimate import Choice, Estimate, Status
-from ctsid_core.settings import Settings
-from ctsid_core.statespace import StateSpace
-from ctsid_core.storage import (
+from ctsid_core.model import storage
+from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.estimate import Choice, Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.storage import (
     from_json,
     load_estimate,
     load_metadata,
@@ -27,6 +26,7 @@ from ctsid_core.storage import (
     save_series,
     to_json,
 )
+from ctsid_core.settings import Settings
 
 
 def model(seed=0, n=3, nu=2, ny=2, **more):

@@ -23,14 +23,14 @@ import numpy as np
 import pytest
 import yaml
 
-from ctsid_core.errors import BagError
-from ctsid_ros.bag import open_bag
-from ctsid_ros.config_file import parse_config
-from ctsid_ros.config_text import dump_config
-from ctsid_ros.field_path import parse_field
-from ctsid_ros.guess import guess
-from ctsid_ros.survey import RUN, survey
-from ctsid_ros.survey_stats import field_stats, stamp_stats
+from ctsid_ros.config.parameter_file import parse_config
+from ctsid_ros.config.parameter_text import dump_config
+from ctsid_ros.decoding.field_path import parse_field
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.guess import guess
+from ctsid_ros.recordings.survey import RUN, survey
+from ctsid_ros.recordings.survey_stats import field_stats, stamp_stats
 
 FIELD = parse_field('x')
 TWIST, ODOMETRY = 'geometry_msgs/msg/Twist', 'nav_msgs/msg/Odometry'

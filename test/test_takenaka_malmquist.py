@@ -9,8 +9,8 @@ from scipy.integrate import quad_vec, solve_ivp
 
 from ctsid_core.bases.takenaka_malmquist import chain, laguerre, legendre, respond
 from ctsid_core.errors import SettingsError
-from ctsid_core.signals import Signal
-from ctsid_core.simulation import input_polynomials, knots_between
+from ctsid_core.model.simulation import input_polynomials, knots_between
+from ctsid_core.signals.record import Signal
 
 SEQUENCES = {
     'spread': np.linspace(4.0, 60.0, 8),

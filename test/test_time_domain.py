@@ -11,13 +11,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ctsid_core import Record, Settings, Signal, Status, identify
-from ctsid_core.pbsid import Matrices
-from ctsid_core.refine import moved
-from ctsid_core.simulation import respond
-from ctsid_core.time_estimate import in_bursts
-from ctsid_core.time_refine import poles_in_time, refine_in_time
-from ctsid_core.time_responses import derivatives, outputs, responses, stamps_of
-from ctsid_core.time_search import search_in_time
+from ctsid_core.likelihood.refine import moved
+from ctsid_core.likelihood.samples_output_error import poles_in_time, refine_in_time
+from ctsid_core.linear.matrices import Matrices
+from ctsid_core.model.mode_responses import derivatives, outputs, responses, stamps_of
+from ctsid_core.model.simulation import respond
+from ctsid_core.search.samples_model import in_bursts
+from ctsid_core.search.samples_modes import search_in_time
 
 TRUTH = np.array([-2.0, -4.0, -0.3 + 6.3j, -0.3 - 6.3j])
 A = np.zeros((4, 4))

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.matrix_functions import modes
-from ctsid_core.mode_sensitivity import mode_responses, output_sensitivities, rest_state
-from ctsid_core.signals import Signal
-from ctsid_core.simulation import respond
-from ctsid_core.statespace import StateSpace
-from ctsid_core.time_prediction import (
+from ctsid_core.likelihood.samples_prediction_error import (
     Predictor,
     continuous_gain,
     prediction_cost,
@@ -24,6 +19,11 @@ from ctsid_core.time_prediction import (
     slopes,
     uniform_samples,
 )
+from ctsid_core.linear.matrix_functions import modes
+from ctsid_core.model.mode_sensitivity import mode_responses, output_sensitivities, rest_state
+from ctsid_core.model.simulation import respond
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Signal
 from ctsid_ros.studies.bounds import innovations, stationary_gain
 from ctsid_ros.studies.experiments import flown
 

@@ -11,17 +11,17 @@ from plants import PLANTS, Plant, flown, plant, running
 import pytest
 from scipy.linalg import expm
 
-from ctsid_core import tracking
-from ctsid_core.alignment import align
 from ctsid_core.errors import DataError
-from ctsid_core.estimate import Estimate, Status
 from ctsid_core.identify import identify
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import simulation
+from ctsid_core.model.verdict import Verdict
+from ctsid_core.sequence import tracking
+from ctsid_core.sequence.alignment import align
+from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record
-from ctsid_core.statespace import StateSpace
-from ctsid_core.tracking import Tracked, Tracker
-from ctsid_core.validation import simulation
-from ctsid_core.verdict import Verdict
+from ctsid_core.signals.record import Record
 
 S = 10**9
 SETTINGS = Settings(order=2, feedthrough=False)

@@ -6,8 +6,8 @@ from plants import jittered
 import pytest
 
 from ctsid_core import Record, Settings, Signal, Status
+from ctsid_core.bases.preparation import Usable, usable
 from ctsid_core.errors import SettingsError
-from ctsid_core.usable import Usable, usable
 
 T = np.linspace(0.0, 10.0, 201)
 MOVING = np.column_stack((np.sin(T), np.cos(2.0 * T), np.sin(3.0 * T)))

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from ctsid_core import matrix_functions
-from ctsid_core import simulation as simulation_module
 from ctsid_core.errors import DataError
-from ctsid_core.predictor import MEMORY, predictor_gain
-from ctsid_core.signals import Record, Signal
-from ctsid_core.statespace import StateSpace
-from ctsid_core.validation import fit, prediction, residual_tests, simulation, vaf
+from ctsid_core.linear import matrix_functions
+from ctsid_core.model import simulation as simulation_module
+from ctsid_core.model.predictor import MEMORY, predictor_gain
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import fit, prediction, residual_tests, simulation, vaf
+from ctsid_core.signals.record import Record, Signal
 
 STABLE = StateSpace([[0, 1, 0], [-4, -0.8, 1], [0, 0, -5]], [[0, 0], [1, 0], [0, 3]],
                     [[1, 0, 0], [0, 1, 1]], [[0, 0], [0, 0.5]], K=[[3, 0], [2, 1], [0, 1]],

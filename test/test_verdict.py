@@ -18,11 +18,11 @@ from verdict_cases import distance, excited, nothing, steps
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.errors import DataError
-from ctsid_core.estimate import Estimate
-from ctsid_core.model_json import from_json, to_json
-from ctsid_core.tracking import Tracker
-from ctsid_core.validation import simulation
-from ctsid_core.verdict import UNJUDGED, Verdict
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.model_json import from_json, to_json
+from ctsid_core.model.validation import simulation
+from ctsid_core.model.verdict import UNJUDGED, Verdict
+from ctsid_core.sequence.tracking import Tracker
 
 
 def judged(record: Record, settings: Settings | None = None) -> Verdict:

@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ctsid_core.bases.base import Projection, as_real
-from ctsid_core.resolvent import resolvent
-from ctsid_core.window_ends import ends_cost, ends_cost_of_simulation, ends_slopes
+from ctsid_core.bases.projection import Projection, as_real
+from ctsid_core.likelihood.window_ends import ends_cost, ends_cost_of_simulation, ends_slopes
+from ctsid_core.linear.resolvent import resolvent
 
 A = np.array([[0.0, 1.0, 0.0], [-30.0, -2.5, 1.0], [0.0, 0.0, -3.0]])
 C = np.array([[1.0, 0.0, 0.5]])

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from ctsid_core.errors import DataError
-from ctsid_core.samples import Group
-from ctsid_core.signals import Record
-from ctsid_core.windows import SlidingWindow
+from ctsid_core.signals.record import Record
+from ctsid_core.signals.samples import Group
+from ctsid_core.signals.windows import SlidingWindow
 
 S = 10**9
 EPOCH = 1_700_000_000 * S + 123_456_789

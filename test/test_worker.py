@@ -3,7 +3,7 @@
 
 from threading import Event
 
-from ctsid_ros.worker import Worker
+from ctsid_ros.node.worker import Worker
 
 
 def make(work):

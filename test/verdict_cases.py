@@ -18,7 +18,7 @@ from plants import (
 from scipy.signal import butter, lfilter, sosfilt
 
 from ctsid_core import Record
-from ctsid_core.estimate import Estimate
+from ctsid_core.model.estimate import Estimate
 
 COUNT, STEP = 2000, 0.005
 

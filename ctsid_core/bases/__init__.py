@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bases on which records are projected."""
+"""From records to projections: lines of a basis in which the derivative is diagonal."""

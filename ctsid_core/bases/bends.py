@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.signals import Record, Signal, channel_slices
-from ctsid_core.simulation import knots_between, respond
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.simulation import knots_between, respond
+from ctsid_core.signals.record import Record, Signal, channel_slices
 
 _POINTS = (3, 4, 5)   # of Gauss-Legendre, for each interval between the stamps of inputs
 _PHASES = (0.2, 0.7, 1.5)  # top frequency times interval [rad] up to which they are enough

@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
 
 _NOTHING = 1e-18        # over the largest entry: far below rounding
 _ROWS = 48              # of a block

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft, next_fast_len
 
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
+
 Sums = NDArray[np.complex128]
 
 _FEWEST = 256           # samples: below, sums by other means are as quick

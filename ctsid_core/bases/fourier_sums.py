@@ -26,8 +26,8 @@ from scipy.sparse import csc_array
 from scipy.special import jv
 
 from ctsid_core.bases.chirp_sums import chirp_sums, uniform
+from ctsid_core.linear.types import Array
 
-Array = NDArray[np.float64]
 Sums = NDArray[np.complex128]
 
 _TERMS = 12             # of the series

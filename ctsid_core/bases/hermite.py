@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.base import Lines, Projection
 from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.quadrature import coefficients
+from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Array, Record, Signal
+from ctsid_core.signals.record import Record, Signal
 
 _SLOPE = 3e-3         # step of a difference, times the highest frequency [rad]
 

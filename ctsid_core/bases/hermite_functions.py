@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
 
 _PLAIN_LIMIT = 37.0     # exp(-37^2/2) = 1e-297 is still a normal number
 _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 2^512

@@ -17,13 +17,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.fourier_sums import Grid, fourier_grid, fourier_sums
 from ctsid_core.bases.hermite_functions import hermite_functions, project_directly
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
 
 _DECAY = 36.0               # beyond its reach h_nmax is below exp(-36) = 2e-16
 _LEAST_ORDER = 100          # below, or with few samples, the direct way is as quick

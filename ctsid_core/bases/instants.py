@@ -14,8 +14,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from ctsid_core.bases.base import Array, Projection
 from ctsid_core.bases.hermite import hermite_lines
+from ctsid_core.bases.projection import Projection
+from ctsid_core.linear.types import Array
 
 
 @lru_cache(maxsize=8)

@@ -17,11 +17,9 @@ from dataclasses import replace
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.signals import Signal
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
+from ctsid_core.signals.record import Signal
 
 _NOTHING = 1e-12      # of a signal, that interpolation misses by rounding
 

@@ -27,12 +27,11 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.quadrature import UNIFORM, smooth_values, spline_degree
-from ctsid_core.signals import Signal
+from ctsid_core.linear.types import Array
+from ctsid_core.signals.record import Signal
 
-Array = NDArray[np.float64]
 Direction = Literal['ahead', 'back']
 
 _CHUNK = 4096         # intervals swept at a time

@@ -28,9 +28,8 @@ from scipy.interpolate import make_interp_spline
 
 from ctsid_core.bases.hermite_functions import integral_of_first
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.signals import Signal
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
+from ctsid_core.signals.record import Signal
 
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over

@@ -27,14 +27,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.matrix_functions import exponentials
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.types import Array, ComplexArray
 
 _SAME = 1e-9          # relative distance of a pole's conjugate that is rounding
 
@@ -169,7 +166,7 @@ def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
     found : Chain
     derivatives : ndarray, shape (degree + 1, K, m)
         Of m signals just after each knot, valid up to the next one
-        (`ctsid_core.simulation.input_polynomials`).
+        (`ctsid_core.model.simulation.input_polynomials`).
     knots : ndarray, shape (K,)
         Increasing [s].
 

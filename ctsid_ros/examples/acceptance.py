@@ -6,12 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.estimate import Estimate
-from ctsid_core.statespace import StateSpace
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
 
 
 @dataclass(frozen=True)

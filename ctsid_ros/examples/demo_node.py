@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
-from ctsid_core.estimate import Estimate
+from ctsid_core.model.estimate import Estimate
 from ctsid_ros.examples.demo_processes import Processes
 from ctsid_ros.examples.demo_table import Truth, Window, judge, line, summary
 from ctsid_ros.messages import decode_metadata, decode_model

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import textwrap
 
-from ctsid_core.estimate import Estimate
-from ctsid_core.statespace import StateSpace
-from ctsid_ros.tracks import Mode, match, modes, modes_of
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
+from ctsid_ros.report.tracks import Mode, match, modes, modes_of
 
 DEVIATIONS = 3.0  # a pole is right if nearer to the true one than so many standard deviations
 _FEWEST = 3  # models before and after the change without which nothing is shown

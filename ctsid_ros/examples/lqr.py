@@ -18,14 +18,11 @@ from dataclasses import dataclass, replace
 from itertools import islice, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.errors import DataError
-from ctsid_core.statespace import StateSpace
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.statespace import StateSpace
 
 DEVIATIONS = 3.0  # how far poles are moved, in standard deviations
 _PADE = 3  # order of the approximation by which a dead time becomes states

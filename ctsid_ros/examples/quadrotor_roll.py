@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_are
 
-from ctsid_core.statespace import StateSpace
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
+from ctsid_core.model.statespace import StateSpace
 
 # The plant. States: motor torque [N m], body roll rate [rad/s], joint angle [rad], boom rate.
 MOTOR_POLE = -20.0  # rad/s

@@ -24,9 +24,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from ctsid_core.estimate import Estimate, Status
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.storage import to_json
 from ctsid_core.settings import Settings
-from ctsid_core.storage import to_json
 from ctsid_ros.examples.flight import Command, Conditions, Flight, Measurement
 from ctsid_ros.examples.quadrotor_roll import (
     ANGLE_NOISE,

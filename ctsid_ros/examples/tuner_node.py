@@ -12,19 +12,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
 from ctsid_core.errors import CtsidError
-from ctsid_core.estimate import Estimate
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Estimate
 from ctsid_ros.examples.acceptance import Limits, objection
 from ctsid_ros.examples.lqr import Gains, Weights, design
-from ctsid_ros.messages import decode_metadata, decode_model, encode_matrix, encode_system_matrix
-
-Array = NDArray[np.float64]
+from ctsid_ros.messages import (
+    decode_metadata,
+    decode_model,
+    encode_matrix,
+    encode_system_matrix,
+)
 
 _PARAMETERS: dict[str, tuple[Any, str]] = {
     'inputs': (['torque'], 'Names of the inputs that the model must have, in this order.'),
@@ -48,7 +51,7 @@ class GainTuner(Node):  # type: ignore[misc]  # rclpy has no types
 
     Subscribes to `identifier/model`. Publishes, latched, `~/verdict` (a sentence for every
     model), and for accepted ones `~/controller` (the complete controller from y to u, as the
-    matrices [A B K; C D I] that `ctsid_ros.messages.decode_system_matrix` reads; K is 0),
+    matrices [A B K; C D I] that `ctsid_ros.messages.models.decode_system_matrix` reads; K is 0),
     `~/feedback` and `~/observer` (the gains F and L of `ctsid_ros.examples.lqr`, which mean
     something only together with the model that they were computed from).
     """

@@ -26,15 +26,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, expm_frechet, solve_discrete_are
 
-from ctsid_core.matrix_functions import modes
-from ctsid_core.mode_sensitivity import output_sensitivities, rest_state
-from ctsid_core.signals import Signal
-from ctsid_core.statespace import StateSpace
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.matrix_functions import modes
+from ctsid_core.linear.types import Array
+from ctsid_core.model.mode_sensitivity import output_sensitivities, rest_state
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Signal
 
 _RANK = 1e-9          # singular value, relative, below which a direction changes nothing
 _ORDER = {'zoh': 1, 'linear': 2}

@@ -22,12 +22,13 @@ from functools import partial
 
 import numpy as np
 
+from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.bounds import innovation_bound, stationary_gain
 from ctsid_ros.studies.experiments import flown
-from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
+from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
 from ctsid_ros.studies.runner import arguments, conclude, keeping
-from ctsid_ros.tables import Table
 
 LEVELS = (0.0, 0.05, 0.2, 1.0)
 HEAD = ('q', 'pole', 'bias', 'std', 'bias/std', 'RMSE', 'bound', 'RMSE/bound', 'pole_std/RMSE',

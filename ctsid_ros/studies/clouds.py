@@ -6,14 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.statespace import StateSpace
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.statespace import StateSpace
+from ctsid_ros.report.svg import Axes, Curve
 from ctsid_ros.studies.monte_carlo import Outcome
-from ctsid_ros.svg import Axes, Curve
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _SHOWN = 15      # curves; the band tells of all runs
 _SPREADS = 4.0   # typical errors of the first method to each side of an eigenvalue
 WIDTH = 460.0

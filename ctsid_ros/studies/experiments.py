@@ -13,11 +13,10 @@ from scipy.linalg import expm
 from scipy.signal import butter, sosfilt
 
 from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.signals import Record, Signal
-from ctsid_core.simulation import respond
-from ctsid_core.statespace import StateSpace
-
-Array = NDArray[np.float64]
+from ctsid_core.linear.types import Array
+from ctsid_core.model.simulation import respond
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Record, Signal
 
 
 @dataclass(frozen=True, eq=False)

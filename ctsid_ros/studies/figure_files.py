@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import csv
 from pathlib import Path
 
-from ctsid_ros.svg import Axes, draw
-from ctsid_ros.tables import Table
+from ctsid_ros.report.svg import Axes, draw
+from ctsid_ros.report.tables import Table
 
 _STYLE = """<style>
 svg { --ink: #1c2733; --soft: #5b6b7b; --line: #dde3e9; --shade: #c2410c; --c0: #1c2733;

@@ -13,16 +13,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.linear.types import Array
+from ctsid_ros.report.svg import Axes, Curve
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.experiments import second_order
 from ctsid_ros.studies.figure_files import write_drawings, write_table
 from ctsid_ros.studies.runner import arguments
-from ctsid_ros.svg import Axes, Curve
-from ctsid_ros.tables import Table
 
-Array = NDArray[np.float64]
 HIGHEST = 200
 BETA, GAMMA = 3.0, 20.0
 _SIZE = 400.0

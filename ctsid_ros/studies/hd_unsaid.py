@@ -18,12 +18,12 @@ from itertools import product
 import numpy as np
 
 from ctsid_core.settings import Settings
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.experiments import from_rest
 from ctsid_ros.studies.hd_vs_ct import METHODS
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
 from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.studies.table1 import PUBLISHED, SNRS
-from ctsid_ros.tables import Table
 
 COUNTS = (501, 1001, 2001, 5001)
 WINDOWS = (3, 5, 10, 15)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 import scipy
 
-from ctsid_core.statespace import StateSpace
+from ctsid_core.model.statespace import StateSpace
 from ctsid_ros.studies.monte_carlo import Outcome
 
 COLUMNS = ('experiment', 'code', 'seed', 'order', 'status', 'error', 'deviation',

@@ -7,16 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.identify import identify
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
-from ctsid_core.statespace import StateSpace
 from ctsid_ros.studies.experiments import Run
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

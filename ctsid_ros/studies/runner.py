@@ -15,10 +15,10 @@ import signal
 
 from ctsid_ros.blas import use_one_thread
 from ctsid_ros.progress import progress
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.kept_runs import KeptRuns
 from ctsid_ros.studies.monte_carlo import Outcome
-from ctsid_ros.tables import Table
 
 Task = Callable[[int], Outcome]
 

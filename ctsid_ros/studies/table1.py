@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.experiments import from_rest
 from ctsid_ros.studies.figure_files import write_table
-from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
+from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
 from ctsid_ros.studies.runner import arguments, keeping
-from ctsid_ros.tables import Table
 
 SNRS = (50, 20, 10, 6)
 # By SNR, of -5 and of -1 +- i: bias of HD-PBSID and CT-PBSID, standard deviation of both.

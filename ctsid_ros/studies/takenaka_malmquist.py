@@ -17,31 +17,32 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.takenaka_malmquist import chain
-from ctsid_core.gobf_subspace import KINKS, filter_records, observe, realise
 from ctsid_core.identify import identify
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.simulation import Pieces, input_polynomials
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
-from ctsid_core.signals import Record, Signal
-from ctsid_core.statespace import StateSpace
+from ctsid_core.signals.record import Record, Signal
+from ctsid_core.subspace.gobf_subspace import KINKS, filter_records, observe, realise
+from ctsid_ros.report.svg import Axes, Curve
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.clouds import phase
 from ctsid_ros.studies.figure_files import write_csv, write_drawings, write_svg
+from ctsid_ros.studies.local_polynomials import local_polynomials
 from ctsid_ros.studies.monte_carlo import Outcome, compared
 from ctsid_ros.studies.network import network
 from ctsid_ros.studies.runner import Task, arguments, conclude, keeping
-from ctsid_ros.svg import Axes, Curve
-from ctsid_ros.tables import Table
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 PERIOD, COUNT, ORDER = 0.005, 400, 4
 OMEGA = np.geomspace(0.1, 100.0, 121)
 SEQUENCES = {'TM 4..60': np.linspace(4.0, 60.0, 8), 'Laguerre 4': np.full(8, 4.0),
              'Laguerre 28': np.full(8, 28.0), 'Laguerre 60': np.full(8, 60.0)}
 SPREAD = 'TM 4..60'
-WAYS = {'published': (3, 0), 'held': (0, 0), 'kinks': (0, KINKS)}    # polynomial, kinks
+WAYS: dict[str, tuple[Pieces, int]] = {                             # between samples, kinks
+    'published': (local_polynomials(3), 0), 'held': (input_polynomials, 0),
+    'kinks': (input_polynomials, KINKS)}
 METHODS = {'gobf': 'gobf', 'HD-PBSID': 'hd-pbsid'}
 RANK_TOLERANCE = 1e-10
 
@@ -64,9 +65,9 @@ def example(seed: int) -> Record:
 
 def by_chain(seed: int, name: str, way: str) -> Outcome:
     """Return the outcome of one run by one chain of filters, [TM] eq. 6 to 15."""
-    polynomial, kinks = WAYS[way]
+    pieces, kinks = WAYS[way]
     filtered = filter_records([example(seed)], chain(SEQUENCES[name]), (0.0,), trim=False,
-                              feedthrough=False, polynomial=polynomial, kinks=kinks)
+                              feedthrough=False, pieces=pieces, kinks=kinks)
     found = realise(observe(filtered, RANK_TOLERANCE), ORDER, feedthrough=False)
     return compared(StateSpace(found.A, found.B, found.C, found.D), plant().poles)
 

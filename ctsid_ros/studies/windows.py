@@ -17,11 +17,12 @@ from functools import partial
 
 import numpy as np
 
+from ctsid_core.linear.types import Array
+from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.experiments import Run, flexible, quadrotor, running
-from ctsid_ros.studies.monte_carlo import Array, Outcome, Summary, of_poles, outcome, summary
+from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
 from ctsid_ros.studies.runner import arguments, conclude, keeping
-from ctsid_ros.tables import Table
 
 EXPERIMENTS = [('quadrotor', snr) for snr in (50, 20, 10, 6, 0)]
 EXPERIMENTS += [(f'flexible {damping} %', 20) for damping in (0.5, 1.0, 2.0)]

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from ctsid_core.errors import SettingsError
-from ctsid_ros.bag import Bag
-from ctsid_ros.channels import Config
-from ctsid_ros.config_file import read_config
-from ctsid_ros.guess import guess
-from ctsid_ros.playback import Interval
-from ctsid_ros.survey import survey
+from ctsid_ros.config.channels import Config
+from ctsid_ros.config.parameter_file import read_config
+from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.guess import guess
+from ctsid_ros.recordings.playback import Interval
+from ctsid_ros.recordings.survey import survey
 
 ACCEPTED, FAILED, NO_MODEL, INTERRUPTED = 0, 1, 3, 130
 _DAY = 86_400 * 10**9

@@ -12,19 +12,19 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.agreement import Agreement
-from ctsid_core.cross_check import agreement
-from ctsid_core.estimate import Estimate
 from ctsid_core.identify import identify
+from ctsid_core.judge.cross_check import agreement
+from ctsid_core.model.cross_check_result import Agreement
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import METHODS, UNCHECKED, Settings
-from ctsid_core.signals import Record
-from ctsid_core.statespace import StateSpace
-from ctsid_ros.bag import open_bag
-from ctsid_ros.document import Bullets, Section, to_text
-from ctsid_ros.playback import read_record
+from ctsid_core.signals.record import Record
 from ctsid_ros.progress import Advance, progress, silent
-from ctsid_ros.report import complaint_section
-from ctsid_ros.tables import Table, number, percent, plus_minus, pole_text
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.playback import read_record
+from ctsid_ros.report.document import Bullets, Section, to_text
+from ctsid_ros.report.sections import complaint_section
+from ctsid_ros.report.tables import Table, number, percent, plus_minus, pole_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,

@@ -13,24 +13,36 @@ from typing import Any
 
 import numpy as np
 
-from ctsid_core.advice import advise
-from ctsid_core.dead_time import LONGEST
-from ctsid_core.errors import BagError, SettingsError
-from ctsid_core.estimate import Estimate
+from ctsid_core.advice.advice import advise
+from ctsid_core.errors import SettingsError
 from ctsid_core.identify import identify
-from ctsid_core.signals import Record
-from ctsid_core.statespace import StateSpace
-from ctsid_core.storage import load_model, save_series, to_json
-from ctsid_core.validation import Validation, residual_tests, simulation
-from ctsid_ros.bag import open_bag
-from ctsid_ros.channels import Config
-from ctsid_ros.document import Section, to_html, to_markdown, to_text
-from ctsid_ros.experiment import experiment_section
-from ctsid_ros.figures import output_figures
-from ctsid_ros.playback import Advance, Interval, Recorded, read_record
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.storage import load_model, save_series, to_json
+from ctsid_core.model.validation import Validation, residual_tests, simulation
+from ctsid_core.search.dead_time import LONGEST
+from ctsid_core.signals.record import Record
+from ctsid_ros.config.channels import Config
+from ctsid_ros.errors import BagError
 from ctsid_ros.progress import progress
-from ctsid_ros.recordings import recordings
-from ctsid_ros.report import (
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.grouping import recordings
+from ctsid_ros.recordings.playback import Advance, Interval, Recorded, read_record
+from ctsid_ros.replay.results import (
+    MODEL,
+    PAGE,
+    REPORT,
+    SERIES,
+    TABLE,
+    bag_name,
+    origin,
+    results_folder,
+    write_results,
+)
+from ctsid_ros.report.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.report.experiment import experiment_section
+from ctsid_ros.report.figures import output_figures
+from ctsid_ros.report.sections import (
     advice_section,
     bode_section,
     channel_section,
@@ -43,18 +55,7 @@ from ctsid_ros.report import (
     response_section,
     truth_section,
 )
-from ctsid_ros.results import (
-    MODEL,
-    PAGE,
-    REPORT,
-    SERIES,
-    TABLE,
-    bag_name,
-    origin,
-    results_folder,
-    write_results,
-)
-from ctsid_ros.tables import Table, percent
+from ctsid_ros.report.tables import Table, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,

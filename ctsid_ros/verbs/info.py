@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from ctsid_ros.bag import open_bag
-from ctsid_ros.document import Bullets, Section, to_text
-from ctsid_ros.survey import Survey, TopicSurvey, survey
-from ctsid_ros.survey_stats import FieldStats, StampStats
-from ctsid_ros.tables import Table, number
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.survey import Survey, TopicSurvey, survey
+from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
+from ctsid_ros.report.document import Bullets, Section, to_text
+from ctsid_ros.report.tables import Table, number
 from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_style, date, named, tell
 
 HELP = 'show topics, rates, stamps and the fields that could be signals'

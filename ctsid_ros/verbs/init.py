@@ -7,12 +7,12 @@ import argparse
 import shlex
 import textwrap
 
-from ctsid_core.storage import write_file
-from ctsid_ros.bag import open_bag
-from ctsid_ros.config_text import dump_config
-from ctsid_ros.guess import Guess, guess
-from ctsid_ros.survey import survey
-from ctsid_ros.tables import number
+from ctsid_core.model.storage import write_file
+from ctsid_ros.config.parameter_text import dump_config
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.guess import Guess, guess
+from ctsid_ros.recordings.survey import survey
+from ctsid_ros.report.tables import number
 from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, say
 
 HELP = 'write a commented parameter file with a first guess of the channels'

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from ctsid_ros.channels import Channel, Config
-from ctsid_ros.config_text import dump_config, parameters_markdown
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.config.parameter_text import dump_config, parameters_markdown
 from ctsid_ros.verbs.arguments import ACCEPTED
 
 HELP = 'print all parameters with their defaults, as a commented parameter file'

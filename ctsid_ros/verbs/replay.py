@@ -11,16 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from ctsid_core.model_json import describe
-from ctsid_core.statespace import StateSpace
-from ctsid_core.storage import load_model, save_series, to_json
-from ctsid_core.validation import simulation
-from ctsid_ros.bag import Bag, open_bag
-from ctsid_ros.document import Section, to_html, to_markdown, to_text
-from ctsid_ros.figures import output_figures, track_figures
+from ctsid_core.model.model_json import describe
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.storage import load_model, save_series, to_json
+from ctsid_core.model.validation import simulation
 from ctsid_ros.progress import progress
-from ctsid_ros.replay import Replay, Result
-from ctsid_ros.report import (
+from ctsid_ros.recordings.bag import Bag, open_bag
+from ctsid_ros.replay.replay import Replay, Result
+from ctsid_ros.replay.results import (
+    MODEL,
+    PAGE,
+    REPORT,
+    SERIES,
+    TABLE,
+    bag_name,
+    origin,
+    results_folder,
+    write_results,
+)
+from ctsid_ros.report.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.report.figures import output_figures, track_figures
+from ctsid_ros.report.sections import (
     advice_section,
     bode_section,
     channel_section,
@@ -32,17 +43,6 @@ from ctsid_ros.report import (
     status_section,
     truth_section,
     window_section,
-)
-from ctsid_ros.results import (
-    MODEL,
-    PAGE,
-    REPORT,
-    SERIES,
-    TABLE,
-    bag_name,
-    origin,
-    results_folder,
-    write_results,
 )
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ctsid_core.estimate import Estimate
-from ctsid_core.statespace import StateSpace
-from ctsid_core.storage import load_estimate, load_metadata, to_json
-from ctsid_ros.document import Section, to_text
-from ctsid_ros.figures import frequencies
-from ctsid_ros.report import bode_section, gain_section, model_section
-from ctsid_ros.tables import Table
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.storage import load_estimate, load_metadata, to_json
+from ctsid_ros.report.document import Section, to_text
+from ctsid_ros.report.figures import frequencies
+from ctsid_ros.report.sections import bode_section, gain_section, model_section
+from ctsid_ros.report.tables import Table
 from ctsid_ros.verbs.arguments import ACCEPTED, add_style, date, tell
 
 HELP = 'show a stored model: poles, gains, frequency response'

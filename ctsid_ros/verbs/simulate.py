@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
-from ctsid_core.statespace import StateSpace
-from ctsid_core.storage import load_estimate, load_metadata, load_model
-from ctsid_core.validation import Validation, prediction, simulation
-from ctsid_ros.bag import Bag, open_bag
-from ctsid_ros.channels import Config
-from ctsid_ros.document import Section, to_text
-from ctsid_ros.playback import Recorded, read_record
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.storage import load_estimate, load_metadata, load_model
+from ctsid_core.model.validation import Validation, prediction, simulation
+from ctsid_ros.config.channels import Config
 from ctsid_ros.progress import progress
-from ctsid_ros.report import channel_section, complaint_section
-from ctsid_ros.results import config_of
-from ctsid_ros.tables import Table, number, percent
+from ctsid_ros.recordings.bag import Bag, open_bag
+from ctsid_ros.recordings.playback import Recorded, read_record
+from ctsid_ros.replay.results import config_of
+from ctsid_ros.report.document import Section, to_text
+from ctsid_ros.report.sections import channel_section, complaint_section
+from ctsid_ros.report.tables import Table, number, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     add_bag,

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which experiment would make a model as accurate as it is wanted.
+
+Longer, larger, or in which band: for every pole, from the information that further data would
+add (`forecast.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import pi
+
+import numpy as np
+
+from ctsid_core.advice.forecast import Band, Forecast, forecast
+from ctsid_core.bases.preparation import usable
+from ctsid_core.errors import DataError
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.signals.record import Record
+
+_MOST = 1e4           # times as long or as large: never
+_SMALL = 0.97         # of the deviation: a band that leaves more than this does not help
+
+_NO_FORECAST = ('There is no forecast for models that were made from the raw samples, or from '
+                'several records; identify one record of densely sampled outputs.')
+_AS_KNOWN = ('The dead time that was found is taken as known here; as it is not, it takes some '
+             'more data.')
+
+
+@dataclass(frozen=True)
+class PoleAdvice:
+    """
+    What it takes to know one pole, or pair, as well as wanted.
+
+    Parameters
+    ----------
+    pole : complex
+        [rad/s]; of a pair the upper one.
+    std, wanted : float
+        Standard deviation now, and wanted [rad/s].
+    longer : float
+        How many times as long the data have to be, with the same excitation; 1 if they are long
+        enough. Reckoned as if in separate windows: one long record is at least as good.
+    larger : float
+        How many times as large the excitation has to be over the same time; infinite if that is
+        not the way, because the deviation comes from elsewhere.
+    bands : tuple of Band
+        What further excitation in one band would do, the most helpful first.
+    enough : float
+        How long it has to be in the most helpful one [s]; infinite if that is not the way.
+    """
+
+    pole: complex
+    std: float
+    wanted: float
+    longer: float
+    larger: float
+    bands: tuple[Band, ...]
+    enough: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """
+    Which experiment is missing.
+
+    Parameters
+    ----------
+    poles : tuple of PoleAdvice
+        Slowest first; empty if there is no model.
+    seconds : float
+        How long the further excitation of `bands` lasts [s].
+    sentences : tuple of str
+        The same for people.
+    """
+
+    poles: tuple[PoleAdvice, ...]
+    seconds: float
+    sentences: tuple[str, ...]
+
+
+def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
+           seconds: float = 10.0) -> Advice:
+    """
+    Tell which duration, amplitude or band of excitation is missing for a wanted accuracy.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Of `identify(record, ...)`; a rejected model serves as well.
+    record : Record
+    wanted : float
+        Standard deviation of each pole over its size (over 1 / duration, if that is larger).
+    seconds : float
+        How long further excitation in one band would last [s].
+
+    Raises
+    ------
+    DataError
+        If the channels do not fit the model, or a number is not positive.
+
+    Notes
+    -----
+    A forecast from the model found: as good as that, and blind to dynamics that it does not have.
+    In closed loop the excitation is that of the input itself, not of the reference.
+    """
+    for name, value in (('wanted', wanted), ('seconds', seconds)):
+        if not 0.0 < value < np.inf:
+            raise DataError(f'`{name}` is {value}; a positive number is wanted')
+    model = estimate.model or estimate.rejected_model
+    part = usable(record, estimate.settings)
+    if model is None or isinstance(part, Status):
+        return Advice((), seconds, tuple(_without_model(estimate, record)))
+    if any(c.name == 'domain' for c in estimate.choices) or estimate.records:
+        return Advice((), seconds, (_NO_FORECAST,))
+    model.check_width('input', record.nu, model.nu)
+    model.check_width('output', record.ny, model.ny)
+    try:
+        of = forecast(part, model, estimate)
+        size = np.maximum(np.abs(of.poles), 1.0 / part.record.duration)
+        poles = tuple(_advice(of, k, wanted * size[k], seconds)
+                      for k in np.flatnonzero(of.poles.imag >= 0).tolist())
+    except np.linalg.LinAlgError as error:       # of the data's making
+        return Advice((), seconds, (f'The arithmetic of the forecast failed: {error}.',))
+    sentences = tuple(_sentences(poles, wanted, seconds))
+    if estimate.delay_std.any():
+        sentences += (_AS_KNOWN,)
+    return Advice(poles, seconds, sentences)
+
+
+def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:
+    """Return what it takes to know pole k."""
+    now = of.deviation(k, of.H, of.V)
+    found = sorted(((of.with_band(k, added, seconds) / now, i, added)
+                    for i, added in enumerate(of.added)), key=lambda x: x[:2])
+    best = found[0][2]
+    done = now <= wanted
+    return PoleAdvice(
+        complex(of.poles[k]), now, wanted, max((now / wanted) ** 2, 1.0),
+        1.0 if done else _least(lambda g: of.with_size(k, g) <= wanted, 1.0),
+        tuple(replace(added.band, ratio=ratio) for ratio, _, added in found),
+        0.0 if done else _least(lambda t: of.with_band(k, best, t) <= wanted,
+                                1e-3 * seconds))
+
+
+def _least(good: Callable[[float], bool], start: float) -> float:
+    """Return the least number from `start` upwards that is good, to 1 %; infinite if none is."""
+    low, high = start, start * _MOST
+    if not good(high):
+        return np.inf
+    while high > 1.01 * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if good(middle) else (middle, high)
+    return high
+
+
+def _without_model(estimate: Estimate, record: Record) -> Iterator[str]:
+    yield estimate.status.value
+    if estimate.status in (Status.NO_EXCITATION, Status.TOO_SHORT):
+        slow = max(s.period for s in record.outputs)
+        yield (f'For a first model move the inputs between {2 / record.duration:.2g} and '
+               f'{0.1 / slow:.2g} Hz (two periods in this window, a tenth of the slowest '
+               'sampling), as strongly as is safe.')
+
+
+def _sentences(poles: Sequence[PoleAdvice], wanted: float, seconds: float) -> Iterator[str]:
+    """Return the advice in words, the poles that miss the wanted accuracy only."""
+    missing = [p for p in poles if p.std > p.wanted]
+    if not missing:
+        yield (f'All poles are known to {100 * wanted:.3g} % of their size or better: nothing is '
+               'missing.')
+    for p in missing:
+        yield (f'{_named(p.pole)}: standard deviation {p.std:.2g} rad/s, wanted {p.wanted:.2g}. '
+               f'With the same excitation the data would have to be {p.longer:.2g} times as long'
+               + (f', or the input {p.larger:.2g} times as large' if p.larger < np.inf else '')
+               + '. ' + _band_words(p, seconds))
+
+
+def _band_words(p: PoleAdvice, seconds: float) -> str:
+    best = p.bands[0]
+    if best.ratio > _SMALL:
+        return 'No band of further excitation helps much: the noise has to become smaller.'
+    words = (f'{seconds:.3g} s more of {best.input} at {best.low / (2 * pi):.2g} to '
+             f'{best.high / (2 * pi):.2g} Hz, as large as now (rms {best.rms:.3g}), would divide '
+             f'it by {1 / best.ratio:.2g}')
+    return words + (f'; {p.enough:.2g} s are enough.' if p.enough < np.inf else '.')
+
+
+def _named(pole: complex) -> str:
+    kind = 'Pole' if pole.imag == 0 else 'Pair'
+    value = f'{pole.real:.3g}' if pole.imag == 0 else f'{pole.real:.3g} +- {pole.imag:.3g}j'
+    return f'{kind} {value}'

@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a record can be used: the interval, the channels that move, the gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctsid_core.bases.bends import Bends
+from ctsid_core.bases.quadrature import gap_time
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Status
+from ctsid_core.model.residual_outliers import against_model
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.settings import Settings
+from ctsid_core.signals.outliers import (
+    SURE_INPUT,
+    Spikes,
+    despiked,
+    no_spikes,
+    put_back,
+    report,
+)
+from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.spikes import SURE
+
+_CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
+_FEWEST = 20            # samples of an output
+_SAME = 1.02            # power of what a model leaves over that with better bridges that is enough
+_MORE, _LESS = 1.35, 0.6  # power of a model's errors over that of the noise that samples show
+_GAP_SHARE = 0.3        # of the window that may lie in gaps
+
+
+@dataclass(frozen=True)
+class Usable:
+    """
+    A record with the channels that move, and where they belong among all channels.
+
+    Parameters
+    ----------
+    record : Record
+        Of the moving channels, from where their inputs are known.
+    whole : Record
+        The record as it was given.
+    u, y : tuple of int
+        Places of the moving inputs and outputs among all.
+    u_level, y_level : ndarray, shapes (number of u,), (number of y,)
+        Taken off the samples so that large offsets do not cost digits; zero without trim. The
+        trim is estimated all the same: these only shift its origin.
+    notes : tuple of str
+        What the user should know.
+    measured : tuple of Signal
+        The outputs of `record` with their corrupt samples, if there are any.
+    corrupt_u, corrupt_y : tuple of Spikes
+        Corrupt samples of the inputs and outputs of `record`.
+    held : tuple of (ndarray or None)
+        Held inputs at the stamps of each output signal, if it may follow them at once.
+    bends : Bends, optional
+        What the outputs of `record` do between their samples, if that is known.
+    """
+
+    record: Record
+    whole: Record
+    u: tuple[int, ...]
+    y: tuple[int, ...]
+    u_level: Array
+    y_level: Array
+    notes: tuple[str, ...]
+    measured: tuple[Signal, ...]
+    corrupt_u: tuple[Spikes, ...]
+    corrupt_y: tuple[Spikes, ...]
+    held: tuple[Array | None, ...]
+    bends: Bends | None = None
+
+    def doubtful(self, density: Array) -> bool:
+        """
+        Return whether a model may show corrupt samples that neighbours do not.
+
+        Parameters
+        ----------
+        density : ndarray, shape (number of y,)
+            Spectral density of the model's prediction errors [unit^2 s].
+
+        Notes
+        -----
+        It cannot where no sample stands out and the errors have the size of the noise that the
+        samples themselves show: neither is anything hidden in it, nor does anything add to it.
+        """
+        if any(found.any or found.suspects for found in self.corrupt_y):
+            return True
+        shown = np.concatenate([
+            found.scale ** 2 * np.median(np.diff(s.time))
+            for s, found in zip(self.record.outputs, self.corrupt_y, strict=True)])
+        ratio = density / np.maximum(shown, np.finfo(float).tiny)
+        return bool((ratio > _MORE).any() or (ratio < _LESS).any())
+
+    def cleaned(self, model: StateSpace) -> tuple[Usable, float]:
+        """
+        Return this without the samples that a model shows to be corrupt.
+
+        Parameters
+        ----------
+        model : StateSpace
+            Of the channels of `record`.
+
+        Returns
+        -------
+        usable : Usable
+            Itself if the same samples are corrupt as before and well bridged.
+        gain : float
+            How much smaller the power of what the model leaves has become, of the output for
+            which it is most; at least 1. Infinite if no sample is corrupt.
+        """
+        measured = replace(self.record, outputs=self.measured)
+        found, gain = against_model(model, measured, self.corrupt_y, self.held)
+        same = all(np.array_equal(a.mask, b.mask)
+                   for a, b in zip(found, self.corrupt_y, strict=True))
+        if same and gain < _SAME:
+            return self, gain
+        gain = gain if any(f.any for f in found) else np.inf
+        outputs = tuple(replace(s, values=f.instead) if f.any else s
+                        for s, f in zip(self.measured, found, strict=True))
+        return replace(self, record=replace(self.record, outputs=outputs),
+                       corrupt_y=tuple(found)), gain
+
+    def bent(self, bends: Bends) -> Usable:
+        """Return this with outputs that bend so, and with the samples that this explains."""
+        outputs, found = [], []
+        slices = channel_slices(self.record.outputs)
+        for own, places, measured, spiky in zip(self.record.outputs, slices, self.measured,
+                                                self.corrupt_y, strict=True):
+            if spiky.any and own.hold == 'smooth':
+                spiky = put_back(measured, spiky, bends.at(own.time)[places].T)
+                own = replace(own, values=spiky.instead)
+            outputs.append(own)
+            found.append(spiky)
+        return replace(self, record=replace(self.record, outputs=tuple(outputs)),
+                       corrupt_y=tuple(found), bends=bends)
+
+    def corrupt(self) -> tuple[list[str], dict[str, float]]:
+        """Return a sentence per channel with corrupt samples, and their numbers by name."""
+        notes, counts = [], {'corrupt_samples': 0.0}
+        for kind, all_names, places, signals, found in (
+                ('input', self.whole.input_names, self.u, self.record.inputs, self.corrupt_u),
+                ('output', self.whole.output_names, self.y, self.record.outputs, self.corrupt_y)):
+            more, channels = report(kind, [all_names[j] for j in places], signals, found,
+                                    self.whole)
+            notes += more
+            counts |= channels
+            counts['corrupt_samples'] += sum(channels.values())
+        return notes, counts
+
+
+def moving(record: Record) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the places of the inputs and of the outputs that move within a record."""
+    return _moving(record, record.inputs)[1], _moving(record, record.outputs)[1]
+
+
+def usable(record: Record, settings: Settings,
+           keep: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())) -> Usable | Status:
+    """
+    Return what of a record can be used, or the status that says why nothing can.
+
+    Parameters
+    ----------
+    record : Record
+    settings : Settings
+    keep : tuple of int, tuple of int
+        Places of inputs and outputs that are kept even if they do not move.
+
+    Raises
+    ------
+    SettingsError
+        If `settings.delay` does not fit the number of inputs.
+    """
+    start = _known_from(record, settings)
+    if start >= record.end:
+        return Status.TOO_SHORT
+    notes = []
+    if start > record.start:
+        notes.append(f'the first {start - record.start:.3g} s were left out: an input has no '
+                     'known value there, because of its dead time')
+    shorter = replace(record, start=start) if start > record.start else record
+    inputs, u, fixed_u = _moving(shorter, shorter.inputs, keep[0])
+    outputs, y, fixed_y = _moving(shorter, shorter.outputs, keep[1])
+    for kind, names, fixed in (('input', record.input_names, fixed_u),
+                               ('output', record.output_names, fixed_y)):
+        notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
+                  for j in fixed]
+    if min((_count(s, shorter) for s in shorter.outputs), default=0) < _FEWEST:
+        return Status.TOO_SHORT
+    if not outputs:
+        return Status.NO_RESPONSE
+    if not inputs:
+        return Status.NO_EXCITATION
+    if min(_count(signal, shorter) for signal in outputs) < _FEWEST:
+        return Status.TOO_SHORT
+    for signal in (*inputs, *outputs):
+        share = gap_time(signal, shorter.start, shorter.end) / shorter.duration
+        if share > _GAP_SHARE:
+            return Status.GAPS
+        if share > 0.0:
+            notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
+                         f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
+    held = _held_at(record, outputs, settings)
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
+    measured, (outputs, corrupt_y) = outputs, _despiked(
+        outputs, ('smooth', 'linear'), SURE, held)
+    inputs, u_level = _centred(inputs, settings.trim)
+    outputs, y_level = _centred(outputs, settings.trim)
+    measured = outputs if not any(found.any for found in corrupt_y) else \
+        _lowered(measured, y_level)
+    corrupt_y = tuple(replace(found, instead=signal.values)
+                      for found, signal in zip(corrupt_y, outputs, strict=True))
+    return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
+                  u_level, y_level, tuple(notes), tuple(measured), corrupt_u, corrupt_y,
+                  held)
+
+
+def _held_at(record: Record, signals: list[Signal],
+             settings: Settings) -> tuple[Array | None, ...]:
+    """Return the held inputs, after their dead times, at the stamps of each signal."""
+    if not settings.feedthrough:
+        return (None,) * len(signals)
+    delays, held = iter(settings.delays(record.nu)), []
+    for signal in record.inputs:
+        own = [next(delays) for _ in range(signal.width)]
+        if signal.hold == 'zoh':
+            held += [(signal.time + delay, row)
+                     for delay, row in zip(own, signal.values.T, strict=True)]
+    return tuple(np.array([row[np.maximum(np.searchsorted(t, s.time, side='right') - 1, 0)]
+                           for t, row in held]).reshape(len(held), len(s.time)).T
+                 for s in signals)
+
+
+def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
+              inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
+    """Return the signals without spikes; those of other holds as they are: theirs are real."""
+    pairs = [despiked(s, sure, direct) if s.hold in holds else (s, no_spikes(s))
+             for s, direct in zip(signals, inputs, strict=True)]
+    return [signal for signal, _ in pairs], tuple(found for _, found in pairs)
+
+
+def _lowered(signals: list[Signal], level: Array) -> list[Signal]:
+    """Return the signals less the given levels of their channels."""
+    parts = np.split(level, np.cumsum([s.width for s in signals])[:-1])
+    return [replace(s, values=s.values - part) for s, part in zip(signals, parts, strict=True)]
+
+
+def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:
+    """Return the signals less the means of their channels, and these; unchanged without trim."""
+    if not trim:
+        return signals, np.zeros(sum(s.width for s in signals))
+    levels = [s.values.mean(axis=0) for s in signals]
+    return ([replace(s, values=s.values - level)
+             for s, level in zip(signals, levels, strict=True)], np.concatenate(levels))
+
+
+def _known_from(record: Record, settings: Settings) -> float:
+    """Return the time from which all inputs, delayed, are known [s]."""
+    delays, start, first = settings.delays(record.nu), record.start, 0
+    for signal in record.inputs:
+        delay = max(delays[first:first + signal.width])
+        first += signal.width
+        if delay > 0.0 and len(signal.time):
+            start = max(start, float(signal.time[0]) + delay)
+    return start
+
+
+def _within(signal: Signal, record: Record) -> slice:
+    return slice(int(np.searchsorted(signal.time, record.start, side='left')),
+                 int(np.searchsorted(signal.time, record.end, side='right')))
+
+
+def _count(signal: Signal, record: Record) -> int:
+    inside = _within(signal, record)
+    return int(inside.stop) - int(inside.start)
+
+
+def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),
+            ) -> tuple[list[Signal], tuple[int, ...], list[int]]:
+    """Return the signals without constant channels, and the places of moving and constant ones."""
+    kept_signals: list[Signal] = []
+    kept: list[int] = []
+    fixed: list[int] = []
+    first = 0
+    for signal in signals:
+        inside = _within(signal, record)
+        values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
+        if len(values):
+            rows = np.ascontiguousarray(values.T)      # reductions along rows are far quicker
+            low, high = rows.min(axis=1), rows.max(axis=1)
+            moves = high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high))
+        else:
+            moves = np.zeros(signal.width, dtype=bool)
+        moves |= np.isin(first + np.arange(signal.width), keep)
+        kept += [first + int(j) for j in np.flatnonzero(moves)]
+        fixed += [first + int(j) for j in np.flatnonzero(~moves)]
+        first += signal.width
+        if moves.all():
+            kept_signals.append(signal)
+        elif moves.any():
+            kept_signals.append(replace(
+                signal, values=signal.values[:, moves],
+                names=tuple(np.array(signal.names)[moves]) if signal.names else (),
+                units=tuple(np.array(signal.units)[moves]) if signal.units else ()))
+    return kept_signals, tuple(kept), fixed

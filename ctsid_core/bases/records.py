@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Several records of one plant, side by side.
+
+The equations hold line by line, so that lines of several records stand beside each other as those
+of one do. Each record has a trim, states at its ends, a basis and corrupt samples of its own, and
+all share the plant. Lines of different records are made equally noisy: by the time that a line
+stands for, which is known, and by the level of the noise, which is found with a first model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctsid_core.bases.bandwidth import choose_nmax, output_band
+from ctsid_core.bases.hermite import project_record
+from ctsid_core.bases.preparation import Usable, moving, usable
+from ctsid_core.bases.projection import Projection, joined
+from ctsid_core.errors import DataError
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record
+
+_LEAST_NMAX = 8
+_ENOUGH = 4           # records from which on whole ones are held out
+
+
+@dataclass(frozen=True)
+class Layout:
+    """
+    How records are projected.
+
+    Parameters
+    ----------
+    sizes : tuple of (int, int)
+        nmax and the number of parts of each record.
+    weights : tuple of float
+        What the lines of each record are multiplied with.
+    """
+
+    sizes: tuple[tuple[int, int], ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """
+    Why nothing of the records can be used.
+
+    Parameters
+    ----------
+    status : Status
+    notes : tuple of str
+        On each of several records.
+    """
+
+    status: Status
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Joint:
+    """
+    What can be used of the records.
+
+    Parameters
+    ----------
+    parts : tuple of Usable
+        Not empty; the same channels of each record.
+    numbers : tuple of int
+        Which of the given records these are, counted from 1.
+    remarks : tuple of str
+        What the user should know beyond the notes of the parts.
+    """
+
+    parts: tuple[Usable, ...]
+    numbers: tuple[int, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several."""
+        return len(self.parts) > 1
+
+    @property
+    def last(self) -> int:
+        """Place of the record that ends last: a model's trim is that of this one."""
+        ends = [p.whole.epoch_ns + round(p.whole.end * 1e9) for p in self.parts]
+        return max(range(len(ends)), key=lambda i: (ends[i], i))
+
+    @property
+    def length(self) -> float:
+        """Length of the longest record [s]."""
+        return max(p.record.duration for p in self.parts)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know, with the numbers of the records if not of all alike."""
+        return (*self.remarks, *self.numbered([p.notes for p in self.parts]))
+
+    def numbered(self, notes: Sequence[Sequence[str]]) -> tuple[str, ...]:
+        """Join the notes on each record; those on some records only get their numbers."""
+        common = set.intersection(*map(set, notes))
+        found = [note if note in common else f'record {number}: {note}'
+                 for number, own in zip(self.numbers, notes, strict=True) for note in own]
+        return tuple(dict.fromkeys(found))
+
+    def corrupt(self) -> tuple[list[str], dict[str, float]]:
+        """Return a sentence per channel with corrupt samples, and their numbers by name."""
+        found = [p.corrupt() for p in self.parts]
+        counts: dict[str, float] = {}
+        for _, own in found:
+            for name, count in own.items():
+                counts[name] = counts.get(name, 0.0) + count
+        return list(self.numbered([notes for notes, _ in found])), counts
+
+    def doubtful(self, densities: Sequence[Array]) -> bool:
+        """Return whether a model may show corrupt samples; see `Usable.doubtful`."""
+        return any(p.doubtful(d) for p, d in zip(self.parts, densities, strict=True))
+
+    def cleaned(self, models: Sequence[StateSpace]) -> tuple[Joint, float]:
+        """
+        Return this without the samples that models, one per record, show to be corrupt.
+
+        And the largest gain; itself if nothing changes. See `Usable.cleaned`.
+        """
+        found = [p.cleaned(model) for p, model in zip(self.parts, models, strict=True)]
+        parts, gains = zip(*found, strict=True)
+        if all(new is old for new, old in zip(parts, self.parts, strict=True)):
+            return self, max(gains)
+        return replace(self, parts=tuple(parts)), max(gains)
+
+    def layout(self, settings: Settings) -> tuple[Layout, str]:
+        """Return the bases that records get, and why; '' if the settings say which."""
+        count = len(self.parts)
+        even = (1.0,) * count
+        if settings.nmax:
+            return Layout(((settings.nmax, settings.parts or 1),) * count, even), ''
+        band = max(output_band(p.record) for p in self.parts) if self.several else 0.0
+        chosen = [choose_nmax(p.record, band) for p in self.parts]
+        why = '; '.join(dict.fromkeys(self.numbered([[why] for _, _, why in chosen])))
+        if len({nmax for nmax, _, _ in chosen}) > 1:
+            why += '; of the records in turn ' + ', '.join(str(nmax) for nmax, _, _ in chosen)
+        return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen), even), why
+
+    def project(self, settings: Settings, layout: Layout) -> Projection:
+        """Project the records on bases of their own, side by side."""
+        return joined([project_record(p.record, settings.replace(parts=parts), nmax, p.bends)
+                       for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)],
+                      layout.weights)
+
+    @property
+    def many(self) -> bool:
+        """Whether there are so many that whole ones are held out."""
+        return len(self.parts) >= _ENOUGH
+
+    def divided(self, settings: Settings, layout: Layout) -> tuple[Projection, Projection]:
+        """
+        Return what a model is made of that is to be tested, and what it is tested on.
+
+        Of a few records, the first parts and the last ones, `held_out` long, on bases that reach
+        as far as those of the whole records. Of many, which may be short, some whole ones, evenly
+        spaced in time: their trim is not known then.
+        """
+        share = settings.held_out
+        if self.many:
+            return self._divided_by_records(settings, layout)
+        early, late = self.early_and_late(settings)
+        first: list[Projection] = []
+        last: list[Projection] = []
+        for into, of_all, own in ((first, early, 1.0 - share), (last, late, share)):
+            into += [_share(p, settings, size, own)
+                     for p, size in zip(of_all.parts, layout.sizes, strict=True)]
+        return joined(first, layout.weights), joined(last, layout.weights)
+
+    def early_and_late(self, settings: Settings) -> tuple[Joint, Joint]:
+        """Return what a model is made of that is to be tested, and the rest; see `divided`."""
+        if self.many:
+            kept, held = (replace(self, parts=tuple(self.parts[i] for i in wanted))
+                          for wanted in self._kept_and_held(settings))
+            return kept, held
+        early, late = [], []
+        for p in self.parts:
+            record = p.record
+            split = record.end - settings.held_out * record.duration
+            lead = max(settings.delays(record.nu), default=0.0)
+            early.append(replace(p, record=record.between(record.start, split, lead=lead)))
+            late.append(replace(p, record=record.between(split, record.end, lead=lead)))
+        return replace(self, parts=tuple(early)), replace(self, parts=tuple(late))
+
+    def _kept_and_held(self, settings: Settings) -> tuple[list[int], list[int]]:
+        count = len(self.parts)
+        by_time = sorted(range(count), key=lambda i: (
+            self.parts[i].whole.epoch_ns + round(self.parts[i].whole.start * 1e9), i))
+        many = max(round(settings.held_out * count), 1)
+        held = {by_time[(2 * k + 1) * count // (2 * many)] for k in range(many)}
+        return sorted(set(by_time) - held), sorted(held)
+
+    def _divided_by_records(self, settings: Settings,
+                            layout: Layout) -> tuple[Projection, Projection]:
+        found = []
+        for wanted in self._kept_and_held(settings):
+            chosen = replace(self, parts=tuple(self.parts[i] for i in wanted))
+            found.append(chosen.project(settings, Layout(
+                tuple(layout.sizes[i] for i in wanted), tuple(layout.weights[i] for i in wanted))))
+        return found[0], found[1]
+
+
+def _share(p: Usable, settings: Settings, size: tuple[int, int], share: float) -> Projection:
+    """Project a part of a record on a basis that reaches as far as that of the whole."""
+    parts = max(round(size[1] * share), 1)
+    nmax = max(round(size[0] * size[1] * share / parts), _LEAST_NMAX)
+    return project_record(p.record, settings.replace(parts=parts), nmax, p.bends)
+
+
+def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusable:
+    """
+    Return what can be used of records, or why nothing can.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of the same channels, see `check_alike`. A channel moves if it moves in any of them. A
+        record that is too short, or full of gaps, is left out and noted.
+    settings : Settings
+
+    Raises
+    ------
+    SettingsError
+        If `settings.delay` does not fit the number of inputs.
+    """
+    if len(records) == 1:
+        part = usable(records[0], settings)
+        return Unusable(part) if isinstance(part, Status) else Joint((part,), (1,))
+    moves = [moving(record) for record in records]
+    keep = tuple(tuple(sorted(set().union(*(own[i] for own in moves)))) for i in (0, 1))
+    parts, numbers, remarks, left = [], [], [], []
+    for number, (record, own) in enumerate(zip(records, moves, strict=True), 1):
+        part = usable(record, settings, (keep[0], keep[1]))
+        if isinstance(part, Status):
+            left.append(part)
+            remarks.append(f'record {number} was left out: {part.value}')
+            continue
+        parts.append(part)
+        numbers.append(number)
+        remarks += [f'record {number}: {kind} {names[j]} does not move in it'
+                    for i, (kind, names) in enumerate((('input', record.input_names),
+                                                       ('output', record.output_names)))
+                    for j in keep[i] if j not in own[i]]
+    if not parts:
+        return Unusable(left[0], tuple(remarks))
+    return Joint(tuple(parts), tuple(numbers), tuple(remarks))
+
+
+def check_alike(records: Sequence[Record]) -> None:
+    """
+    Check that records can be of one plant.
+
+    Raises
+    ------
+    DataError
+        If there is none, one is given twice, or channels differ in number, names or units.
+    """
+    if not records:
+        raise DataError('no record was given; `identify` wants one, or a list of them')
+    first = records[0]
+    for number, record in enumerate(records, 1):
+        if not isinstance(record, Record):
+            raise DataError(f'record {number} is of type {type(record).__name__}; a Record is '
+                            'wanted: make one with Record.from_arrays or Record.from_signals')
+        if any(_same_samples(record, other) for other in records[:number - 1]):
+            raise DataError(f'record {number} was given twice, and would count as twice the data; '
+                            'give each record once')
+        for what, own, wanted in (
+                ('input', record.input_names, first.input_names),
+                ('output', record.output_names, first.output_names)):
+            if len(own) != len(wanted):
+                raise DataError(f'record {number} has {len(own)} {what}s, record 1 has '
+                                f'{len(wanted)}; records of one plant have the same channels')
+            if own != wanted:
+                raise DataError(f'record {number} has the {what}s {", ".join(own)}, record 1 has '
+                                f'{", ".join(wanted)}; give the same channels in the same order')
+        for what, own, wanted, names in (
+                ('input', record.input_units, first.input_units, first.input_names),
+                ('output', record.output_units, first.output_units, first.output_names)):
+            for name, unit, other in zip(names, own, wanted, strict=True):
+                if unit != other:
+                    raise DataError(f'{what} {name} is in {unit!r} in record {number}, but in '
+                                    f'{other!r} in record 1; convert one of them')
+
+
+def _same_samples(one: Record, other: Record) -> bool:
+    """Return whether two records are of the same samples."""
+    if one is other:
+        return True
+    return one.epoch_ns == other.epoch_ns and all(
+        np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
+        for a, b in zip(one.outputs, other.outputs, strict=False))
+
+

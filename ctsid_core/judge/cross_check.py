@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The same record by a second method, with the order and the dead times that the first one found.
+
+Dead times that the first method did not look for, and with them the order, are left to the second
+if that looks for them.
+
+Two methods that treat the same data differently agree where the model is right, to within what
+noise does; where it cannot be right (a dead time not allowed for, an order too low), each errs in
+its own way. That they agree does not prove that they are right: what they are told in common
+(order, dead time, holds, stamps) is wrong for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.cross_check_result import DEVIATIONS, RELATIVE, Agreement, limit
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.settings import UNCHECKED, Settings
+from ctsid_core.subspace.methods import METHODS
+
+_FREQUENCIES = 60     # compared for each input
+_SPAN = 1000.0        # between the last and the first of them, at most
+
+
+def cross_checked(found: Estimate, settings: Settings,
+                  identify: Callable[[Settings], Estimate]) -> Estimate:
+    """
+    Return an estimate whose verdict knows what the second method says, if one is asked for.
+
+    Parameters
+    ----------
+    found : Estimate
+    settings : Settings
+        As given; `cross_check` names the second method.
+    identify : callable
+        Identifies the same record with other settings.
+    """
+    if settings.cross_check == UNCHECKED or found.model is None:
+        return found
+    other = identify(_told(settings, found.model))
+    verdict = replace(found.verdict, agreement=agreement(found, other, settings.cross_check))
+    return replace(found, verdict=verdict.weakened)
+
+
+def _told(settings: Settings, model: StateSpace) -> Settings:
+    """Return the settings of the second method."""
+    other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED)
+    if METHODS[other.method].looks_for_dead_time and any(settings.unknown_delays(model.nu)):
+        # States may stand for a dead time that the first did not look for.
+        return other
+    return other.replace(order=model.n, delay=model.delay)
+
+
+def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
+    """
+    Return how far the model of a second method is from that of the first.
+
+    Parameters
+    ----------
+    first, second : Estimate
+        Of the same record. Rejected models are compared, too, but do not agree.
+    method : str
+        The second method.
+
+    Notes
+    -----
+    Compared is, for each input, the response of all outputs together, each in units of its own
+    size, over the band that the input excites (`Excitation`). Standard deviations are those of
+    both estimates, as if they were independent.
+    """
+    problem = '' if second.ok else f'{second.status.name}. {second.verdict.reason}'
+    one, other = (e.model or e.rejected_model for e in (first, second))
+    if one is None or other is None:
+        return Agreement(method, False, problem=problem or 'there is no model to compare.')
+    bands = _bands(first)
+    if not bands:
+        return Agreement(method, False,
+                         problem=problem or 'no input excites a band to compare in.')
+    try:
+        found = _differences(first, second, one, other, bands)
+    except np.linalg.LinAlgError:                       # an undamped pole at one of them
+        return Agreement(method, False, problem=problem or 'a response is not finite.')
+    late, dead_time = _later(first, second, one, other)
+    beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= limit(method))
+    seen = np.where(np.isfinite(found.relative), found.relative, np.inf)
+    at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
+    return Agreement(method, not (problem or late or beyond.any()), float(found.relative[at]),
+                     float(found.deviations[at]), one.input_names[found.input[at]],
+                     float(found.omega[at]), late, dead_time, problem)
+
+
+def _later(first: Estimate, second: Estimate, one: StateSpace,
+           other: StateSpace) -> tuple[str, float]:
+    """Return the input whose dead time the second method most surely finds otherwise, and how."""
+    away = np.subtract(other.delay, one.delay)
+    std = np.hypot(first.delay_std, second.delay_std)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        sure = np.where((away == 0.0) | np.isnan(std), 0.0, np.abs(away) / std)
+    at = int(np.argmax(sure))
+    return (one.input_names[at], float(away[at])) if sure[at] > DEVIATIONS else ('', 0.0)
+
+
+def _bands(estimate: Estimate) -> dict[int, Array]:
+    """Return the frequencies that inputs excite, by their places; none that is too slow to see."""
+    slowest = 2e9 * np.pi / max(estimate.end_ns - estimate.start_ns, 1)
+    return {j: np.geomspace(min(max(x.low, x.high / _SPAN, slowest), x.high), x.high,
+                            _FREQUENCIES)
+            for j, x in enumerate(estimate.verdict.excitation) if x.high > 0.0}
+
+
+def _scale(model: StateSpace, bands: Mapping[int, Array]) -> Array:
+    """Return one over the size of each output, by all inputs in their bands; 0 if it has none."""
+    power = sum((np.mean(np.abs(model.frequency_response(omega)[:, :, j]) ** 2, axis=0)
+                 for j, omega in bands.items()), np.zeros(model.ny))
+    return np.asarray(np.where(power > 0.0, 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0)),
+                               0.0))
+
+
+class _Differences(NamedTuple):
+    """Of responses to the inputs, all inputs after each other."""
+
+    input: NDArray[np.int_]
+    omega: Array
+    relative: Array
+    deviations: Array
+
+
+def _differences(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
+                 bands: Mapping[int, Array]) -> _Differences:
+    scale, rows = _scale(one, bands), []
+    for j, omega in bands.items():
+        response = one.frequency_response(omega)[:, :, j]
+        away = np.linalg.norm(scale * (other.frequency_response(omega)[:, :, j] - response),
+                              axis=1)
+        size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
+        with np.errstate(divide='ignore', invalid='ignore'):
+            rows.append((np.full(len(omega), j), omega, away / size, away / np.hypot(
+                _deviation(first, one, omega, scale, j),
+                _deviation(second, other, omega, scale, j))))
+    return _Differences(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array,
+               j: int) -> Array:
+    if estimate.covariance is None:
+        return np.full(len(omega), np.nan)
+    changes = estimate.covariance.response_changes(model, omega)[..., j]
+    return np.sqrt(np.sum((scale * np.abs(changes)) ** 2, axis=(0, 2)))

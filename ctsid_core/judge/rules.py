@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From numbers to a verdict.
+
+What rejects a model comes first, and gives its status; what weakens it comes next, the gravest
+first: the first that applies is the reason. Each threshold and where it was measured:
+`docs/verdict.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record
+from ctsid_core.signals.stuck import Stuck
+
+FORETOLD = 10.0         # the same where predictions are judged: by chance it is 1
+_DEAD = 10.0            # fit [%] below which nothing of an output is
+_VAGUE = 0.5            # standard deviation over size above which a pole is not known
+_UNKNOWN = 0.05         # the same of the response to an input
+_TOGETHER = 0.1         # part of its power that is its own, below which it moves with others
+_ONE_SINE = 1.5         # frequencies of an input
+_MISSING = 0.02         # of the response
+_SURE = 1e-5            # p-value of it
+_COLOURED = 1e-6        # p-value of whiteness
+_LIKELY = 0.01          # p-value that is enough where errors are coloured
+_CLEAR = 80.0           # fit [%] of a model that explains its own data beyond doubt
+_NEXT = 4.0             # power of the errors on data not seen over that on the model's own
+_FRESH = 1.5            # the same of the model before, rms
+_MATTERS = 90.0         # fresh fit [%] above which that does not matter
+_MOVED = 3.0            # standard deviations
+
+UNTESTED = ('The model has not been tested on data that it has not seen: `validation.held_out` is '
+            '0, or the inputs move in one part of the window only; wait for the next window, or '
+            'test it on other data.')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """
+    What is known of a model, for all channels of the record; `numbers` has the rest.
+
+    Parameters
+    ----------
+    input_names, output_names : tuple of str
+    fixed_inputs, fixed_outputs : tuple of int
+        Places of the channels that are constant over the window.
+    stuck : tuple of Stuck
+        Outputs that stop moving within it.
+    fit, held_out : ndarray, shape (ny,)
+        [%]; NaN for constant outputs.
+    poles : ndarray, shape (n,)
+    deviation : ndarray, shape (n,)
+        Standard deviations, in the same order [rad/s].
+    resolution : float
+        Slowest frequency that the window resolves [rad/s].
+    change : str
+        What to do about a change of the plant; empty if there was none.
+    process_noise : bool
+    enough : float
+        Fit above which an output counts as explained [%].
+    numbers : Verdict
+        With the numbers that have a place in it.
+    """
+
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    fixed_inputs: tuple[int, ...]
+    fixed_outputs: tuple[int, ...]
+    stuck: tuple[Stuck, ...]
+    fit: Array
+    held_out: Array
+    poles: NDArray[np.complex128]
+    deviation: Array
+    resolution: float
+    change: str
+    process_noise: bool
+    numbers: Verdict
+    enough: float = EXPLAINED
+
+    @property
+    def worst(self) -> Array:
+        """The lower of the fits, of each output [%]."""
+        return np.asarray(np.fmin(self.fit, self.held_out))
+
+
+def judge(evidence: Evidence) -> tuple[Status, Verdict]:
+    """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
+    for status, reason in _rejections(evidence):
+        return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason)
+    for reason in _weaknesses(evidence):
+        return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason)
+    return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_praise(evidence))
+
+
+def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
+    if not (np.isfinite(e.poles).all() and np.isfinite(np.delete(e.fit, e.fixed_outputs)).all()):
+        yield Status.UNRELIABLE, Status.UNRELIABLE.value
+    if e.change:
+        yield Status.CHANGED, e.change
+    if e.fixed_outputs:
+        yield Status.NO_RESPONSE, (
+            f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor, its '
+            'topic and field, or leave it out.')
+    for one in e.stuck:
+        yield Status.NO_RESPONSE, (
+            f'Output {e.output_names[one.output]} does not change by a bit from {one.start:.3g} '
+            f'to {one.end:.3g} s after the start of the window, although inputs move; the sensor '
+            'is stuck or its last value is repeated: check it, or leave it out.')
+    yield from _unexplained(e)
+    ratio = _pole_ratio(e)
+    if np.min(ratio) > _VAGUE:
+        best = int(np.argmin(ratio))
+        yield Status.UNRELIABLE, (
+            f'Even the best known pole, {_number(e.poles[best])} rad/s, has a standard deviation '
+            f'of {e.deviation[best]:.2g} rad/s; excite more frequencies, take a longer window, or '
+            'lower the order.')
+
+
+def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
+    tested = e.held_out[np.isfinite(e.held_out)]
+    best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
+    if best < e.enough and not _right_but_slow(e):
+        own, shown = float(np.nanmax(e.fit)), max(float(best), -999.0)
+        what = f'The model fits its own data ({own:.0f} %), but not the part of the window that ' \
+            f'was held out ({shown:.0f} %)' if own >= e.enough else \
+            f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} ' \
+            f'(the best fit is {shown:.0f} %)'
+        yield Status.UNEXPLAINED, (
+            f'{what}; check that these are the right signals, that nothing else drives the plant '
+            'and that it is linear over the window, or take a longer window with more excitation.')
+    # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
+    erring = (e.fit < e.enough) | (e.numbers.next_ratio > _NEXT)
+    dead = np.flatnonzero((e.worst < _DEAD) & erring)
+    if len(dead):
+        least = int(dead[np.argmin(e.worst[dead])])
+        yield Status.UNEXPLAINED, (
+            f'Output {e.output_names[least]} does not follow the inputs (fit '
+            f'{max(e.worst[least], -999.0):.0f} %) while others do; check its sensor, topic and '
+            'field, or leave it out.')
+
+
+def _right_but_slow(e: Evidence) -> bool:
+    """
+    Return whether the part held out is badly told for want of motion only.
+
+    After a step little moves: a right model leaves of that little what noise there is, no more.
+    Of noise that drives the plant that proves nothing: it may be all that moves.
+    """
+    erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
+    known = all(x.uncertainty < _UNKNOWN for x in e.numbers.excitation)  # else nothing tells it
+    settles = np.max(e.poles.real) < -0.5 * e.resolution         # a vibration goes on by itself
+    clear = np.nanmin(e.fit) > _CLEAR and not e.process_noise
+    return bool(known and settles and clear and np.all(erring < _NEXT))
+
+
+def _weaknesses(e: Evidence) -> Iterator[str]:
+    yield from _of_inputs(e)
+    for i in np.flatnonzero(e.worst < e.enough):
+        yield (f'Output {e.output_names[i]} is hardly explained, fit {e.worst[i]:.0f} %; check '
+               'its sensor, reduce its noise, or leave it out.')
+    numbers, names = e.numbers, e.output_names
+    certain = (numbers.missing_p_value < _SURE) & (numbers.missing > _MISSING)
+    if not e.process_noise:  # then errors that are coloured, and know the inputs, are dynamics
+        certain |= (numbers.missing_p_value < _LIKELY) & (numbers.whiteness < _COLOURED)
+    for i in np.flatnonzero(certain):
+        yield (f'The model misses {100 * numbers.missing[i]:.2g} % of the response of output '
+               f'{names[i]} to the inputs; raise `order` or `max_order`, check the dead time and '
+               'the hold of the inputs, or the plant is not linear.')
+    if numbers.pole_uncertainty > _VAGUE:
+        worst = int(np.argmax(_pole_ratio(e)))
+        yield (f'The pole {_number(e.poles[worst])} rad/s has a standard deviation of '
+               f'{e.deviation[worst]:.2g} rad/s; excite the plant around '
+               f'{max(abs(e.poles[worst]), e.resolution):.2g} rad/s, take a longer window, or '
+               'lower the order.')
+    for i in np.flatnonzero(numbers.next_ratio > _NEXT):
+        yield (f'A model of the first part of the window errs on the rest of output {names[i]} '
+               f'with {numbers.next_ratio[i]:.2g} times the power of the noise; take a longer '
+               'window, or lower the order.')
+    if e.process_noise:
+        for i in np.flatnonzero(numbers.whiteness < _COLOURED):
+            yield (f'The noise of output {names[i]} is not as the model has it, so that the '
+                   'standard deviations cannot be trusted; raise `order`, or measure what else '
+                   'acts on the plant.')
+    known = np.append(np.delete(numbers.missing, e.fixed_outputs), numbers.pole_uncertainty)
+    if not np.isfinite(known).all():
+        yield ('How sure the model is could not be computed; check the signals, their sizes and '
+               'units.')
+    if not np.isfinite(e.held_out).any():
+        yield UNTESTED
+
+
+def _of_inputs(e: Evidence) -> Iterator[str]:
+    for j in e.fixed_inputs:
+        yield (f'Input {e.input_names[j]} does not move within the window, and its zero column of '
+               'B and D is not measured; move it, or leave it out.')
+    for one in e.numbers.excitation:
+        if one.frequencies < _ONE_SINE:
+            yield (f'Input {one.name} moves at a single frequency, which cannot tell one model '
+                   'from another; excite more frequencies (a sweep, steps, or noise).')
+        if one.uncertainty > _UNKNOWN:
+            how = 'not known at all' if one.uncertainty > 1.0 else \
+                f'known to {100 * one.uncertainty:.2g} % only'
+            together = f'move it without the other inputs ({100 * one.own:.2g} % of its ' \
+                'power is its own)'
+            cure = together if one.own < _TOGETHER else \
+                'move it more, or for longer, or leave it out'
+            yield f'The response to input {one.name} is {how}; {cure}.'
+
+
+def _pole_ratio(e: Evidence) -> Array:
+    return np.asarray(e.deviation / np.maximum(np.abs(e.poles), e.resolution))
+
+
+def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution: float) -> float:
+    """Return the largest deviation over size; see `Verdict.pole_uncertainty`."""
+    return float(np.max(deviation / np.maximum(np.abs(poles), resolution), initial=0.0))
+
+
+def _praise(e: Evidence) -> str:
+    worst, known = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
+    return (f'Every test is passed: the response to each input is known to {100 * known:.2g} %, '
+            f'every pole to {100 * e.numbers.pole_uncertainty:.2g} %, and unseen data fit to '
+            f'{worst:.0f} %.')
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ', '.join(names) if len(names) < 5 else f'{len(names)} signals'
+
+
+def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
+    listed = ', '.join(e.output_names[i] for i in places)
+    return f'Outputs {listed} do' if len(places) > 1 else f'Output {listed} does'
+
+
+def _number(pole: complex) -> str:
+    pole = complex(pole)
+    return f'{pole.real:.3g}' if pole.imag == 0 else f'{pole.real:.3g} +- {abs(pole.imag):.3g}j'
+
+
+def unusable_estimate(status: Status, record: Record, settings: Settings,
+                      notes: tuple[str, ...] = ()) -> Estimate:
+    """Return the estimate that says why nothing of a record can be used."""
+    return Estimate(status=status, settings=settings, notes=notes, verdict=replace(
+        UNJUDGED, grade=Grade.REJECT, reason=_why_unusable(status, record)))
+
+
+def failed_estimate(error: Exception, settings: Settings, notes: tuple[str, ...]) -> Estimate:
+    """Return the estimate that says that the arithmetic failed: of the data's making."""
+    return Estimate(status=Status.UNRELIABLE, settings=settings, notes=notes, verdict=replace(
+        UNJUDGED, grade=Grade.REJECT, reason=f'The arithmetic failed ({error}); check the '
+        'signals, their sizes and units.'))
+
+
+def _why_unusable(status: Status, record: Record) -> str:
+    """Return why nothing of a record can be used, with the names that matter."""
+    if status is Status.NO_EXCITATION:
+        return (f'No input moves within the window ({", ".join(record.input_names)}); excite the '
+                'inputs, or choose a window in which they move.')
+    if status is Status.NO_RESPONSE:
+        return (f'No output moves within the window ({", ".join(record.output_names)}); check '
+                'that the right topics and fields are used.')
+    return str(status.value)
+
+
+def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
+                before: int = 0) -> Estimate:
+    """
+    Return an estimate whose verdict knows the model before it.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    fresh_fit, fresh_ratio : ndarray, shape (ny,)
+        How the model before does on the data that are new; NaN if not known.
+    moved : float
+        See `Verdict.moved`.
+    before : int
+        Order of the model before; 0 if there was none.
+    """
+    verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
+    model = estimate.model
+    if model is None:
+        return replace(estimate, verdict=verdict)
+    if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
+        verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the model '
+                          'before this one foretold the data that are new in it.').weakened
+    if verdict.grade is Grade.GOOD:
+        reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
+                   *_moves(model.n, before, moved)]
+        if reasons:
+            verdict = replace(verdict, grade=Grade.WEAK, reason=reasons[0])
+    return replace(estimate, verdict=verdict)
+
+
+def _collapses(names: tuple[str, ...], fit: Array, ratio: Array) -> Iterator[str]:
+    collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH) & (fit < _MATTERS),
+                         fit < EXPLAINED)
+    for i in np.flatnonzero(collapsed):
+        yield (f'The model before this one foretells the newest data of output {names[i]} badly '
+               f'(fit {max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
+               'models agree again.')
+
+
+def _moves(order: int, before: int, moved: float) -> Iterator[str]:
+    if before not in (0, order):
+        yield (f'The order has changed from {before} to {order} since the last accepted model; '
+               'wait until models agree again, or set `order`.')
+    if moved > _MOVED:
+        yield (f'A pole has moved by {moved:.2g} standard deviations since the window before; '
+               'wait until models agree again, or set `order`.')

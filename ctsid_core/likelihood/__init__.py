@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Likelihoods of lines and of samples, their maxima, and the information in them."""

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Least squares of least norm, where regressors may be dependent."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.lapack import dgelsy
+
+from ctsid_core.linear.matrix_functions import svd
+from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.types import Array
+
+_BLOCK = 32           # columns that LAPACK factorises at a time
+_MANY = 8             # columns over rows from which on compression pays
+
+
+def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, float]:
+    """
+    Return Theta of least norm with targets = Theta regressors, and the condition number.
+
+    Rows are scaled to unit norm first, and singular values below the tolerance count as zero:
+    noise-free data make the regressors exactly dependent.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (r, N)
+    targets : ndarray, shape (m, N)
+    tolerance : float
+        Relative to the largest singular value.
+
+    Returns
+    -------
+    Theta : ndarray, shape (m, r)
+    condition : float
+        Of the directions that were kept.
+    """
+    norm = np.sqrt(np.einsum('ij,ij->i', regressors, regressors))
+    norm[norm == 0.0] = 1.0
+    regressors = regressors / norm[:, np.newaxis]
+    rows = len(regressors) + len(targets)
+    if regressors.shape[1] > _MANY * rows:                 # only products count
+        both = triangle(np.vstack((regressors, targets)).T).T
+        regressors, targets = both[:len(regressors)], both[len(regressors):]
+    left, s, right = svd(regressors)
+    rank = int(np.count_nonzero(s > tolerance * s[0])) if len(s) else 0
+    theta = ((targets @ right[:rank].T) / s[:rank]) @ left[:, :rank].T / norm
+    return theta, float(s[0] / s[rank - 1]) if rank else 1.0
+
+
+def least_norm(regressors: Array, targets: Array, tolerance: float) -> Array:
+    """
+    Return the same Theta as `solve`, a third of the time, by a factorisation with pivoting.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (r, N)
+    targets : ndarray, shape (m, N)
+    tolerance : float
+        The inverse is the largest condition number of the directions that are kept.
+    """
+    r, count = regressors.shape
+    if not 0 < r <= count:
+        return solve(regressors, targets, tolerance)[0]
+    norm = np.sqrt(np.einsum('ij,ij->i', regressors, regressors))
+    norm[norm == 0.0] = 1.0
+    work = 4 * r + 1 + _BLOCK * (r + 1) + 2 * len(targets)
+    _, theta, _, _, _ = dgelsy((regressors / norm[:, np.newaxis]).T, targets.T,
+                               np.zeros(r, dtype=np.intc), tolerance, work)
+    found: Array = theta[:r].T / norm
+    return found

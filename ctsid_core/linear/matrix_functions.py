@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The matrix exponential and its integrals, for very many intervals at once.
+
+    phi_0(z) = e^z,     phi_(j+1)(z) = (phi_j(z) - 1/j!) / z                                 (1)
+
+(M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 19, 2010, section 2). Where
+the eigenvectors of A are well-conditioned they are functions of its eigenvalues; elsewhere
+(multiple poles) power series, summed on a short interval and doubled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+import scipy.linalg
+from scipy.linalg import matrix_balance
+
+from ctsid_core.linear.types import Array, ComplexArray
+
+CONDITION_LIMIT = 1e4  # of the eigenvectors: scalar recursions lose that factor of 2e-16
+
+
+@dataclass(frozen=True)
+class Modes:
+    """
+    Eigenvalues and eigenvectors of a real matrix, one of each conjugate pair.
+
+    With z = left x, every mode obeys dz/dt = value z, and x = Re(right z).
+
+    Parameters
+    ----------
+    values : ndarray, shape (m,)
+        Complex, with imaginary part >= 0 [rad/s].
+    right : ndarray, shape (n, m)
+        Eigenvectors; those of a pair are doubled, for the half left out.
+    left : ndarray, shape (m, n)
+    """
+
+    values: ComplexArray
+    right: ComplexArray
+    left: ComplexArray
+
+
+def modes(A: Array, condition_limit: float = CONDITION_LIMIT) -> Modes | None:
+    """Return the modes of A, or None if its eigenvectors are worse conditioned than the limit."""
+    if not A.size:
+        none = np.empty((0, 0), dtype=complex)
+        return Modes(none.reshape(-1), none, none)
+    # Units of the states must not decide: scale them first.
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    values, vectors = np.linalg.eig(balanced)
+    if not np.linalg.cond(vectors) < condition_limit:
+        return None
+    keep = values.imag >= 0
+    doubled = np.where(values.imag > 0, 2.0, 1.0)
+    right = (scale[:, np.newaxis] * vectors * doubled)[:, keep]
+    left = (np.linalg.inv(vectors) / scale)[keep]
+    return Modes(values[keep].astype(complex), right.astype(complex), left.astype(complex))
+
+
+def phi(z: ComplexArray, count: int) -> list[ComplexArray]:
+    """
+    Return phi_0 ... phi_count of (1), elementwise, to rounding for any z with Re z < 700.
+
+    Recursion (1) loses all digits for small z; there the last one comes from its power series
+    and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!.
+    """
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+        found = [np.exp(z)]
+        for j in range(count):
+            found.append((found[-1] - 1 / factorial(j)) / z)
+    small = np.abs(z) < 1
+    if count and small.any():
+        x = z[small]
+        value = _phi_series(x, count)
+        for j in range(count, 0, -1):
+            found[j][small] = value
+            value = x * value + 1 / factorial(j - 1)
+    return found
+
+
+def _phi_series(x: ComplexArray, j: int) -> ComplexArray:
+    # sum_k x^k / (k + j)!, as many terms as the largest |x| < 1 needs
+    largest, terms = float(np.abs(x).max()), 2
+    while largest ** terms * factorial(j) / factorial(terms + j) > 1e-17:
+        terms += 1
+    value = np.full_like(x, 1 / factorial(terms + j))
+    for k in range(terms - 1, -1, -1):
+        value *= x
+        value += 1 / factorial(k + j)
+    return value
+
+
+def exponentials(A: Array, h: Array, count: int) -> list[Array]:
+    """
+    Return h^j phi_j(A h) for j = 0 ... count: e^(A h) and its repeated integrals.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    h : ndarray, shape (K,)
+        Intervals [s].
+    count : int
+
+    Returns
+    -------
+    list of ndarray, shape (K, n, n)
+    """
+    found = modes(A)
+    if found is None:
+        return _doubled_series(A, h, count)
+    functions = phi(h[:, np.newaxis] * found.values, count)
+    return [((found.right * (f * h[:, np.newaxis] ** j)[:, np.newaxis]) @ found.left).real
+            for j, f in enumerate(functions)]
+
+
+def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
+    # Power series on h / 2^s, where |A| h / 2^s <= 1/2, then s times
+    #   F_j(2h) = F_0(h) F_j(h) + sum_(i=1..j) h^(j-i)/(j-i)! F_i(h),   F_j(h) = h^j phi_j(A h).
+    n, terms = len(A), 16
+    scaled, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    size = np.abs(h) * np.linalg.norm(scaled, 1)
+    doublings = np.maximum(np.ceil(np.log2(np.maximum(2 * size, 1e-300))), 0).astype(int)
+    step = h / 2.0 ** doublings
+    powers = [np.eye(n)]
+    for _ in range(terms - 1):
+        powers.append(powers[-1] @ scaled)
+    flat = np.array(powers).reshape(terms, n * n)
+    functions = []
+    for j in range(count + 1):
+        weights = [step ** (k + j) / factorial(k + j) for k in range(terms)]
+        functions.append((np.array(weights).T @ flat).reshape(-1, n, n))
+    for level in range(int(doublings.max(initial=0))):
+        rows = np.flatnonzero(doublings > level)
+        _double(functions, rows, step)
+        step[rows] *= 2
+    return [f * scale[:, np.newaxis] / scale for f in functions]
+
+
+def _double(functions: list[Array], rows: NDArray[np.intp], step: Array) -> None:
+    old = [f[rows] for f in functions]  # copies: every new one needs all of the old ones
+    h = step[rows, np.newaxis, np.newaxis]
+    for j, f in enumerate(functions):
+        extra = sum((h ** (j - i) / factorial(j - i) * old[i] for i in range(1, j + 1)),
+                    np.zeros(()))
+        f[rows] = old[0] @ old[j] + extra
+
+
+def svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """
+    Return the thin singular value decomposition, also where the fast algorithm gives up.
+
+    Divide and conquer (LAPACK's gesdd) fails to converge on rare matrices that are perfectly
+    sound; the QR iteration (gesvd) is slower and does not.
+    """
+    try:
+        left, s, right = np.linalg.svd(matrix, full_matrices=False)
+    except np.linalg.LinAlgError:
+        if not np.isfinite(matrix).all():
+            raise
+        left, s, right = scipy.linalg.svd(matrix, full_matrices=False, lapack_driver='gesvd')
+    return left, s, right

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The covariance of a model, and of what follows from it.
+
+Whatever a model says (a pole, a gain, a point of its frequency response) is a function f of its
+entries; to first order its covariance is that of the entries seen through the derivatives of f.
+All of it is in one matrix, the root of the covariance of the entries.
+
+    d lambda_i = l_i dA r_i,    l_i, r_i the left and right eigenvectors, l_i r_i = 1           (1)
+    dG = L dA X + L dB + dC X + dD - j omega G d delay,                                         (2)
+    L = C (j omega I - A)^-1,  X = (j omega I - A)^-1 B  (before the dead time)
+
+Sources: G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th edition, section 7.2.2, for (1);
+L. Ljung, "System Identification", 2nd edition, section 9.4 and appendix 9A, for the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctsid_core.errors import DataError
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model import realisation
+from ctsid_core.model.statespace import StateSpace
+
+_KNOWN = 1e-10        # of the largest singular value of the scaled root: below it is rounding
+
+
+class Entries(NamedTuple):
+    """
+    Rows of changes of a model's entries.
+
+    Parameters
+    ----------
+    A, B, C, D, delay : ndarray, shapes (r, n, n), (r, n, nu), (r, ny, n), (r, ny, nu), (r, nu)
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    delay: Array
+
+
+class ResponseDeviation(NamedTuple):
+    """
+    How well a frequency response is known.
+
+    Parameters
+    ----------
+    magnitude : ndarray, shape (M, ny, nu)
+        Standard deviation of |G| over |G|; times 8.686 it is in dB.
+    phase : ndarray, shape (M, ny, nu)
+        Standard deviation of the phase [rad].
+    """
+
+    magnitude: Array
+    phase: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """
+    The covariance of a model's entries; equal (==) if all numbers are.
+
+    Parameters
+    ----------
+    root : ndarray, shape (r, p)
+        root^T root is the covariance of the entries of A, B, C and D, row by row, and of one dead
+        time per input: p = n n + n nu + ny n + ny nu + nu. Zero columns belong to entries that
+        were not estimated (constant channels, D or dead times that are given).
+    n, nu, ny : int
+        Number of states, inputs and outputs.
+
+    Raises
+    ------
+    DataError
+        If the shape of the root does not fit, or an entry is not finite.
+
+    Notes
+    -----
+    The data say nothing of the states, so directions that change nothing but these are of no
+    length: single entries are known as well as those of models in the nearest states.
+    """
+
+    root: Array
+    n: int
+    nu: int
+    ny: int
+
+    def __post_init__(self) -> None:
+        root = np.array(self.root, dtype=float)
+        count = self.entry_count(self.n, self.nu, self.ny)
+        if root.ndim != 2 or root.shape[1] != count or not np.isfinite(root).all():
+            raise DataError(f'`root` has shape {root.shape}; for {self.n} states, {self.nu} '
+                            f'inputs and {self.ny} outputs wanted are rows of {count} finite '
+                            'numbers')
+        root.setflags(write=False)
+        object.__setattr__(self, 'root', root)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Covariance):
+            return NotImplemented
+        return self._key == other._key and np.array_equal(self.root, other.root)
+
+    def __hash__(self) -> int:
+        return hash((self._key, (self.root + 0.0).tobytes()))
+
+    @property
+    def _key(self) -> tuple[int, ...]:
+        return self.n, self.nu, self.ny, len(self.root)
+
+    @staticmethod
+    def entry_count(n: int, nu: int, ny: int) -> int:
+        """Return how many entries a model has: the length p of a row."""
+        return n * n + n * nu + ny * n + ny * nu + nu
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
+        n, nu, ny = self.n, self.nu, self.ny
+        return n * n, n * nu, ny * n, ny * nu, nu
+
+    @property
+    def entries(self) -> Entries:
+        """The rows of the root, as changes of the matrices."""
+        n, nu, ny = self.n, self.nu, self.ny
+        parts = np.split(self.root, np.cumsum(self._sizes)[:-1], axis=1)
+        shapes = (n, n), (n, nu), (ny, n), (ny, nu), (nu,)
+        return Entries(*(part.reshape(len(self.root), *shape)
+                         for part, shape in zip(parts, shapes, strict=True)))
+
+    @classmethod
+    def of_entries(cls, entries: Entries, model: StateSpace) -> Covariance:
+        """
+        Return the covariance for rows of changes, as few rows as tell it.
+
+        Parameters
+        ----------
+        entries : Entries
+        model : StateSpace
+            That they belong to: what changes its states only is taken out.
+        """
+        rows = np.hstack([part.reshape(len(part), -1) for part in entries])
+        size = np.max(np.abs(rows), axis=0, initial=0.0)
+        scaled = rows / np.where(size > 0.0, size, 1.0)
+        free, count = _state_changes(model), model.n ** 2
+        basis = np.linalg.qr(free / np.where(size > 0.0, size, 1.0)[:len(free), np.newaxis])[0]
+        scaled[:, :len(free)] -= (scaled[:, :len(free)] @ basis) @ basis.T
+        _, s, right = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
+        kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - count, 0))
+        return cls(s[kept, np.newaxis] * right[kept] * size, model.n, model.nu, model.ny)
+
+    def transform(self, T: ArrayLike) -> Covariance:
+        """Return the same for the states z = T x (`StateSpace.transform`)."""
+        T, e = np.asarray(T, dtype=float), self.entries
+        inverse = np.linalg.inv(T)
+        moved = e._replace(A=T @ e.A @ inverse, B=T @ e.B, C=e.C @ inverse)
+        return replace(self, root=np.hstack([part.reshape(len(self.root), -1) for part in moved]))
+
+    def pole_changes(self, model: StateSpace) -> ComplexArray:
+        """
+        Return what the rows of the root change of the poles (1), (r, n).
+
+        Parameters
+        ----------
+        model : StateSpace
+            That the covariance belongs to; the order is that of its `poles`.
+        """
+        values, right = np.linalg.eig(model.A)
+        order = realisation.pole_order(values.astype(complex))
+        left, right = np.linalg.inv(right)[order], right[:, order]
+        found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
+        moved: ComplexArray = np.where(model.poles.imag == 0.0, found.real, found).astype(complex)
+        return moved
+
+    def response_changes(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
+        """Return what they change of G(j omega) (2), over exp(-j omega delay): (r, M, ny, nu)."""
+        s = 1j * np.asarray(omega, dtype=float)[:, np.newaxis, np.newaxis]
+        e = self.entries
+        system = s * np.eye(self.n) - model.A
+        L = np.swapaxes(np.linalg.solve(np.swapaxes(system, 1, 2), model.C.T + 0 * s), 1, 2)
+        X = np.linalg.solve(system, model.B + 0 * s)
+        dA, dB, dC, dD = (part[:, np.newaxis] for part in e[:4])
+        G = model.C @ X + model.D
+        found: ComplexArray = L @ (dA @ X + dB) + dC @ X + dD \
+            - (s * G) * e.delay[:, np.newaxis, np.newaxis]
+        return found
+
+
+def _state_changes(model: StateSpace) -> Array:
+    """Return what A, B and C change by where the states do, to first order, a column for each."""
+    one = np.eye(model.n)
+    columns: Array = np.vstack((np.kron(one, model.A.T) - np.kron(model.A, one),
+                                np.kron(one, model.B.T), -np.kron(model.C, one)))
+    return columns
+
+
+def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
+    change = covariance.pole_changes(model)
+    parts = np.stack((change.real, change.imag), axis=-1)
+    found: Array = np.einsum('rik,ril->ikl', parts, parts)
+    return found
+
+
+def pole_deviation(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the square root of the expected squared distance of each pole, (n,) [rad/s]."""
+    return _deviation(covariance.pole_changes(model))
+
+
+def natural_frequency_deviation(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the standard deviation of the magnitude of each pole, (n,) [rad/s]."""
+    return _deviation(_radial(covariance, model).real)
+
+
+def damping_deviation(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the standard deviation of each damping ratio, (n,); 0 for real poles, NaN at 0."""
+    radial, size = _radial(covariance, model), model.natural_frequency
+    across = np.abs(model.poles.imag) / np.where(size > 0.0, size, np.nan)
+    # The ratio is minus the cosine of the pole's angle: it changes by the sine times that.
+    found: Array = _deviation(radial.imag) * across / np.where(size > 0.0, size, np.nan)
+    return found
+
+
+def _radial(covariance: Covariance, model: StateSpace) -> ComplexArray:
+    """Return the changes of the poles along (real) and across (imaginary) their radius."""
+    poles, size = model.poles, model.natural_frequency
+    turn = np.where(size > 0.0, poles.conj(), 1.0) / np.where(size > 0.0, size, 1.0)
+    found: ComplexArray = covariance.pole_changes(model) * turn
+    return found
+
+
+def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the standard deviation of the steady gain, (ny, nu); infinite for a pole at 0."""
+    try:
+        return _deviation(covariance.response_changes(model, np.zeros(1))[:, 0].real)
+    except np.linalg.LinAlgError:
+        return np.full((model.ny, model.nu), np.inf)
+
+
+def delay_deviation(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the standard deviation of each dead time of a model, (nu,) [s]."""
+    del model
+    return _deviation(covariance.entries.delay)
+
+
+def response_deviation(covariance: Covariance, model: StateSpace,
+                       omega: ArrayLike) -> ResponseDeviation:
+    """
+    Return the standard deviations of magnitude and phase at given frequencies.
+
+    Parameters
+    ----------
+    covariance : Covariance
+    model : StateSpace
+    omega : array_like, shape (M,)
+        [rad/s]
+
+    Notes
+    -----
+    NaN where G is zero, or omega is an undamped pole. Both are of first order: where the
+    deviation of the magnitude is not small against 1, G itself is normal, not its logarithm.
+    """
+    omega = np.asarray(omega, dtype=float)
+    late = np.exp(1j * np.outer(omega, model.delay))[:, np.newaxis]
+    response = model.frequency_response(omega)
+    known = np.isfinite(response) & (response != 0.0)
+    seen = known.any(axis=(1, 2))
+    ratio = np.full((len(covariance.root), *response.shape), np.nan, dtype=complex)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        ratio[:, seen] = covariance.response_changes(model, omega[seen]) \
+            / np.where(known, response * late, np.nan)[seen]
+    return ResponseDeviation(_deviation(ratio.real), _deviation(ratio.imag))
+
+
+def _deviation(changes: NDArray[np.inexact]) -> Array:
+    found: Array = np.sqrt(np.sum(np.abs(changes) ** 2, axis=0))
+    return found
+
+
+def spread(entries: Entries, u: Sequence[int], y: Sequence[int], nu: int, ny: int) -> Entries:
+    """Return changes of a model of inputs u and outputs y as those of nu inputs, ny outputs."""
+    r, n = entries.A.shape[:2]
+    columns, rows = list(u), list(y)
+    B, C = np.zeros((r, n, nu)), np.zeros((r, ny, n))
+    D, delay = np.zeros((r, ny, nu)), np.zeros((r, nu))
+    B[:, :, columns], C[:, rows], delay[:, columns] = entries.B, entries.C, entries.delay
+    D[np.ix_(range(r), rows, columns)] = entries.D
+    return Entries(entries.A, B, C, D, delay)

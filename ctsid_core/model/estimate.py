@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The result of an identification: a model or none, and what is known about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctsid_core.errors import DataError
+from ctsid_core.linear.types import Array
+from ctsid_core.model.covariance import (
+    Covariance,
+    ResponseDeviation,
+    damping_deviation,
+    delay_deviation,
+    gain_deviation,
+    natural_frequency_deviation,
+    pole_covariance,
+    response_deviation,
+)
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.verdict import UNJUDGED, Grade, Verdict
+from ctsid_core.settings import Settings
+
+
+class Status(Enum):
+    """Outcome of an identification; the value is the sentence shown to the user."""
+
+    OK = 'A model was identified.'
+    TOO_SHORT = ('The window holds too few samples or too short a time for a model; take a '
+                 'longer window.')
+    NO_EXCITATION = ('No input moves within the window; excite the inputs, or choose a window in '
+                     'which they move.')
+    NO_RESPONSE = ('An output does not move within the window, or is stuck; check that its sensor '
+                   'works and the right signals are used, or leave it out.')
+    GAPS = ('Too much of the window lies in gaps of the data; find out why messages are '
+            'missing, or choose another window.')
+    UNEXPLAINED = ('No linear model explains all outputs by the inputs; check the choice of '
+                   'inputs and outputs, the dead time and the order, or the plant is not linear '
+                   'over this window.')
+    UNRELIABLE = ('The data do not determine a single pole well enough for a trustworthy model; '
+                  'excite more frequencies, take a longer window, or lower the order.')
+    CHANGED = ('The plant, or the offset of a signal, changed within the window, and one model of '
+               'both would be wrong; take a window before or after the change, or wait until the '
+               'change has left the window.')
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One parameter that was set from the data: its value and the reason."""
+
+    name: str
+    value: object
+    why: str
+
+
+@dataclass(frozen=True)
+class RecordShare:
+    """
+    What one of several records told that is its own.
+
+    Parameters
+    ----------
+    number : int
+        Of the record among those given, from 1.
+    start_ns, end_ns : int
+        Its interval, absolute [ns].
+    x_trim, y_trim : ndarray, shapes (n,), (ny,)
+        Its trim, in the state coordinates of the model.
+    fit : ndarray, shape (ny,)
+        Simulation fit (NRMSE) of each output on it [%].
+    weight : float
+        By which its noise is smaller than that of all records (geometric mean); 1 unless they
+        differ so much that it matters.
+    """
+
+    number: int
+    start_ns: int
+    end_ns: int
+    x_trim: Array
+    y_trim: Array
+    fit: Array
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class OrderTried:
+    """
+    One order that the search tried.
+
+    Parameters
+    ----------
+    order : int
+    criterion : float
+        Schwarz's criterion, above that of the likeliest order.
+    fit : float
+        Simulation fit of the output that is explained least, on the window itself [%].
+    held_out_fit : float
+        The same on the part kept from a second model, if it was needed to decide [%]; else NaN.
+    """
+
+    order: int
+    criterion: float
+    fit: float
+    held_out_fit: float = float('nan')
+
+
+def with_fit(orders: tuple[OrderTried, ...], fits: Mapping[int, Array]) -> tuple[OrderTried, ...]:
+    """Return a table of orders with the fits that were found on data held out, by order."""
+    return tuple(replace(one, held_out_fit=float(np.min(fits[one.order])))
+                 if one.order in fits else one for one in orders)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """
+    What one window of data told.
+
+    Parameters
+    ----------
+    status : Status
+        `Status.OK`, or what to do next.
+    model : StateSpace or None
+        The model; None unless the status is OK, so that nobody takes a bad one by accident.
+    rejected_model : StateSpace or None
+        A model that was computed but not accepted: for people to look at, not for controllers.
+    settings : Settings
+        As used: automatic values filled in.
+    pole_std : ndarray, shape (n,)
+        Standard deviation of each pole [rad/s], in the order of `model.poles`: the square root
+        of the expected squared distance |estimate - truth| in the complex plane; NaN if unknown.
+    covariance : Covariance or None
+        Of the entries of the model, or of the rejected one if there is no other; None if unknown.
+        Further properties of the estimate follow from it.
+    fit : ndarray, shape (ny,)
+        Simulation fit (NRMSE) of each output on the window itself [%]. Of an unstable plant with
+        process noise: by how much its inputs make one-step predictions better (`predicted_fit`).
+    held_out_fit : ndarray, shape (ny,)
+        How much of each output the inputs explain on a part of the window that was kept from a
+        second model (`unseen_fit`) [%]; NaN if none was kept.
+    singular_values : ndarray
+        Of the state sequence; their drop shows the order.
+    condition : float
+        Condition number of the regression.
+    choices : tuple of Choice
+        What was chosen automatically, and why.
+    orders : tuple of OrderTried
+        The orders among which was chosen, lowest first; empty if the order was given.
+    notes : tuple of str
+        What else the user should know (gaps, constant channels, removed inputs).
+    start_ns, end_ns : int
+        The window, absolute [ns]; of several records the first start and the last end.
+    statistics : dict of str to float
+        Further numbers, by name with unit.
+    records : tuple of RecordShare
+        Of several records that were identified together, those that were used; else empty. The
+        model's trim and noise are those of the record that ends last.
+    verdict : Verdict
+        GOOD, WEAK or REJECT, the reason, and the numbers behind it. REJECT if and only if
+        `model` is None: without a model it is made so.
+
+    Raises
+    ------
+    DataError
+        If a model is given together with the verdict REJECT.
+    """
+
+    status: Status
+    settings: Settings
+    model: StateSpace | None = None
+    rejected_model: StateSpace | None = None
+    pole_std: Array = field(default_factory=lambda: np.empty(0))
+    covariance: Covariance | None = None
+    fit: Array = field(default_factory=lambda: np.empty(0))
+    held_out_fit: Array = field(default_factory=lambda: np.empty(0))
+    singular_values: Array = field(default_factory=lambda: np.empty(0))
+    condition: float = float('nan')
+    choices: tuple[Choice, ...] = ()
+    orders: tuple[OrderTried, ...] = ()
+    notes: tuple[str, ...] = ()
+    start_ns: int = 0
+    end_ns: int = 0
+    statistics: dict[str, float] = field(default_factory=dict)
+    records: tuple[RecordShare, ...] = ()
+    verdict: Verdict = UNJUDGED
+
+    def __post_init__(self) -> None:
+        if self.model is None and self.verdict.grade is not Grade.REJECT:
+            none = replace(self.verdict, grade=Grade.REJECT, reason=self.status.value)
+            object.__setattr__(self, 'verdict', none)
+        elif self.model is not None and self.verdict.grade is Grade.REJECT:
+            raise DataError('`verdict` is REJECT but `model` is given; give it as '
+                            '`rejected_model`')
+
+    @property
+    def good(self) -> bool:
+        """Whether the model may be acted on: the verdict is GOOD."""
+        return self.verdict.grade is Grade.GOOD
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is an accepted model, GOOD or WEAK."""
+        return self.model is not None
+
+    @property
+    def pole_covariance(self) -> Array:
+        """Covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
+        return self._derived(pole_covariance, 'n', 2, 2)
+
+    @property
+    def natural_frequency_std(self) -> Array:
+        """Standard deviation of each natural frequency, (n,) [rad/s]."""
+        return self._derived(natural_frequency_deviation, 'n')
+
+    @property
+    def damping_std(self) -> Array:
+        """Standard deviation of each damping ratio, (n,); 0 for real poles."""
+        return self._derived(damping_deviation, 'n')
+
+    @property
+    def dc_gain_std(self) -> Array:
+        """Standard deviation of the steady gain, (ny, nu)."""
+        return self._derived(gain_deviation, 'ny', 'nu')
+
+    @property
+    def delay_std(self) -> Array:
+        """Standard deviation of each dead time, (nu,) [s]; 0 where it was given."""
+        return self._derived(delay_deviation, 'nu')
+
+    def frequency_response_std(self, omega: ArrayLike) -> ResponseDeviation:
+        """
+        Return the standard deviations of magnitude (over the magnitude) and phase [rad].
+
+        Parameters
+        ----------
+        omega : array_like, shape (M,)
+            Frequencies [rad/s].
+
+        Returns
+        -------
+        ResponseDeviation
+            Two arrays of shape (M, ny, nu); NaN where unknown.
+        """
+        model = self.model or self.rejected_model
+        if model is None or self.covariance is None:
+            nothing = np.full((np.size(omega), *((model.ny, model.nu) if model else (0, 0))),
+                              np.nan)
+            return ResponseDeviation(nothing, nothing)
+        return response_deviation(self.covariance, model, omega)
+
+    def _derived(self, what: Callable[[Covariance, StateSpace], Array],
+                 *shape: str | int) -> Array:
+        """Return what follows from the covariance; NaN if there is none, 0 states if no model."""
+        model = self.model or self.rejected_model
+        if model is not None and self.covariance is not None:
+            return what(self.covariance, model)
+        return np.full([size if isinstance(size, int) else getattr(model, size, 0)
+                        for size in shape], np.nan)
+
+    def trimmed(self, model: StateSpace, number: int) -> StateSpace:
+        """
+        Return a model of this estimate at the trim of one of several records.
+
+        Parameters
+        ----------
+        model : StateSpace
+            `model`, or `rejected_model`.
+        number : int
+            Of the record among those given, from 1; of one that was not used, the model's trim
+            stays.
+        """
+        for record in self.records:
+            if record.number == number:
+                return replace(model, x_trim=record.x_trim, y_trim=record.y_trim)
+        return model

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The predictor of a model in innovation form, for output channels with stamps of their own.
+
+Let p(t) be any solution of the model for the known inputs without innovations, and r = y - C p -
+D u - y_trim what remains of the samples. Then the state is p + xi with
+
+    dxi/dt = A xi + K e,     e = r - C xi.                                                    (1)
+
+Between the samples of a channel its innovation is taken to run linearly, from what the filter left
+at one sample to what the model could not foresee at the next one. With h the time between the
+two, xi^- and e^- = r - C xi^- before the sample, this changes the state by
+
+    xi = xi^- + h phi_2(Abar h) K e^-  +  h (phi_1 - phi_2)(Abar h) K e_before,  Abar = A - K C (2)
+
+per channel, which is causal, stays bounded however large K is (then C xi meets the sample), and
+does nothing to a model that foresees its data, however sparse they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_are
+
+from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.types import Array
+from ctsid_core.model.statespace import StateSpace
+
+MEMORY = 5.0  # substitute predictors forget at least this many times within the record
+START = 0.1  # the part of the record that the initial state is estimated from
+LONGEST = 2.0  # a sample speaks for at most that many median intervals, gaps or not
+
+
+@dataclass(frozen=True)
+class Stream:
+    """
+    Output channels that share their stamps.
+
+    Parameters
+    ----------
+    channels : slice
+        Which outputs of the model.
+    rows : ndarray of int, shape (N,)
+        Where their stamps stand among the merged stamps of all outputs.
+    """
+
+    channels: slice
+    rows: NDArray[np.intp]
+
+
+def predictor_gain(model: StateSpace, noise: Array, duration: float) -> tuple[Array | None, str]:
+    """
+    Return a gain K for which the predictor A - K C is stable, and a note if it is not the model's.
+
+    With the model's own K that is so for every model that was identified with its noise. With
+    K = 0 and an unstable (or integrating) A it is not: no filter forgets its start. The right
+    filter for such a model is the steady Kalman filter of the same noise model (Riccati
+    equation with Q = K R K^T, S = K R); it turns unstable poles of A - K C into their mirror
+    images. To leave the imaginary axis too, A is shifted right by `MEMORY` / duration.
+
+    Parameters
+    ----------
+    model : StateSpace
+    noise : ndarray, shape (ny, ny)
+        Intensity of the innovations R, up to a factor.
+    duration : float
+        Of the record [s].
+
+    Returns
+    -------
+    K : ndarray, shape (n, ny), or None
+        None if an unstable mode is seen by no output, so that nothing can stabilise it.
+    note : str
+        Empty if K is the model's.
+    """
+    A, C, K = model.A, model.C, model.K
+    if _is_stable(A - K @ C):
+        return K, ''
+    shifted = A + MEMORY / duration * np.eye(model.n)
+    try:
+        P = solve_continuous_are(shifted.T, C.T, K @ noise @ K.T, noise, s=K @ noise)
+        gain = np.linalg.solve(noise, C @ P + noise @ K.T).T
+        stable = _is_stable(A - gain @ C)
+    except (np.linalg.LinAlgError, ValueError):
+        stable = False
+    if not stable:
+        return None, ('Prediction is not possible: a mode of the model is unstable and seen by '
+                      'no output; measure another output, or lower the order.')
+    return gain, ('The K of the model does not stabilise its predictor (unstable or integrating '
+                  'model without a noise model); a Kalman filter for measurement noise was used '
+                  'instead. Identify with process noise for a better one.')
+
+
+def _is_stable(A: Array) -> bool:
+    return bool(np.all(np.real(np.linalg.eigvals(A)) < 0))
+
+
+def start_rows(times: Array, n: int) -> int:
+    """Return how many of the merged stamps are used to start the filter of n states."""
+    if not len(times):
+        return 0
+    rows = int(np.searchsorted(times, times[0] + START * (times[-1] - times[0]), side='right'))
+    return min(max(rows, n + 1), len(times))
+
+
+def spread(y: Array) -> Array:
+    """Return the size of each column (standard deviation, else magnitude, else 1), NaN apart."""
+    known = [column[~np.isnan(column)] for column in y.T]
+    return np.array([(c.std() or np.abs(c).max() or 1.0) if len(c) else 1.0 for c in known])
+
+
+def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
+                  streams: Sequence[Stream]) -> tuple[Array, Array, int]:
+    """
+    Run the predictor over all samples.
+
+    The state at the first stamp is the least-squares one for the innovations in the first
+    `START` of the record. Later states depend on samples up to their own stamp only.
+
+    Parameters
+    ----------
+    model : StateSpace
+    K : ndarray, shape (n, ny)
+    times : ndarray, shape (M,)
+        Merged stamps of all outputs [s].
+    rest : ndarray, shape (M, ny)
+        r of (1); read only where a stream has a sample.
+    streams : sequence of Stream
+
+    Returns
+    -------
+    xi : ndarray, shape (M, n)
+        State after the samples of each stamp; NaN during the start.
+    xi_0 : ndarray, shape (n,)
+        State at the first stamp, before its samples.
+    started : int
+        First row whose state is causal.
+    """
+    steps = exponentials(model.A, np.diff(times, prepend=times[:1]), 0)[0]
+    events = _events(model, K, times, streams)
+    started = start_rows(times, model.n)
+    size = spread(rest[:started])[:, np.newaxis]  # so that units do not decide who starts it
+    # Column 0: from xi_0 = 0 with the samples; the others: free, from each unit vector.
+    state = np.eye(model.n, model.n + 1, k=1)
+    before = np.zeros((model.ny, model.n + 1))
+    surprises = []
+    for row in range(started):
+        data = np.zeros((model.ny, model.n + 1))
+        data[:, 0] = rest[row]
+        state, error = _update(steps[row] @ state, before, data, model.C, events[row])
+        surprises += [error[channels] / size[channels] for channels, _, _ in events[row]]
+    weights = np.vstack(surprises)
+    scale = np.linalg.norm(weights, axis=0)
+    scale[scale == 0] = 1
+    xi_0 = -np.linalg.lstsq(weights[:, 1:] / scale[1:], weights[:, 0], rcond=1e-10)[0] / scale[1:]
+    mix = np.concatenate([[1.0], xi_0])[:, np.newaxis]
+    state, before = state @ mix, before @ mix
+    xi = np.full((len(times), model.n), np.nan)
+    for row in range(started, len(times)):
+        xi[row - 1] = state[:, 0]
+        state, _ = _update(steps[row] @ state, before, rest[row][:, np.newaxis], model.C,
+                           events[row])
+    xi[-1] = state[:, 0]
+    return xi, xi_0, started - 1
+
+
+# What a stamp brings: channels, gain on the surprise, gain on what the filter left before
+Event = tuple[slice, Array, Array]
+
+
+def _events(model: StateSpace, K: Array, times: Array,
+            streams: Sequence[Stream]) -> list[list[Event]]:
+    events: list[list[Event]] = [[] for _ in times]
+    closed = model.A - K @ model.C
+    for stream in streams:
+        if not len(stream.rows):
+            continue
+        own = times[stream.rows]
+        usual = float(np.median(np.diff(own))) if len(own) > 1 else 0.0
+        h = np.minimum(np.diff(own, prepend=own[0] - usual), LONGEST * usual)
+        _, first, second = exponentials(closed, h, 2)
+        mean = second / np.where(h > 0, h, 1)[:, np.newaxis, np.newaxis]
+        now, earlier = mean @ K[:, stream.channels], (first - mean) @ K[:, stream.channels]
+        for row, a, b in zip(stream.rows, now, earlier, strict=True):
+            events[row].append((stream.channels, a, b))
+    return events
+
+
+def _update(state: Array, before: Array, data: Array, C: Array,
+            events: Sequence[Event]) -> tuple[Array, Array]:
+    # (2) for all streams of one stamp, side by side; `before` is renewed in place
+    error = data - C @ state
+    change = sum((now @ error[channels] + earlier @ before[channels]
+                  for channels, now, earlier in events), np.zeros_like(state))
+    state = state + change
+    left = data - C @ state
+    for channels, _, _ in events:
+        before[channels] = left[channels]
+    return state, error

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+B, C and D of a system of known A, from simulations.
+
+Each output is linear in the residues of its modes, and all responses are exact at the stamps of
+the outputs, whatever these do in between. Residues of rank one are B and C; with several outputs
+B and C are then fitted in turns.
+
+[TM] takes C from the first filter alone (eq. 14), and B from the equations of filtered outputs
+with free states (eq. 15). There an error of the observability matrix goes straight to B,
+multiplied with the states: poles can be right to four digits and B to none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctsid_core.linear.least_squares import least_norm
+from ctsid_core.linear.matrix_functions import Modes, modes, phi
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.simulation import input_polynomials, knots_between, recursion
+from ctsid_core.signals.record import Record
+
+_CONDITION = 1e10     # of the eigenvectors of A, beyond which there is no simulation by modes
+_FURTHEST = 300.0     # exponent of an unstable mode's growth that floating point still holds
+_TURNS = 2            # of fitting B and C; a third changes no digit of the fits
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """
+    B, C and D whose simulations are near the samples.
+
+    Parameters
+    ----------
+    B, C, D : ndarray, shapes (n, nu), (ny, n), (ny, nu)
+    """
+
+    B: Array
+    C: Array
+    D: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Output:
+    """
+    One output over all records, compressed by a QR factorisation.
+
+    Parameters
+    ----------
+    re, im : ndarray, shape (rows, modes, S)
+        Responses of the modes to u, to an impulse at the start of each record, and to 1 in each.
+    direct : ndarray, shape (rows, d)
+        u if the output follows it at once, and 1 in each record.
+    y : ndarray, shape (rows, 1)
+        Over the output's size.
+    """
+
+    re: Array
+    im: Array
+    direct: Array
+    y: Array
+
+
+def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, trim: bool,
+              feedthrough: bool, tolerance: float) -> Driven | None:
+    """
+    Return the model of given A whose simulations are near the samples of the outputs.
+
+    Each output counts by its own power; initial states and trim of each record are free.
+
+    Parameters
+    ----------
+    records : sequence of Record
+    A : ndarray, shape (n, n)
+    delay : tuple of float, length nu
+        [s]
+    trim : bool
+        Whether constants drive states and outputs.
+    feedthrough : bool
+        Whether u acts on y at once.
+    tolerance : float
+        Directions of regressors below this fraction of the largest are left out.
+
+    Returns
+    -------
+    Driven or None
+        None if the eigenvectors of A are dependent, or a mode grows beyond all bounds.
+    """
+    found = modes(A, _CONDITION)
+    length = max(r.duration for r in records)
+    if found is None or (found.values.real * length > _FURTHEST).any():
+        return None
+    nu = records[0].nu
+    sizes, outputs = _outputs(records, found, delay, trim, feedthrough)
+    c, b, direct = _rank_one(outputs, nu, tolerance)
+    for _ in range(_TURNS * (len(outputs) > 1)):
+        b = _fit_b(outputs, c, tolerance)
+        c, direct = _fit_c(outputs, b, tolerance)
+    D = direct[:, :nu] if feedthrough else np.zeros((len(outputs), nu))
+    return Driven((found.right @ b[:, :nu]).real, sizes * (c @ found.left).real, sizes * D)
+
+
+def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], trim: bool,
+             feedthrough: bool) -> tuple[Array, list[_Output]]:
+    """Return the size of each output, (ny, 1), and the outputs."""
+    count, nu, modes_count = len(records), records[0].nu, len(found.values)
+    total = nu + count * (1 + trim)
+    blocks: dict[int, list[Array]] = {}
+    for i, record in enumerate(records):
+        channel = 0
+        for signal in record.outputs:
+            inside = (signal.time >= record.start) & (signal.time <= record.end)
+            own, u = _responses(record, found, delay, signal.time[inside], trim)
+            made = np.zeros((len(u), modes_count, total), dtype=complex)
+            made[:, :, [*range(nu), nu + i, *([nu + count + i] if trim else [])]] = own
+            ones = np.zeros((len(u), count * trim))
+            if trim:
+                ones[:, i] = 1.0
+            left = np.hstack((made.real.reshape(len(u), -1), made.imag.reshape(len(u), -1),
+                              u if feedthrough else u[:, :0], ones))
+            for j in range(signal.width):
+                blocks.setdefault(channel, []).append(
+                    np.hstack((left, signal.values[inside, j:j + 1])))
+                channel += 1
+    sizes = np.array([np.std(np.concatenate([b[:, -1] for b in blocks[k]])) + 1e-300
+                      for k in sorted(blocks)])
+    width, outputs = modes_count * total, []
+    for k, size in enumerate(sizes):
+        small = np.linalg.qr(np.vstack(blocks[k]), mode='r')
+        re, im = (x.reshape(len(small), modes_count, total)
+                  for x in (small[:, :width], small[:, width:2 * width]))
+        outputs.append(_Output(re, im, small[:, 2 * width:-1], small[:, -1:] / size))
+    return sizes[:, np.newaxis], outputs
+
+
+def _rank_one(outputs: Sequence[_Output], nu: int,
+              tolerance: float) -> tuple[ComplexArray, ComplexArray, Array]:
+    """
+    Return c, (ny, modes), b, (modes, nu), and what acts at once: residues made rank one.
+
+    Those of u only: trim of states, trim of outputs and initial states can stand for each other.
+    """
+    shape = outputs[0].re.shape[1:]
+    width, residues, direct = int(np.prod(shape)), [], []
+    for own in outputs:
+        rows = len(own.y)
+        theta = least_norm(np.hstack((own.re.reshape(rows, -1), -own.im.reshape(rows, -1),
+                                      own.direct)).T, own.y.T, tolerance)[0]
+        residues.append((theta[:width] + 1j * theta[width:2 * width]).reshape(shape))
+        direct.append(theta[2 * width:])
+    reach = np.sqrt(np.sum(outputs[0].re ** 2 + outputs[0].im ** 2, axis=0)) + 1e-300
+    reach = reach[:, :nu]
+    each = np.array(residues)[:, :, :nu].transpose(1, 0, 2) * reach[:, np.newaxis]
+    left, s, right = np.linalg.svd(each, full_matrices=False)
+    c, b = left[:, :, 0].T, s[:, :1] * right[:, 0] / reach
+    return np.asarray(c, dtype=complex), np.asarray(b, dtype=complex), np.array(direct)
+
+
+def _fit_b(outputs: Sequence[_Output], c: ComplexArray, tolerance: float) -> ComplexArray:
+    """Return b, (modes, S), for given c."""
+    shape = outputs[0].re.shape[1:]
+    width, free = int(np.prod(shape)), outputs[0].direct.shape[1]
+    stacked = []
+    for k, own in enumerate(outputs):
+        rows, weight = len(own.y), c[k][:, np.newaxis]
+        apart = np.zeros((rows, free * len(outputs)))
+        apart[:, free * k:free * (k + 1)] = own.direct
+        stacked.append(np.hstack((
+            (own.re * weight.real - own.im * weight.imag).reshape(rows, -1),
+            -(own.re * weight.imag + own.im * weight.real).reshape(rows, -1), apart, own.y)))
+    both = np.vstack(stacked)
+    theta = least_norm(both[:, :-1].T, both[:, -1:].T, tolerance)[0]
+    found: ComplexArray = (theta[:width] + 1j * theta[width:2 * width]).reshape(shape)
+    return found
+
+
+def _fit_c(outputs: Sequence[_Output], b: ComplexArray,
+           tolerance: float) -> tuple[ComplexArray, Array]:
+    """Return c, (ny, modes), and what acts at once, for given b."""
+    found, direct, count = [], [], len(b)
+    for own in outputs:
+        state = np.einsum('tkm,km->tk', own.re + 1j * own.im, b)
+        theta = least_norm(np.hstack((state.real, -state.imag, own.direct)).T, own.y.T,
+                           tolerance)[0]
+        found.append(theta[:count] + 1j * theta[count:2 * count])
+        direct.append(theta[2 * count:])
+    return np.array(found), np.array(direct)
+
+
+def _responses(record: Record, found: Modes, delay: tuple[float, ...], times: Array,
+               trim: bool) -> tuple[ComplexArray, Array]:
+    """Return 1 / (s - mode) of u, of an impulse at the start and of 1, (times, modes, signals)."""
+    at = np.concatenate(([record.start], times, [record.end]))
+    knots = knots_between(record.inputs, delay, at)
+    u = input_polynomials(record.inputs, delay, knots)
+    ones = np.zeros((len(u), len(knots), int(trim)))
+    ones[0] = 1.0
+    driving = np.concatenate((u, ones), axis=2)
+    h = np.diff(knots)[:, np.newaxis]
+    functions = phi(h * found.values, len(driving))
+    rest = np.zeros(len(found.values), dtype=complex)
+    paths = []
+    for m in range(driving.shape[2]):
+        drive = np.zeros_like(functions[0])
+        for j, v in enumerate(driving):
+            drive += h ** (j + 1) * functions[j + 1] * v[:-1, m, np.newaxis]
+        paths.append(recursion(functions[0], drive, rest))
+    free = np.exp((knots - knots[0])[:, np.newaxis] * found.values)
+    nu = record.nu
+    rows = np.searchsorted(knots, times)
+    return (np.stack([*paths[:nu], free, *paths[nu:]], axis=2)[rows], u[0][rows])

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Exact response of a linear system to sampled inputs, at any stamps.
+
+Merge the stamps of all inputs (each later by its dead time) with the wanted ones into knots.
+Between two knots every input is a polynomial: of degree 0 where it is held, 1 on straight lines, 3
+on its cubic spline. Hence, without any approximation,
+
+    x(s + h) = e^(A h) x(s) + sum_j h^(j+1) phi_(j+1)(A h) B u^(j)(s)
+
+with the functions of `matrix_functions`. Where the eigenvectors of A are well-conditioned, this
+is one scalar recursion per mode, and all of them run at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PPoly
+
+from ctsid_core.errors import DataError
+from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.signals.record import Signal
+
+CHUNK = 4096  # intervals at a time where matrices are stored per interval
+
+# From signals, their dead times [s] and knots to what the signals are between the knots.
+Pieces = Callable[[Sequence[Signal], Sequence[float], Array], Array]
+
+
+def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: Array) -> Array:
+    """
+    Return the inputs and their derivatives just after each knot.
+
+    Before its first and after its last stamp an input is held. Valid up to the next knot if all
+    stamps (later by the dead time) within the knots' span are knots.
+
+    Parameters
+    ----------
+    inputs : sequence of Signal
+    delay : sequence of float, length nu
+        Dead time of each channel [s].
+    knots : ndarray, shape (K,)
+        Increasing [s].
+
+    Returns
+    -------
+    ndarray, shape (degree + 1, K, nu)
+        Entry j is the j-th derivative [unit / s^j].
+    """
+    parts, first = [], 0
+    for signal in inputs:
+        own = np.asarray(delay[first:first + signal.width])
+        first += signal.width
+        part = np.zeros((4, len(knots), signal.width))
+        for d in np.unique(own):
+            channels = own == d
+            found = _pieces(signal.time + d, signal.values[:, channels], signal.hold, knots)
+            part[:len(found), :, channels] = found
+        parts.append(part)
+    joined = np.concatenate(parts, axis=2) if parts else np.zeros((1, len(knots), 0))
+    degree = max((j for j in range(len(joined)) if joined[j].any()), default=0)
+    return joined[:degree + 1]
+
+
+def _pieces(stamps: Array, values: Array, hold: str, knots: Array) -> Array:
+    if hold == 'zoh' or len(stamps) < 2:
+        index = np.searchsorted(stamps, knots, side='right') - 1
+        return values[np.maximum(index, 0)][np.newaxis]
+    if hold == 'linear':
+        slope = np.diff(values, axis=0) / np.diff(stamps)[:, np.newaxis]
+        curve, degree = PPoly(np.array([slope, values[:-1]]), stamps), 1
+    else:
+        curve, degree = CubicSpline(stamps, values), 3
+    inside = (knots >= stamps[0]) & (knots < stamps[-1])
+    value = curve(np.clip(knots, stamps[0], stamps[-1]))
+    slopes = [np.where(inside[:, np.newaxis], curve(knots, nu=j), 0.0)
+              for j in range(1, degree + 1)]
+    return np.array([value, *slopes])
+
+
+def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: Sequence[float],
+            times: Array, x0: Array | None) -> tuple[Array, Array]:
+    """
+    Return a solution of dx/dt = A x + B u(t - delay) + offset, exactly.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    B : ndarray, shape (n, nu)
+    offset : ndarray, shape (n,)
+    inputs : sequence of Signal
+        Together nu channels.
+    delay : sequence of float, length nu
+        [s]
+    times : ndarray, shape (M,)
+        Where the solution is wanted, not decreasing [s].
+    x0 : ndarray, shape (n,), or None
+        State at `times[0]`. None: the solution whose stable modes start and whose unstable modes
+        end at zero. It is bounded, however unstable A is, so that e^(A t) can be added to it
+        without cancellation. (If the eigenvectors of A are ill-conditioned: start at zero.)
+
+    Returns
+    -------
+    x : ndarray, shape (M, n)
+    u : ndarray, shape (M, nu)
+        Inputs at `times` after their dead time; at a jump the new value.
+
+    Raises
+    ------
+    DataError
+        If an input has no sample or `times` decreases or is not finite.
+    """
+    _check_times(inputs, times)
+    if not len(times):
+        return np.empty((0, len(A))), np.empty((0, B.shape[1]))
+    knots = knots_between(inputs, delay, times)
+    u = input_polynomials(inputs, delay, knots)
+    rows = np.searchsorted(knots, times)
+    h = np.diff(knots)
+    found = modes(A)
+    with np.errstate(over='ignore', invalid='ignore'):
+        if found is None:
+            x = _by_matrices(A, B, offset, u, h, np.zeros(len(A)) if x0 is None else x0)
+        else:
+            x = _by_modes(found, B, offset, u, h, x0)
+    return x[rows], u[0][rows]
+
+
+def _check_times(inputs: Sequence[Signal], times: Array) -> None:
+    for signal in inputs:
+        if not len(signal.time):
+            raise DataError(f'input {signal.names or ""} has no sample; an input is unknown '
+                            'before its first one')
+    if times.ndim != 1 or not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise DataError(f'`times` (shape {times.shape}) must be one row of finite stamps that do '
+                        'not decrease; sort them')
+
+
+def knots_between(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
+    """Return `times` merged with the stamps of delayed inputs that lie between them [s]."""
+    stamps, first = [times], 0
+    for signal in inputs:
+        for d in set(delay[first:first + signal.width]):
+            late = signal.time + d
+            stamps.append(late[(late > times[0]) & (late < times[-1])])
+        first += signal.width
+    return np.unique(np.concatenate(stamps))
+
+
+def _by_modes(found: Modes, B: Array, offset: Array, u: Array, h: Array,
+              x0: Array | None) -> Array:
+    z = h[:, np.newaxis] * found.values
+    functions = phi(z, len(u))
+    gain = found.left @ B
+    drive = np.zeros_like(z)
+    for j, derivative in enumerate(u):
+        force = derivative[:-1] @ gain.T + (found.left @ offset if j == 0 else 0)
+        drive += h[:, np.newaxis] ** (j + 1) * functions[j + 1] * force
+    if x0 is not None:
+        return np.asarray((recursion(functions[0], drive, found.left @ x0) @ found.right.T).real)
+    path = np.empty((len(h) + 1, len(found.values)), dtype=complex)
+    grows = found.values.real > 0
+    rest = np.zeros(len(found.values), dtype=complex)
+    path[:, ~grows] = recursion(functions[0][:, ~grows], drive[:, ~grows], rest[~grows])
+    shrink = np.exp(-z[:, grows])[::-1]
+    path[::-1, grows] = recursion(shrink, -shrink * drive[::-1, grows], rest[grows])
+    return np.asarray((path @ found.right.T).real)
+
+
+def recursion(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray:
+    """
+    Return z of z_(k+1) = a_k z_k + g_k, for many scalar recursions at once.
+
+    The sequence is cut into about sqrt(K) blocks that run side by side from zero; then the
+    blocks' ends are chained. So K steps cost 2 sqrt(K) array operations.
+
+    Parameters
+    ----------
+    a, g : ndarray, shape (K, m)
+    z0 : ndarray, shape (m,)
+
+    Returns
+    -------
+    ndarray, shape (K + 1, m)
+    """
+    count, m = a.shape
+    length = int(np.sqrt(count)) + 1
+    blocks = -(-count // length)
+    factor = np.ones((blocks * length, m), dtype=complex)
+    local = np.zeros((blocks * length, m), dtype=complex)
+    factor[:count], local[:count] = a, g
+    factor, local = factor.reshape(blocks, length, m), local.reshape(blocks, length, m)
+    for i in range(1, length):
+        local[:, i] += factor[:, i] * local[:, i - 1]
+        factor[:, i] *= factor[:, i - 1]
+    start = np.empty((blocks, 1, m), dtype=complex)
+    carry = z0
+    for b in range(blocks):
+        start[b, 0] = carry
+        carry = factor[b, -1] * carry + local[b, -1]
+    local += factor * start
+    return np.concatenate([z0[np.newaxis], local.reshape(blocks * length, m)[:count]])
+
+
+def _by_matrices(A: Array, B: Array, offset: Array, u: Array, h: Array, x0: Array) -> Array:
+    x = np.empty((len(h) + 1, len(A)))
+    x[0] = x0
+    force = u @ B.T
+    force[0] += offset
+    for first in range(0, len(h), CHUNK):
+        rows = slice(first, min(first + CHUNK, len(h)))
+        step, *integrals = exponentials(A, h[rows], len(u))
+        drive = sum((np.einsum('kij,kj->ki', f, force[j, rows]) for j, f in enumerate(integrals)),
+                    np.zeros(()))
+        for k in range(rows.start, rows.stop):
+            x[k + 1] = step[k - first] @ x[k] + drive[k - first]
+    return x
+
+
+def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
+    """
+    Return a basis of all responses C e^(A t) x0, scaled so that none overflows.
+
+    Stable modes are 1 at the first time, unstable ones 1 at the last.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (ny, n)
+    times : ndarray, shape (M,)
+        [s]
+
+    Returns
+    -------
+    basis : ndarray, shape (M, ny, n)
+        One response per column.
+    states : ndarray, shape (n, n)
+        Column i is the state at `times[0]` that gives column i of the basis.
+    """
+    found = modes(A)
+    if found is None:
+        return _free_by_matrices(A, C, times), np.eye(len(A))
+    first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)
+    reference = np.where(found.values.real > 0, last, first)
+    growth = np.exp((times[:, np.newaxis] - reference) * found.values)
+    response = growth[:, np.newaxis] * (C @ found.right)
+    state = found.right * np.exp((first - reference) * found.values)
+    pairs = found.values.imag > 0
+    return (np.concatenate([response.real, -response.imag[..., pairs]], axis=-1),
+            np.concatenate([state.real, -state.imag[:, pairs]], axis=-1))
+
+
+def _free_by_matrices(A: Array, C: Array, times: Array) -> Array:
+    basis = np.empty((len(times), len(C), len(A)))
+    state, h = np.eye(len(A)), np.diff(times, prepend=times[:1])
+    for first in range(0, len(times), CHUNK):
+        steps = exponentials(A, h[first:first + CHUNK], 0)[0]
+        for k, step in enumerate(steps, start=first):
+            state = step @ state
+            basis[k] = C @ state
+    return basis

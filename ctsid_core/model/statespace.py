@@ -1,0 +1,396 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The linear time-invariant continuous-time model that ctsid identifies.
+
+    dx/dt = A x + B u(t - d) + x_trim + K e
+        y = C x + D u(t - d) + y_trim + e
+
+with n states, nu inputs u, ny outputs y, innovations e, one dead time d >= 0 per input, and the
+trim: constants that place the model at its operating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctsid_core.errors import DataError
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model import realisation
+from ctsid_core.model.checks import delays, numbers, shaped, words
+from ctsid_core.model.frequency_response import transfer
+from ctsid_core.model.simulation import respond
+from ctsid_core.signals.record import Signal
+
+if TYPE_CHECKING:
+    import scipy.signal
+
+
+
+def _unset() -> Array:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """
+    A continuous-time state-space model in innovation form, with dead times and trim.
+
+    Only A, B and C have to be given; everything else is zero, or nameless, unless it is. Arrays
+    are copied and read-only. Models are equal (==) if all of their entries are.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+        [1/s]
+    B : ndarray, shape (n, nu)
+    C : ndarray, shape (ny, n)
+    D : ndarray, shape (ny, nu)
+        Direct feedthrough.
+    K : ndarray, shape (n, ny)
+        Gain of the innovations [1/s]: of the filter that predicts y. Zero: all noise is
+        measurement noise.
+    delay : tuple of float, length nu
+        Dead time of each input [s].
+    x_trim : ndarray, shape (n,)
+        Constant drive of the states [state/s].
+    y_trim : ndarray, shape (ny,)
+        Constant offset of the outputs.
+    input_names, input_units : tuple of str, length nu
+    output_names, output_units : tuple of str, length ny
+    noise : ndarray, shape (ny, ny), or None
+        Intensity (two-sided spectral density) of the innovations e [unit^2 s]; None: unknown.
+
+    Raises
+    ------
+    DataError
+        If a shape does not fit or an entry is not finite.
+
+    Examples
+    --------
+    >>> motor = StateSpace([[0.0, 1.0], [0.0, -2.0]], [[0.0], [6.0]], [[1.0, 0.0]])
+    >>> motor.poles.real.tolist()
+    [0.0, -2.0]
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array = field(default_factory=_unset)
+    K: Array = field(default_factory=_unset)
+    delay: tuple[float, ...] = ()
+    x_trim: Array = field(default_factory=_unset)
+    y_trim: Array = field(default_factory=_unset)
+    input_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
+    input_units: tuple[str, ...] = ()
+    output_units: tuple[str, ...] = ()
+    noise: Array | None = None
+
+    def __post_init__(self) -> None:
+        given = {name: numbers(name, getattr(self, name)) for name in ('A', 'B', 'C')}
+        if any(x.ndim != 2 for x in given.values()):
+            shapes = ', '.join(f'{name} has shape {x.shape}' for name, x in given.items())
+            raise DataError(f'{shapes}; wanted are matrices (n, n), (n, nu), (ny, n)')
+        n, nu, ny = len(given['A']), given['B'].shape[1], len(given['C'])
+        wanted = {'A': (n, n), 'B': (n, nu), 'C': (ny, n), 'D': (ny, nu), 'K': (n, ny),
+                  'x_trim': (n,), 'y_trim': (ny,), 'noise': (ny, ny)}
+        for name, shape in wanted.items():
+            if name != 'noise' or self.noise is not None:
+                object.__setattr__(self, name, shaped(name, getattr(self, name), shape))
+        object.__setattr__(self, 'delay', delays(self.delay, nu))
+        for name, count in (('input_names', nu), ('input_units', nu),
+                            ('output_names', ny), ('output_units', ny)):
+            object.__setattr__(self, name, words(name, getattr(self, name), count))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, StateSpace):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name))
+                   for f in fields(self))
+
+    def __hash__(self) -> int:
+        # + 0.0 because -0.0 equals 0.0 and has to have the same hash
+        return hash(((self.A + 0.0).tobytes(), (self.B + 0.0).tobytes(), self.delay))
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.C)
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """
+        Eigenvalues of A, complex, shape (n,) [rad/s].
+
+        Sorted by magnitude; conjugate pairs stay together, the negative imaginary part first.
+        Poles of equal magnitude: by |imaginary part|, then real part.
+        """
+        values = np.linalg.eigvals(self.A).astype(complex)
+        values = values[realisation.pole_order(values)]
+        values.setflags(write=False)
+        return values
+
+    @property
+    def natural_frequency(self) -> Array:
+        """Magnitude of each pole, shape (n,), in the order of `poles` [rad/s]."""
+        size: Array = np.abs(self.poles)
+        return size
+
+    @property
+    def damping(self) -> Array:
+        """
+        Damping ratio of each pole, shape (n,), in the order of `poles`.
+
+        1 for a stable real pole, -1 for an unstable one, NaN for a pole at 0.
+        """
+        size = self.natural_frequency
+        ratio: Array = np.full(self.n, np.nan)
+        np.divide(-self.poles.real, size, out=ratio, where=size > 0)
+        return ratio
+
+    @property
+    def dc_gain(self) -> Array:
+        """
+        Transfer function at frequency zero, shape (ny, nu).
+
+        Infinite where a pole at 0 is seen. For an unstable model it is a number all the same,
+        but not the end of any step response.
+        """
+        gain: Array = self.frequency_response(np.zeros(1))[0].real
+        return gain
+
+    def frequency_response(self, omega: ArrayLike) -> ComplexArray:
+        """
+        Return G(j omega) = (C (j omega I - A)^-1 B + D) exp(-j omega delay).
+
+        Parameters
+        ----------
+        omega : array_like, shape (M,)
+            Frequencies [rad/s]; negative ones are allowed.
+
+        Returns
+        -------
+        ndarray, shape (M, ny, nu)
+            Where omega is a pole that the entry sees: infinite magnitude, phase NaN
+            (inf + NaN j). Entries that do not see that pole are finite and right.
+
+        Raises
+        ------
+        DataError
+            If omega is not a row of finite numbers.
+        """
+        omega = np.asarray(omega, dtype=float)
+        if omega.ndim != 1 or not np.isfinite(omega).all():
+            raise DataError(f'`omega` has shape {omega.shape}; wanted is one row of finite '
+                            'frequencies in rad/s')
+        return transfer(self.A, self.B, self.C, self.D, self.delay, omega)
+
+    def simulate(self, inputs: Sequence[Signal], times: ArrayLike,
+                 x0: ArrayLike | None = None) -> Array:
+        """
+        Return the outputs without noise (e = 0), exactly for what the inputs' holds say.
+
+        Parameters
+        ----------
+        inputs : sequence of Signal
+            Together nu channels, each signal with stamps of its own: held ('zoh'), on straight
+            lines ('linear') or on a cubic spline ('smooth') between them; held before the first
+            and after the last.
+        times : array_like, shape (M,)
+            Where the outputs are wanted, not decreasing [s].
+        x0 : array_like, shape (n,), optional
+            State at `times[0]`; zero if not given.
+
+        Returns
+        -------
+        ndarray, shape (M, ny)
+            At the very instant of a jump (after the dead time) the new input counts. Infinite
+            or NaN once an unstable model has left the range of floating point.
+
+        Raises
+        ------
+        DataError
+            If the channels do not fit the model, an input has no sample, or `times` decreases.
+
+        Notes
+        -----
+        Exponential integrators between all stamps, see `ctsid_core.model.simulation`.
+        """
+        self.check_width('input', sum(s.width for s in inputs), self.nu)
+        start = np.zeros(self.n) if x0 is None else shaped('x0', x0, (self.n,))
+        x, u = respond(self.A, self.B, self.x_trim, inputs, self.delay,
+                       np.asarray(times, dtype=float), start)
+        with np.errstate(over='ignore', invalid='ignore'):
+            return x @ self.C.T + u @ self.D.T + self.y_trim
+
+    @staticmethod
+    def check_width(what: str, given: int, wanted: int) -> None:
+        """Raise `DataError` unless as many channels are given as the model has."""
+        if given != wanted:
+            raise DataError(f'{given} {what} channels given, but the model has {wanted}; give '
+                            'the same channels in the same order as for the identification')
+
+    def transform(self, T: ArrayLike) -> StateSpace:
+        """
+        Return the same system with the states z = T x.
+
+        Parameters
+        ----------
+        T : array_like, shape (n, n)
+
+        Raises
+        ------
+        DataError
+            If T has another shape or is singular.
+        """
+        matrix = shaped('T', T, (self.n, self.n))
+        if self.n and not realisation.regular(matrix):
+            raise DataError('`T` is singular; a change of states needs independent rows')
+        return replace(
+            self, A=np.linalg.solve(matrix.T, (matrix @ self.A).T).T, B=matrix @ self.B,
+            C=np.linalg.solve(matrix.T, self.C.T).T, K=matrix @ self.K,
+            x_trim=matrix @ self.x_trim)
+
+    def modal(self) -> StateSpace:
+        """
+        Return the same system in real modal form, the modes in the order of `poles`.
+
+        A real pole s gives the block [s], a pair s +- j w the block [[s, w], [-w, s]]; what is
+        outside of the blocks is exactly 0. Each block is scaled such that its columns of C have
+        norm 1 (Frobenius), and signed (pairs: turned) such that c1 + c2/sqrt(2) + c3/sqrt(3) +
+        ... is positive, with c its column of C (pairs: the first one, and the second's sum is
+        0). So the matrices of neighbouring windows can be compared: they change continuously
+        with the system, except where two modes swap places, where a mode turns from real to
+        oscillating, or where that sum passes through 0.
+
+        Raises
+        ------
+        DataError
+            If poles coincide so closely that there is no usable modal form.
+        """
+        T, A = realisation.modal(self.A, self.C)
+        return replace(self.transform(T), A=A)
+
+    def balanced(self) -> StateSpace:
+        """
+        Return the same system with its stable part balanced.
+
+        Both Gramians of the stable part equal diag(`hankel_singular_values`), largest first, so
+        that the last states are those that matter least from u to y (K plays no role). Unstable
+        and undamped poles (real part above -1e-8 |A|) have no Gramians: their states come first,
+        decoupled from the others, in real Schur form. Signs: as in `modal`.
+
+        Raises
+        ------
+        DataError
+            If a stable state is not controllable or not observable (to rounding).
+        """
+        return self.transform(realisation.balancing(self.A, self.B, self.C))
+
+    @property
+    def hankel_singular_values(self) -> Array:
+        """Hankel singular values of the stable part from u to y, largest first."""
+        return realisation.hankel(self.A, self.B, self.C)
+
+    def pade(self, order: int) -> StateSpace:
+        """
+        Return a model without dead time, each one replaced by its Pade approximation.
+
+        Parameters
+        ----------
+        order : int
+            Number of extra states per delayed input, 0 to 10. 0: the dead times are dropped.
+            Good up to about omega * delay = order [rad].
+
+        Raises
+        ------
+        DataError
+            If the order is out of range.
+        """
+        if not 0 <= order <= 10:
+            raise DataError(f'`order` of the Pade approximation is {order}; choose 0 to 10')
+        A, B, C, D = realisation.with_pade(self.A, self.B, self.C, self.D, self.delay, order)
+        extra = len(A) - self.n
+        return replace(self, A=A, B=B, C=C, D=D, delay=(0.0,) * self.nu,
+                       K=np.vstack([self.K, np.zeros((extra, self.ny))]),
+                       x_trim=np.concatenate([self.x_trim, np.zeros(extra)]))
+
+    def to_control(self, pade: int | None = None) -> Any:
+        """
+        Return the deviation model from u to y as `control.StateSpace` (without K and trim).
+
+        Parameters
+        ----------
+        pade : int, optional
+            Replace dead times by Pade approximations of this order, see `pade`.
+
+        Returns
+        -------
+        control.StateSpace
+            Its attribute `delay` holds the dead times [s] that are not in its matrices:
+            python-control does nothing with them.
+
+        Raises
+        ------
+        ImportError
+            If python-control is not installed.
+
+        Warns
+        -----
+        UserWarning
+            If there is dead time and no approximation of it was asked for.
+        """
+        if pade is not None:
+            return self.pade(pade).to_control()
+        try:
+            import control
+        except ImportError as error:
+            raise ImportError('to_control() needs python-control; install it with: '
+                              'python3 -m pip install control') from error
+        if any(self.delay):
+            warnings.warn(f'python-control does not know dead time: {self.delay} s are in the '
+                          'attribute `delay` only; to_control(pade=3) puts them into the matrices',
+                          stacklevel=2)
+        labels: dict[str, list[str]] = {}
+        for key, names in (('inputs', self.input_names), ('outputs', self.output_names)):
+            if all(names) and len(set(names)) == len(names):  # it wants all names, and distinct
+                labels[key] = [name.replace('.', '_') for name in names]  # '.' is its own
+        system = control.ss(self.A, self.B, self.C, self.D, **labels)
+        system.delay = self.delay
+        return system
+
+    def to_scipy(self) -> scipy.signal.StateSpace:
+        """
+        Return the deviation model from u to y for scipy.signal (without K and trim).
+
+        Raises
+        ------
+        DataError
+            If there is dead time, which scipy.signal does not know.
+        """
+        self._refuse_delay('to_scipy')
+        from scipy.signal import StateSpace as ScipyStateSpace  # heavy: only when wanted
+        return ScipyStateSpace(self.A, self.B, self.C, self.D)
+
+    def _refuse_delay(self, verb: str) -> None:
+        if any(self.delay):
+            raise DataError(f'the model has dead times {self.delay} s, which {verb}() cannot '
+                            f'carry; use model.pade(3).{verb}() for an approximation, or '
+                            f'model.pade(0).{verb}() to leave them out')

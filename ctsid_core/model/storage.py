@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Models and series of estimates in files.
+
+One model: JSON (see `model_json`). Many windows: NPZ for programs, CSV for people and plots.
+Files are written under a temporary name beside the final one and then renamed, so that a reader
+never meets half of one. Nothing is overwritten unless `force` is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+import csv
+import io
+import os
+from pathlib import Path
+from typing import Any
+import uuid
+import zipfile
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.errors import DataError, StorageError
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.model_json import from_json, parse, to_json
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.settings import Settings
+
+__all__ = ['from_json', 'load_estimate', 'load_metadata', 'load_model', 'load_series',
+           'save_model', 'save_series', 'to_json', 'write_file']
+
+SERIES_FORMAT = 'ctsid-series'
+SERIES_VERSION = 1
+
+
+def save_model(path: str | os.PathLike[str], estimate: Estimate | StateSpace,
+               metadata: Mapping[str, object] | None = None, *, force: bool = False) -> None:
+    """
+    Write an estimate, or a model by itself, as JSON.
+
+    Parameters
+    ----------
+    path : path-like
+    estimate : Estimate or StateSpace
+    metadata : mapping, optional
+        What else to keep (name of the bag, versions): names to words, numbers, lists or mappings.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    StorageError
+        If the file exists, or cannot be written.
+    """
+    if isinstance(estimate, StateSpace):
+        estimate = Estimate(status=Status.OK, settings=Settings(), model=estimate, notes=(
+            'This model was stored by itself; the settings are not those of its identification.',))
+    write_file(path, to_json(estimate, metadata).encode(), force=force)
+
+
+def load_estimate(path: str | os.PathLike[str]) -> Estimate:
+    """
+    Read what `save_model` has written, equal to the last bit.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be read, is not a model file, or is of a newer version.
+    """
+    return _load(path)[0]
+
+
+def load_model(path: str | os.PathLike[str]) -> StateSpace:
+    """
+    Read the model of a file that `save_model` has written, equal to the last bit.
+
+    Raises
+    ------
+    StorageError
+        As `load_estimate`, and if the identification gave no accepted model.
+    """
+    estimate = load_estimate(path)
+    if estimate.model is None:
+        raise StorageError(f'{path} holds no accepted model: {estimate.status.value} (A rejected '
+                           'one, if any, is in load_estimate(path).rejected_model.)')
+    return estimate.model
+
+
+def load_metadata(path: str | os.PathLike[str]) -> dict[str, object]:
+    """Read the metadata of a model file; raises like `load_estimate`."""
+    return _load(path)[1]
+
+
+def _load(path: str | os.PathLike[str]) -> tuple[Estimate, dict[str, object]]:
+    data = _read_file(path)
+    try:
+        return parse(data.decode())
+    except UnicodeDecodeError as error:
+        raise StorageError(f'{path}: not a text file ({error.reason}); choose a model.json that '
+                           'ctsid has written') from error
+    except StorageError as error:
+        raise StorageError(f'{path}: {error}') from error
+
+
+def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
+                columns: Mapping[str, Sequence[float]] | None = None,
+                force: bool = False) -> None:
+    """
+    Write the estimates of many windows; the suffix of the path decides how.
+
+    Parameters
+    ----------
+    path : path-like
+        '.csv': one row per window: window, status, verdict, order, poles with standard deviation,
+        natural frequency and damping (with theirs), fits. '.npz': the same and the matrices as
+        arrays with one entry per window, padded with NaN to the largest order, and each whole
+        estimate as JSON.
+    estimates : sequence of Estimate
+    columns : mapping, optional
+        Further numbers, by name with unit: one per estimate.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    StorageError
+        If the suffix is another, the file exists, or it cannot be written.
+    DataError
+        If a column is of another length.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in ('.csv', '.npz'):
+        raise StorageError(f'{path} ends in {suffix!r}; name it .csv or .npz')
+    columns = columns or {}
+    for name, values in columns.items():
+        if len(values) != len(estimates):
+            raise DataError(f'column {name!r} has {len(values)} numbers for {len(estimates)} '
+                            'estimates; give one for each')
+    data = (_csv if suffix == '.csv' else _npz)(estimates, columns)
+    write_file(path, data, force=force)
+
+
+def load_series(path: str | os.PathLike[str]) -> tuple[Estimate, ...]:
+    """
+    Read the estimates of an NPZ file that `save_series` has written, equal to the last bit.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be read, is not such a file, or is of a newer version.
+    """
+    data = _read_file(path)
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as found:
+            if 'format' not in found or str(found['format']) != SERIES_FORMAT:
+                raise StorageError('it holds other arrays')
+            version, texts = int(found['version']), found['json'].tolist()
+    except (StorageError, ValueError, KeyError, OSError, EOFError, TypeError, AttributeError,
+            zipfile.BadZipFile, zlib.error) as error:
+        raise StorageError(f'{path}: not a {SERIES_FORMAT} file, or cut off ({error}); choose an '
+                           'estimates.npz that ctsid has written') from error
+    if version > SERIES_VERSION:
+        raise StorageError(f'{path}: written by a newer ctsid (version {version}; this one reads '
+                           f'up to {SERIES_VERSION}); upgrade ctsid')
+    try:
+        return tuple(from_json(text.decode()) for text in texts)
+    except StorageError as error:
+        raise StorageError(f'{path}: {error}') from error
+
+
+def _named(estimates: Sequence[Estimate], ny: int) -> list[str]:
+    names = next((m.output_names for m in (e.model or e.rejected_model for e in estimates) if m),
+                 ())
+    return [name or f'y{i + 1}' for i, name in enumerate((*names, *('',) * ny)[:ny])]
+
+
+def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
+    orders = [e.model.n if e.model else 0 for e in estimates]
+    ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
+    head = ['start_ns', 'end_ns', 'status', 'verdict', 'order']
+    for k in range(1, max(orders, default=0) + 1):
+        head += [f'pole{k}_re [rad/s]', f'pole{k}_im [rad/s]', f'pole{k}_std [rad/s]',
+                 f'pole{k}_natural_frequency [rad/s]', f'pole{k}_natural_frequency_std [rad/s]',
+                 f'pole{k}_damping', f'pole{k}_damping_std']
+    names = _named(estimates, ny)
+    head += [f'fit_{name} [%]' for name in names] + [f'held_out_fit_{name} [%]' for name in names]
+    head += columns
+    stream = io.StringIO(newline='')
+    writer = csv.writer(stream, lineterminator='\n')
+    writer.writerow(head)
+    for i, estimate in enumerate(estimates):
+        more = [float(values[i]) for values in columns.values()]
+        writer.writerow(_csv_row(estimate, max(orders), ny, more))
+    return stream.getvalue().encode()
+
+
+def _csv_row(estimate: Estimate, order: int, ny: int, more: Sequence[float]) -> list[object]:
+    row: list[object] = [estimate.start_ns, estimate.end_ns, estimate.status.name,
+                         estimate.verdict.grade.name,
+                         estimate.model.n if estimate.model else '']
+    cells: list[float] = []
+    if estimate.model:
+        model, std = estimate.model, _padded(estimate.pole_std, (estimate.model.n,))
+        radial, damping = estimate.natural_frequency_std, estimate.damping_std
+        for k, pole in enumerate(model.poles):
+            cells += [pole.real, pole.imag, std[k], model.natural_frequency[k], radial[k],
+                      model.damping[k], damping[k]]
+    cells += [np.nan] * (7 * order - len(cells))
+    cells += [*_padded(estimate.fit, (ny,)), *_padded(estimate.held_out_fit, (ny,)), *more]
+    return row + ['' if np.isnan(x) else repr(float(x)) for x in cells]
+
+
+def _padded(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    whole = np.full(shape, np.nan, dtype=values.dtype)
+    whole[tuple(slice(size) for size in values.shape)] = values
+    return whole
+
+
+def _npz(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
+    arrays: dict[str, Any] = {
+        'format': SERIES_FORMAT, 'version': SERIES_VERSION,
+        'start_ns': np.array([e.start_ns for e in estimates], dtype=np.int64),
+        'end_ns': np.array([e.end_ns for e in estimates], dtype=np.int64),
+        'status': np.array([e.status.name for e in estimates], dtype=str),
+        'verdict': np.array([e.verdict.grade.name for e in estimates], dtype=str),
+        'reason': np.array([e.verdict.reason for e in estimates], dtype=str),
+        'order': np.array([e.model.n if e.model else 0 for e in estimates], dtype=np.int64),
+        'condition': np.array([e.condition for e in estimates], dtype=float),
+        'json': np.array([to_json(e).encode() for e in estimates], dtype=bytes)}
+    for name in ('pole_std', 'natural_frequency_std', 'damping_std', 'fit', 'held_out_fit',
+                 'singular_values'):
+        arrays[name] = _stacked([getattr(e, name) for e in estimates])
+    models = [e.model for e in estimates]
+    for name in ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'delay', 'poles',
+                 'natural_frequency', 'damping'):
+        rank = 2 if name in 'ABCDK' else 1
+        arrays[name] = _stacked([np.asarray(getattr(m, name)) if m else np.empty((0,) * rank)
+                                 for m in models])
+    arrays |= {name: np.array(values, dtype=float) for name, values in columns.items()}
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def _stacked(values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    if not values:
+        return np.empty(0)
+    kind = np.result_type(*values)
+    shape = tuple(np.max([v.shape for v in values], axis=0))
+    return np.array([_padded(v.astype(kind), shape) for v in values])
+
+
+def _read_file(path: str | os.PathLike[str]) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise StorageError(f'{path} cannot be read ({error.strerror}); check the path and the '
+                           'permissions') from error
+
+
+def write_file(path: str | os.PathLike[str], data: bytes, *, force: bool = False) -> None:
+    """
+    Write a file under a temporary name and rename it.
+
+    Raises
+    ------
+    StorageError
+        If the file exists and `force` is not given, or it cannot be written.
+    """
+    target = Path(path)
+    if target.is_dir() or (os.path.lexists(target) and not force):
+        cure = 'choose another name' if target.is_dir() else 'choose another name, or force it'
+        raise StorageError(f'{path} exists already; {cure}')
+    draft = target.with_name(f'.{target.name}.{uuid.uuid4().hex[:8]}.tmp')
+    try:
+        with open(draft, 'xb') as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(draft, target)
+    except OSError as error:
+        raise StorageError(f'{path} cannot be written ({error.strerror}); check that the folder '
+                           'exists, is writable and has room') from error
+    finally:
+        with suppress(OSError):  # renamed, or never made
+            draft.unlink()

@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Is the model any good: simulation, prediction, and what its residuals still contain.
+
+Everything here compares at the outputs' own stamps; nothing is resampled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctsid_core.errors import DataError
+from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.types import Array
+from ctsid_core.model.predictor import Stream, filter_states, predictor_gain, spread, start_rows
+from ctsid_core.model.simulation import free_response, input_polynomials, respond
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.whiteness import independence, whiteness
+from ctsid_core.signals.record import Record, channel_slices
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validation:
+    """
+    Measured and computed outputs, and how well they agree.
+
+    Parameters
+    ----------
+    times : ndarray, shape (M,)
+        Merged stamps of all outputs within the record [s].
+    y : ndarray, shape (M, ny)
+        Measured; NaN where an output has no sample at that stamp.
+    y_hat : ndarray, shape (M, ny)
+        Computed. Of a prediction: NaN where an output has no sample, or cannot be predicted yet.
+    fit : ndarray, shape (ny,)
+        NRMSE fit of each output [%], see `fit`.
+    vaf : ndarray, shape (ny,)
+        Variance accounted for, of each output [%], see `vaf`.
+    x0 : ndarray, shape (n,)
+        State at `times[0]`.
+    notes : tuple of str
+        What else the reader should know.
+    """
+
+    times: Array
+    y: Array
+    y_hat: Array
+    fit: Array
+    vaf: Array
+    x0: Array
+    notes: tuple[str, ...] = ()
+
+
+def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:
+    """
+    Return 100 (1 - |y - y_hat| / |y - mean y|) per output [%]: the NRMSE fit.
+
+    100: perfect; 0: no better than the mean of y; negative: worse.
+
+    Parameters
+    ----------
+    y, y_hat : array_like, shape (M, ny)
+        Rows where either is NaN do not count.
+
+    Returns
+    -------
+    ndarray, shape (ny,)
+        NaN for a constant output or fewer than two rows, -inf if y_hat is infinite.
+
+    Raises
+    ------
+    DataError
+        If the shapes differ.
+    """
+    pairs = _pairs(y, y_hat)
+    return np.array([100 * (1 - _ratio(_norm(a - b), _norm(a - a.mean())))
+                     if len(a) > 1 else np.nan for a, b in pairs])
+
+
+def vaf(y: ArrayLike, y_hat: ArrayLike) -> Array:
+    """
+    Return 100 (1 - var(y - y_hat) / var(y)) per output [%]: variance accounted for.
+
+    Unlike `fit` it forgives a constant offset. Parameters, NaN and errors: as for `fit`.
+    """
+    pairs = _pairs(y, y_hat)
+    return np.array([100 * (1 - _ratio(_variance(a - b), _variance(a)))
+                     if len(a) > 1 else np.nan for a, b in pairs])
+
+
+def _pairs(y: ArrayLike, y_hat: ArrayLike) -> list[tuple[Array, Array]]:
+    a, b = np.asarray(y, dtype=float), np.asarray(y_hat, dtype=float)
+    if a.shape != b.shape or a.ndim != 2:
+        raise DataError(f'`y` has shape {a.shape} and `y_hat` {b.shape}; wanted are two of the '
+                        'same shape (M, ny)')
+    good = ~(np.isnan(a) | np.isnan(b))
+    return [(a[rows, i], b[rows, i]) for i, rows in enumerate(good.T)]
+
+
+def _norm(x: Array) -> float:
+    with np.errstate(over='ignore'):  # a diverged simulation
+        return float(np.linalg.norm(x))
+
+
+def _variance(x: Array) -> float:
+    with np.errstate(over='ignore'):
+        return float(x.var()) if np.isfinite(x).all() else np.inf
+
+
+def _ratio(error: float, size: float) -> float:
+    return error / size if size > 0 else np.nan
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """All output samples of a record, merged."""
+
+    times: Array
+    y: Array
+    streams: tuple[Stream, ...]
+
+
+def _samples(model: StateSpace, record: Record) -> _Samples:
+    model.check_width('input', record.nu, model.nu)
+    model.check_width('output', record.ny, model.ny)
+    inside = [(s.time >= record.start) & (s.time <= record.end) for s in record.outputs]
+    stamps = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
+    times = np.unique(np.concatenate(stamps))
+    y, streams = np.full((len(times), record.ny), np.nan), []
+    for signal, places, own, rows in zip(
+            record.outputs, channel_slices(record.outputs), stamps, inside, strict=True):
+        streams.append(Stream(places, np.searchsorted(times, own)))
+        y[streams[-1].rows, places] = signal.values[rows]
+    return _Samples(times, y, tuple(streams))
+
+
+def _respond(model: StateSpace, record: Record, times: Array,
+             x0: Array | None) -> tuple[Array, Array]:
+    # Outputs of the model, and its state at times[0]
+    x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, x0)
+    with np.errstate(over='ignore', invalid='ignore'):
+        y = x @ model.C.T + u @ model.D.T + model.y_trim
+    return np.where(np.isnan(y), np.inf, y), x[0] if len(x) else np.zeros(model.n)
+
+
+def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'refit'] = 'model',
+               initial_state: Literal['estimate', 'zero'] = 'estimate') -> Validation:
+    """
+    Compare a record with what the model makes of its inputs alone.
+
+    Parameters
+    ----------
+    model : StateSpace
+    record : Record
+        Other than the one of the identification, for an honest judgement.
+    trim : {'model', 'refit'}
+        Offsets of the outputs: the model's, or fitted to this record on top of them (if the
+        robot may have been trimmed otherwise).
+    initial_state : {'estimate', 'zero'}
+        State at the first output sample: least squares, outputs weighted by their spread, or 0.
+
+    Returns
+    -------
+    Validation
+        For an unstable model, the estimated state is found together with a bounded solution, so
+        that the fit is right even where simulating onward from `x0` would lose all digits.
+
+    Raises
+    ------
+    DataError
+        If the record's channels do not fit the model, or an option is unknown.
+    """
+    for name, value, known in (('trim', trim, ('model', 'refit')),
+                               ('initial_state', initial_state, ('estimate', 'zero'))):
+        if value not in known:
+            raise DataError(f'`{name}` is {value!r}; choose one of {known}')
+    samples = _samples(model, record)
+    times, y = samples.times, samples.y
+    start = np.zeros(model.n) if initial_state == 'zero' else None
+    y_hat, x0 = _respond(model, record, times, start)
+    blocks, states = [], []
+    if initial_state == 'estimate':
+        with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
+            basis, state = free_response(model.A, model.C, times)
+        blocks.append(basis)
+        states.append(state)
+    if trim == 'refit':
+        blocks.append(np.broadcast_to(np.eye(model.ny), (len(times), model.ny, model.ny)))
+        states.append(np.zeros((model.n, model.ny)))
+    if blocks and len(times):
+        columns = np.concatenate(blocks, axis=2)
+        found = _least_squares(columns, y - y_hat, spread(y))
+        with np.errstate(over='ignore', invalid='ignore'):
+            y_hat, x0 = y_hat + columns @ found, x0 + np.hstack(states) @ found
+        y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
+    return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat))
+
+
+def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:
+    # columns (M, ny, k) on wanted (M, ny), where all of that is known and finite
+    with np.errstate(over='ignore'):  # beyond 1e154 a column is left out: size inf
+        matrix, right = columns / scale[:, np.newaxis], wanted / scale
+        rows = np.isfinite(right) & np.isfinite(matrix).all(axis=2)
+        matrix, right = matrix[rows], right[rows]
+        size = np.linalg.norm(matrix, axis=0)
+    size[size == 0] = 1
+    solution: Array = np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size
+    return solution
+
+
+def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validation:
+    """
+    Compare a record with what the model predicts a number of samples ahead.
+
+    The sample j of an output is predicted from the samples of all outputs up to the stamp of
+    its own sample j - `horizon_steps`, and from the inputs, which are taken as known throughout.
+    In between the model runs freely. Nothing depends on later outputs.
+
+    Parameters
+    ----------
+    model : StateSpace
+        Its K is the gain of the filter (`ctsid_core.model.predictor`: stamps that differ). With
+        K = 0 and a stable model the filter trusts the model: all horizons agree with the
+        simulation. If A - K C is not stable, a Kalman filter takes over and a note says so.
+    record : Record
+    horizon_steps : int
+        At least 1.
+
+    Returns
+    -------
+    Validation
+        The first tenth of the record starts the filter (its initial state is fitted there):
+        nothing is predicted from within it, `y_hat` is NaN, and `fit` does not count it.
+
+    Raises
+    ------
+    DataError
+        If the record's channels do not fit the model, or the horizon is not a positive integer.
+    """
+    if not isinstance(horizon_steps, int | np.integer) or horizon_steps < 1:
+        raise DataError(f'`horizon_steps` is {horizon_steps!r}; wanted is a whole number of '
+                        'samples, at least 1')
+    samples = _samples(model, record)
+    times, y = samples.times, samples.y
+    y_known, p0 = _respond(model, record, times, None)
+    y_hat = np.full_like(y, np.nan)
+    noise = _noise(model, y[:start_rows(times, model.n)])
+    K, note = predictor_gain(model, noise, record.duration)
+    x0 = p0
+    if K is not None and len(times):
+        xi, xi_0, started = filter_states(model, K, times, y - y_known, samples.streams)
+        x0 = p0 + xi_0
+        for stream in samples.streams:
+            goal, origin = stream.rows[horizon_steps:], stream.rows[:-horizon_steps]
+            goal, origin = goal[origin >= started], origin[origin >= started]
+            ahead = exponentials(model.A, times[goal] - times[origin], 0)[0]
+            free = np.einsum('kij,kj->ki', model.C[stream.channels] @ ahead, xi[origin])
+            y_hat[goal, stream.channels] = y_known[goal, stream.channels] + free
+    return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
+                      notes=(note,) if note else ())
+
+
+def _noise(model: StateSpace, y: Array) -> Array:
+    if model.noise is not None and min(np.linalg.eigvalsh(model.noise), default=0) > 0:
+        return model.noise
+    return np.diag(spread(y) ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualTests:
+    """
+    P-values of two hypotheses that a good model fulfils; small ones speak against it.
+
+    Parameters
+    ----------
+    whiteness : ndarray, shape (ny,)
+        'The residuals of this output are independent of each other.' Simulation residuals pass
+        only if all noise is white measurement noise; residuals of one-step predictions should
+        pass whenever K describes the noise.
+    independence : ndarray, shape (ny, nu)
+        'The residuals of this output know nothing of the past of this input.' What fails here,
+        the dynamics from that input miss.
+
+    Both are NaN where nothing can be tested: fewer than 50 residuals, or residuals below 1e-9 of
+    the output's spread (rounding), or an input that does not move.
+    """
+
+    whiteness: Array
+    independence: Array
+
+
+def residual_tests(model: StateSpace, record: Record, *,
+                   residuals: Literal['simulation', 'prediction'] = 'simulation',
+                   ) -> ResidualTests:
+    """
+    Test what a model leaves unexplained, output by output at the output's own stamps.
+
+    Parameters
+    ----------
+    model : StateSpace
+    record : Record
+        Other than the one of the identification, for exact levels.
+    residuals : {'simulation', 'prediction'}
+        Of `simulation` with refitted trim (an offset is not a fault of the dynamics), or of the
+        one-step `prediction`.
+
+    Raises
+    ------
+    DataError
+        If the record's channels do not fit the model, or the kind of residuals is unknown.
+
+    Notes
+    -----
+    How lags are counted under uneven stamps: see `ctsid_core.model.whiteness`.
+    """
+    if residuals not in ('simulation', 'prediction'):
+        raise DataError(f'`residuals` is {residuals!r}; choose simulation or prediction')
+    found = simulation(model, record, trim='refit') if residuals == 'simulation' else \
+        prediction(model, record, 1)
+    size, slowest = spread(found.y), float(min(model.natural_frequency, default=np.inf))
+    memory = 3 / slowest if slowest > 0 else np.inf
+
+    def inputs_at(times: Array) -> Array:
+        last: Array = input_polynomials(record.inputs, model.delay, times)[0]
+        return last
+
+    white, independent = [], []
+    for i in range(model.ny):
+        e = found.y[:, i] - found.y_hat[:, i]
+        rows = np.isfinite(e) & (np.abs(e).max(initial=0, where=np.isfinite(e)) > 1e-9 * size[i])
+        white.append(whiteness(e[rows]))
+        independent.append(independence(found.times[rows], e[rows], inputs_at, memory)
+                           if rows.any() else np.full(model.nu, np.nan))
+    return ResidualTests(whiteness=np.array(white),
+                         independence=np.array(independent).reshape(model.ny, model.nu))

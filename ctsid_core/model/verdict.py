@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whether an estimate may be used: one word, one sentence, and the numbers behind them.
+
+The word follows from the numbers by the rules of `judgement.py`; `docs/verdict.md` says what each
+number means and where each threshold was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.cross_check_result import Agreement
+
+EXPLAINED = 30.0        # fit [%] below which an output counts as not explained
+
+
+class Grade(Enum):
+    """How far an estimate may be trusted; the value says it in a sentence."""
+
+    GOOD = 'Every test is passed: use the model.'
+    WEAK = 'The model is shown, but something about it is not known well enough to act on it.'
+    REJECT = 'There is no model, or it is wrong.'
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """
+    What the data say about the response to one input.
+
+    Parameters
+    ----------
+    name : str
+        Of the input.
+    low, high : float
+        Ends of the band in which the response to this input, as far as it moves by itself,
+        exceeds the noise [rad/s]; NaN if it does nowhere.
+    frequencies : float
+        Of how many frequencies that the window can tell apart it consists; one sine is 1.
+    own : float
+        Part of its power that the other inputs do not explain, 0 to 1.
+    uncertainty : float
+        Standard deviation of its response, over the response, rms; above 1 nothing is known.
+    """
+
+    name: str
+    low: float = float('nan')
+    high: float = float('nan')
+    frequencies: float = 0.0
+    own: float = 0.0
+    uncertainty: float = float('inf')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """
+    A grade, the reason, and the numbers behind it; NaN or empty where not known.
+
+    Parameters
+    ----------
+    grade : Grade
+    reason : str
+        One sentence: what is wrong and what to do.
+    excitation : tuple of Excitation
+        Of each input.
+    pole_uncertainty : float
+        Standard deviation of the least known pole over its size, or over the frequency that the
+        window resolves if that is larger.
+    missing : ndarray, shape (ny,)
+        How much of each output's response to the inputs the model misses, rms, as far as the
+        prediction errors tell.
+    missing_p_value : ndarray, shape (ny,)
+        Of 'the prediction errors know nothing of the inputs' past'.
+    whiteness : ndarray, shape (ny,)
+        P-value of 'the prediction errors are white'.
+    next_ratio : ndarray, shape (ny,)
+        Power of the errors of a model of the first part of the window on the part held out, over
+        the power of the model's own errors.
+    fresh_ratio : ndarray, shape (ny,)
+        Root mean square error of the model before this one on the data that are new in this
+        window, over that on the older data of this window.
+    moved : float
+        Distance of the pole that has moved most since the model before, in the standard
+        deviation of both together; NaN if the orders differ or there was none.
+    agreement : Agreement or None
+        With a second method; None if none was asked for.
+    """
+
+    grade: Grade
+    reason: str
+    excitation: tuple[Excitation, ...] = ()
+    pole_uncertainty: float = float('nan')
+    missing: Array = field(default_factory=lambda: np.empty(0))
+    missing_p_value: Array = field(default_factory=lambda: np.empty(0))
+    whiteness: Array = field(default_factory=lambda: np.empty(0))
+    next_ratio: Array = field(default_factory=lambda: np.empty(0))
+    fresh_ratio: Array = field(default_factory=lambda: np.empty(0))
+    moved: float = float('nan')
+    agreement: Agreement | None = None
+
+    @property
+    def weakened(self) -> Verdict:
+        """The same, WEAK instead of GOOD if a second method does not agree."""
+        if self.grade is not Grade.GOOD or self.agreement is None or self.agreement.agrees:
+            return self
+        return replace(self, grade=Grade.WEAK, reason=self.agreement.weakness)
+
+
+UNJUDGED = Verdict(grade=Grade.WEAK, reason='Nobody has judged this model; test it on data that '
+                   'it has not seen before using it.')

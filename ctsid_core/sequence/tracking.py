@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The models of consecutive windows as one moving model.
+
+Each window is identified by itself. A controller that takes the models one after the other wants
+entries of A, B, C and K that move as the plant does, eigenvalues that keep their rows, and a word
+on how well the last model foretold what has been measured since. That is added here; and once a
+window has shown that the plant changed, no model of data from both sides of it is accepted. All
+else is as `identify` gives it, up to the choice of states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ctsid_core.identify import identify
+from ctsid_core.judge.rules import in_sequence
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import simulation
+from ctsid_core.model.verdict import Grade
+from ctsid_core.sequence.alignment import aligning, referring
+from ctsid_core.sequence.mode_rows import Rows, follow
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record
+
+_FEWEST = 10          # samples of an output that its model has not seen, for a test worth the name
+_EDGE = 1 / 40        # part of a window: half of the steps in which the time of a change is found
+_SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """
+    What one window told, beside the windows before it.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Its model, if accepted, in the states of this realisation.
+    realisation : int
+        Matrices with the same number have the same states. Counts up from 1 whenever the states
+        start anew (another order, or a plant too unlike); 0 before the first model.
+    modes : tuple of int, length n
+        The identity of each row of the eigenvalues: the same number is the same mode, in all
+        realisations. Empty if there is no accepted model.
+    eigenvalues : ndarray, shape (n,)
+        Complex [rad/s]. A mode keeps its row as long as the modes above it are there.
+    eigenvalue_std : ndarray, shape (n,)
+        As `Estimate.pole_std`, in the order of `eigenvalues` [rad/s].
+    fresh_fit : ndarray, shape (ny,)
+        How well the last accepted model, from an earlier window, simulates that part of this
+        window which it has not seen [%]: 100 (1 - rms(error there) / rms(y - mean y)), with the
+        mean and rms of y over the whole window, and the model's own trim. NaN if there is no
+        earlier model, or fewer than 10 samples are new.
+    fresh_start_ns, fresh_end_ns : int
+        The part tested, absolute [ns]; 0 if none was.
+    """
+
+    estimate: Estimate
+    realisation: int = 0
+    modes: tuple[int, ...] = ()
+    eigenvalues: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=complex))
+    eigenvalue_std: Array = field(default_factory=lambda: np.empty(0))
+    fresh_fit: Array = field(default_factory=lambda: np.empty(0))
+    fresh_start_ns: int = 0
+    fresh_end_ns: int = 0
+
+
+@dataclass(frozen=True)
+class _Past:
+    """What is kept of earlier windows."""
+
+    realisation: int = 0
+    reference: StateSpace | None = None
+    model: StateSpace | None = None
+    pole_std: Array = field(default_factory=lambda: np.empty(0))
+    end_ns: int = 0
+    rows: Rows = field(default_factory=Rows)
+    next_mode: int = 1
+
+
+class Tracker:
+    """
+    Identify windows one after the other, and keep states and rows through them.
+
+    What `take` returns depends on the records and settings given so far and on nothing else. A
+    window without an accepted model leaves everything as it was for the next one.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+
+    Attributes
+    ----------
+    settings : Settings
+        May be replaced between windows.
+    """
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        self._past = _Past()
+        self._changed_ns = 0  # when the plant has changed, as far as windows have shown it
+
+    def take(self, record: Record) -> Tracked:
+        """
+        Identify a window.
+
+        Raises
+        ------
+        SettingsError
+            If `settings.delay` does not fit the number of inputs.
+        DataError
+            If the record has other channels than those before; call `reset` first.
+        """
+        past = self._past
+        test = _fresh(past, record)
+        estimate = self._doubted(identify(record, self.settings, like=past.model))
+        estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
+                               past.model.n if past.model else 0)
+        if estimate.model is None:
+            return Tracked(estimate, past.realisation, fresh_fit=test.fit,
+                           fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
+        estimate, now = _following(past, estimate, estimate.model, 2 * np.pi / record.duration)
+        if self._past is past:  # else somebody has called reset() in the meantime
+            self._past = now
+        rows = now.rows
+        return Tracked(estimate, now.realisation, rows.identities, rows.eigenvalues,
+                       estimate.pole_std[list(rows.order)], test.fit, test.start_ns, test.end_ns)
+
+    def reset(self) -> None:
+        """Forget the models; numbers of realisations and modes go on where they were."""
+        self._past = _Past(realisation=self._past.realisation, next_mode=self._past.next_mode)
+        self._changed_ns = 0
+
+    def _doubted(self, estimate: Estimate) -> Estimate:
+        """
+        Return an estimate, rejected if an earlier window has shown a change within its window.
+
+        A change near the ends of a window hardly shows in it, and its model may be wrong all the
+        same; but it stood in the middle of a window before.
+        """
+        straddles = _straddled(estimate, self._changed_ns)
+        if estimate.status is Status.CHANGED:
+            # The first window to show it tells the time best: later ones take it for later.
+            found_ns = _time(estimate, estimate.statistics['change_share'])
+            self._changed_ns = min(found_ns, self._changed_ns) if straddles else found_ns
+        elif estimate.model is not None and straddles:
+            share = (self._changed_ns - estimate.start_ns) / (estimate.end_ns - estimate.start_ns)
+            words = f'an earlier window has shown a change of the plant at {100 * share:.0f} % ' \
+                    'of this one'
+            return replace(
+                estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
+                notes=(*estimate.notes, words), verdict=replace(
+                    estimate.verdict, grade=Grade.REJECT, reason=f'{words.capitalize()}; wait '
+                    'until the change has left the window.'))
+        return estimate
+
+
+def _time(estimate: Estimate, share: float) -> int:
+    return estimate.start_ns + round(share * (estimate.end_ns - estimate.start_ns))
+
+
+def _straddled(estimate: Estimate, at_ns: int) -> bool:
+    """Whether data from both sides of an instant made an estimate."""
+    return _time(estimate, _EDGE) < at_ns < estimate.end_ns
+
+
+def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: float
+               ) -> tuple[Estimate, _Past]:
+    """Return an estimate in the states of those before it, and what to keep for the next."""
+    reference, realisation = past.reference, past.realisation
+    T = aligning(model, reference) if reference else None
+    if reference is None or T is None:
+        reference, T = referring(model)
+        aligned, realisation = reference, realisation + 1
+    else:
+        aligned = model.transform(T)
+    rows = follow(past.rows, aligned.poles, resolution, past.next_mode)
+    estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned),
+                       covariance=estimate.covariance and estimate.covariance.transform(T))
+    return estimate, _Past(realisation, reference, aligned, estimate.pole_std, estimate.end_ns,
+                           rows,
+                           max((past.next_mode, *(1 + mode for mode in rows.identities))))
+
+
+def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:
+    """
+    Return the deviations of the poles in the order of the aligned model's poles.
+
+    A change of states moves poles by rounding, and poles of equal size may swap places.
+    """
+    if len(estimate.pole_std) != model.n:
+        return np.full(model.n, np.nan)
+    away = np.abs(aligned.poles[:, np.newaxis] - model.poles)
+    std: Array = estimate.pole_std[linear_sum_assignment(away)[1]]
+    return std
+
+
+def _moved(past: _Past, estimate: Estimate) -> float:
+    """Return how far the poles have moved since the last model, see `Verdict.moved`."""
+    model, last = estimate.model or estimate.rejected_model, past.model
+    if model is None or last is None or model.n != last.n or \
+            len(past.pole_std) != last.n or len(estimate.pole_std) != model.n:
+        return np.nan
+    both = np.hypot(estimate.pole_std[:, np.newaxis], past.pole_std)
+    away = np.abs(model.poles[:, np.newaxis] - last.poles) / np.maximum(both, 1e-300)
+    if not np.isfinite(away).all():
+        return np.nan
+    return float(away[linear_sum_assignment(away)].max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class _Test:
+    """What the last model makes of data that it has not seen, and how that compares with older."""
+
+    fit: Array
+    ratio: Array
+    start_ns: int = 0
+    end_ns: int = 0
+
+
+def _fresh(past: _Past, record: Record) -> _Test:
+    """Test the last model on the part of a record that is later than its own window."""
+    start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
+    none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
+    if past.model is None or past.end_ns >= end_ns:
+        return none
+    try:
+        found = simulation(past.model, record)
+    except np.linalg.LinAlgError:  # of the data's making: a node must not die of it
+        return none
+    new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
+    pairs = list(zip(found.y.T, found.y_hat.T, strict=True))
+    fit = np.array([_fit(y, y_hat, new) for y, y_hat in pairs])
+    if np.isnan(fit).all():
+        return none
+    ratio = np.array([_rms(y - y_hat, new) / _rms(y - y_hat, ~new) for y, y_hat in pairs])
+    return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
+
+
+def _fit(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> float:
+    """Return the fit of one output on its new samples [%]; rows where y is NaN do not count."""
+    known = ~np.isnan(y)
+    error = (y - y_hat)[known & new]
+    spread = float(y[known].std()) if known.any() else 0.0
+    if len(error) < _FEWEST or not spread > 0:
+        return np.nan
+    with np.errstate(over='ignore'):  # a model that explodes
+        return 100 * (1 - float(np.sqrt(np.mean(error ** 2))) / spread)
+
+
+def _rms(error: Array, rows: NDArray[np.bool_]) -> float:
+    """Return the root mean square of errors on some rows; NaN for too few or a perfect model."""
+    found = error[rows & ~np.isnan(error)]
+    with np.errstate(over='ignore'):
+        rms = float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan
+    return rms if rms > 0.0 else np.nan

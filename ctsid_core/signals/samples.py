@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The samples of one group of channels, buffered in the order of their stamps."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ctsid_core.errors import DataError
+from ctsid_core.settings import HOLDS, Hold
+from ctsid_core.signals.record import Signal
+
+STAMP_MAX = 2**62  # the year 2116; beyond lie only garbage and the overflow of int64
+BEFORE = 3  # samples of context before a window: a held value, a spline's end conditions
+AFTER: Mapping[Hold, int] = {'zoh': 0, 'linear': 1, 'smooth': 3}  # a held value needs no future
+
+
+@dataclass(frozen=True)
+class Group:
+    """
+    Channels of one role that always come together, under one stamp.
+
+    Parameters
+    ----------
+    name : str
+        What `SlidingWindow.push` calls it.
+    width : int
+        Number of channels m.
+    role : {'input', 'output'}
+    hold : {'zoh', 'linear', 'smooth'}
+        What is known between the samples.
+    names, units : tuple of str, length m or empty
+
+    Raises
+    ------
+    DataError
+        If any of these cannot be.
+    """
+
+    name: str
+    width: int
+    role: Literal['input', 'output']
+    hold: Hold
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.width < 1:
+            raise DataError(f'group {self.name!r} has width {self.width}; give at least 1')
+        if self.role not in ('input', 'output') or self.hold not in HOLDS:
+            raise DataError(f'group {self.name!r} has role {self.role!r} and hold {self.hold!r}; '
+                            f"a role is 'input' or 'output', a hold one of {HOLDS}")
+        for what, entries in (('names', self.names), ('units', self.units)):
+            if entries and len(entries) != self.width:
+                raise DataError(f'group {self.name!r} has {len(entries)} {what} for '
+                                f'{self.width} channels')
+
+
+@dataclass(frozen=True)
+class GroupCounts:
+    """
+    What became of the samples of one group since the beginning.
+
+    Parameters
+    ----------
+    accepted, late, duplicate, astray, bad_stamp, non_finite, wrong_width : int
+        Numbers of samples: all but the accepted ones were dropped. Of samples with equal stamps
+        the first is kept. A bad stamp is zero, negative, or beyond the year 2116.
+    worst_offset : float
+        How far behind (negative) or ahead of (positive) the newest stamp of all groups the worst
+        late or stray sample was [s].
+    """
+
+    accepted: int = 0
+    late: int = 0
+    duplicate: int = 0
+    astray: int = 0
+    bad_stamp: int = 0
+    non_finite: int = 0
+    wrong_width: int = 0
+    worst_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Counts:
+    """
+    What became of the samples, and of the windows, since the beginning.
+
+    Parameters
+    ----------
+    groups : mapping of str to GroupCounts
+    windows : int
+        Windows handed out.
+    empty : int
+        Windows skipped because no group had any sample in them.
+    resets : int
+        How often the stamps jumped back for good.
+    """
+
+    groups: Mapping[str, GroupCounts]
+    windows: int
+    empty: int
+    resets: int
+
+
+def check_groups(groups: Sequence[Group]) -> None:
+    """Raise `DataError` unless names differ and there is an output."""
+    names = [group.name for group in groups]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise DataError(f'the group name {repeated[0]!r} is used twice; names must differ')
+    if not any(group.role == 'output' for group in groups):
+        raise DataError(f'none of the groups {names} is an output; give at least one')
+
+
+class Samples:
+    """
+    Buffer of one group: in the order of stamps, one sample per stamp; and what was dropped.
+
+    A part of `SlidingWindow`, which decides what is taken.
+
+    Parameters
+    ----------
+    group : Group
+    """
+
+    __slots__ = ('after', 'discarded', 'dropped', 'first', 'group', 'newest', 'stamps', 'values',
+                 'width', 'worst_offset_ns')
+
+    def __init__(self, group: Group) -> None:
+        self.group = group
+        self.width = group.width
+        self.after = AFTER[group.hold]
+        self.discarded = 0
+        self.dropped = dict.fromkeys(('late', 'duplicate', 'astray', 'bad_stamp', 'non_finite',
+                                      'wrong_width'), 0)
+        self.worst_offset_ns = 0
+        self.stamps = array('q')
+        self.values = array('d')  # row by row
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all samples, for a new stream; the counts go on."""
+        self.discarded += len(self.stamps)
+        del self.stamps[:], self.values[:]
+        self.first: int | None = None
+        self.newest = STAMP_MAX  # so that the first sample is not taken for an ordinary one
+
+    def append(self, stamp_ns: int, values: Sequence[float]) -> None:
+        """Take a sample that is newer than all others."""
+        self.stamps.append(stamp_ns)
+        self.values.extend(values)
+        self.newest = stamp_ns
+        if self.first is None:
+            self.first = stamp_ns
+
+    def insert(self, stamp_ns: int, values: Sequence[float]) -> bool:
+        """Put a sample at its place; return False if its stamp is taken."""
+        index = bisect_left(self.stamps, stamp_ns)
+        if index == len(self.stamps):
+            self.append(stamp_ns, values)
+            return True
+        if self.stamps[index] == stamp_ns:
+            return False
+        self.stamps.insert(index, stamp_ns)
+        self.values[index * self.width:index * self.width] = array('d', values)
+        self.first = min(stamp_ns, self.first or stamp_ns)
+        return True
+
+    def drop(self, reason: str, offset_ns: int = 0) -> bool:
+        """Count a dropped sample and how far it was out of place; return False."""
+        self.dropped[reason] += 1
+        if abs(offset_ns) > abs(self.worst_offset_ns):
+            self.worst_offset_ns = offset_ns
+        return False
+
+    def discard(self, before_ns: int) -> None:
+        """Forget what no window from `before_ns` on needs; rarely, for it moves the rest."""
+        count = bisect_left(self.stamps, before_ns) - BEFORE
+        if 2 * count > len(self.stamps):
+            del self.stamps[:count], self.values[:count * self.width]
+            self.discarded += count
+
+    def has_after(self, end_ns: int, passed_ns: int) -> bool:
+        """Whether the samples wanted after `end_ns` have come, and are older than `passed_ns`."""
+        wanted = bisect_right(self.stamps, end_ns) + self.after - 1
+        return not self.after or (
+            wanted < len(self.stamps) and self.stamps[wanted] <= passed_ns)
+
+    def stamp_from(self, at_ns: int) -> int | None:
+        """Return the first stamp at or after `at_ns`."""
+        index = bisect_left(self.stamps, at_ns)
+        return self.stamps[index] if index < len(self.stamps) else None
+
+    def cut(self, epoch_ns: int, lead_ns: int, end_ns: int, grace_ns: int) -> Signal:
+        """
+        Return the samples of a window with their context, relative to its start.
+
+        Parameters
+        ----------
+        epoch_ns, end_ns : int
+            The window, absolute [ns].
+        lead_ns : int
+            History that an input wants before it [ns].
+        grace_ns : int
+            Samples after the window are its context to this long after it [ns].
+        """
+        history = lead_ns if self.group.role == 'input' else 0
+        low = max(bisect_left(self.stamps, epoch_ns - history) - BEFORE, 0)
+        inside = bisect_right(self.stamps, end_ns)
+        high = min(inside + self.after, bisect_right(self.stamps, end_ns + grace_ns))
+        # Subtract while they are integers: a double keeps an absolute stamp to 256 ns only.
+        stamps = np.frombuffer(self.stamps[low:high], dtype=np.int64) - epoch_ns
+        values = np.frombuffer(self.values[low * self.width:high * self.width])
+        time = stamps / 1e9
+        # Context from before a gap of months: nanoseconds apart, it can coincide after all.
+        keep = np.append(np.diff(time) > 0, True)
+        return Signal(time[keep], values.reshape(-1, self.width)[keep], self.group.hold,
+                      self.group.names, self.group.units)
+
+    def counts(self) -> GroupCounts:
+        """Return what became of the samples so far."""
+        return GroupCounts(accepted=self.discarded + len(self.stamps), **self.dropped,
+                           worst_offset=self.worst_offset_ns / 1e9)

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Spikes in one channel: single samples or short bursts that are far off, and no honest motion.
+
+A sample is compared with what its neighbours foretell (a cubic through two on either side, over
+their own stamps) or, where that scatters less, with the median. Whatever lies beyond some robust
+standard deviations is a suspect. Runs of suspects are judged by a polynomial through the good
+samples on both sides: it must pass these much closer than the suspects, the run must stand out at
+its edges, and without it nothing may stand out any more. A step, a kink or a fast motion fails
+there by itself, because no smooth curve joins its two sides.
+
+Sources: the median absolute deviation and its use against spikes are Hampel's (1974), J. American
+Statistical Association 69; a test against a fit without the suspects is that of Barnett and Lewis,
+Outliers in Statistical Data, chapter 7; the estimator that ignores them is Huber's (1964), Annals
+of Mathematical Statistics 35.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.linear.types import Array, Mask
+
+MOST = 0.05             # part of a channel's samples beyond which they are not 'a few'
+SURE = 6.0              # robust standard deviations off the curve beyond which samples are bad
+_SUSPECT = 5.0          # the same from which on a sample is suspected
+_PERHAPS = 3.5          # the same if there is another reason to look closer
+_LONGEST = 24           # samples of a run of suspects
+_SIDE = 8               # good samples on either side that judge it
+_DEGREES = (1, 3, 5)    # of the curve through them: the one that passes them best
+_APART = (2, 6)         # suspects so near belong to one run; at first, and then
+_EDGE = 4               # samples of a run that may be the edge of a burst of about twice as many
+_BLOCK = 64             # samples over which the local scale is taken
+_WHITE = 1.15           # the median foretells if it scatters less than this times the cubic
+_ROUNDS = 4             # smaller spikes come to light when the larger ones are gone
+_SHARP = 0.3            # of how far off a run is, that its edges show
+_REST = 0.3             # of what stands out before, that may do so without the run
+_REWEIGHTED = 8         # rounds of reweighted least squares
+_MAD = 1.4826           # of a median absolute deviation: that of a normal distribution
+_STILL = 0.25           # part of differences that vanish, beyond which the others give the scale
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """
+    What judges the samples of one channel.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+    weights : ndarray, shape (4, N - 4)
+        See `weights_of`.
+    sure : float
+        Robust standard deviations beyond which a sample is corrupt.
+    least : float
+        How far off a corrupt sample is at least.
+    """
+
+    time: Array
+    weights: Array
+    sure: float
+    least: float
+
+    def sharp(self, x: Array, without: Array, run: slice, local: float) -> bool:
+        """Return whether a run stands out sharply, and nothing does any more without it."""
+        first, last = max(run.start - 4, 0), min(run.stop + 4, len(x))
+        if last - first < 5:
+            return False
+        weights = self.weights[:, first:last - 4]
+        gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
+        before, after = (_foretold(values[first:last], weights) for values in (x, without))
+        return bool(np.max(np.abs(before)) > _SHARP * np.max(np.abs(x[run] - without[run]))
+                    and np.max(np.abs(after / gain)) < max(
+                        _SUSPECT * local, _REST * np.max(np.abs(before / gain))))
+
+
+def standing_out(off: Array, scale: float, sure: float) -> bool:
+    """Return whether any sample lies far off for its surroundings."""
+    limit = _SUSPECT * sure / SURE
+    if not np.max(np.abs(off)) > limit * scale:
+        return False
+    return bool((np.abs(off) > limit * _local(off, scale)).any())
+
+
+def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
+    """Return which samples of a channel are corrupt, and the channel without them."""
+    bad, filled = np.zeros(len(x), dtype=bool), x.copy()
+    for _ in range(_ROUNDS):
+        before = np.count_nonzero(bad)
+        for apart in _APART:
+            off, scale, white = distance(filled, channel.weights)
+            local = _local(off, scale)
+            suspect = (np.abs(off) > _PERHAPS * channel.sure / SURE * local) & ~bad
+            # What still stands out beside corrupt samples: were they the wrong ones?
+            doubted = bad if apart == _APART[-1] else np.zeros_like(bad)
+            good = ~(suspect | bad)
+            for first, last in _runs(suspect | doubted, apart):
+                if not suspect[first:last + 1].any():
+                    continue
+                wide = slice(first, last + 1)
+                given = np.concatenate((filled[:first], np.where(
+                    doubted[wide], x[wide], filled[wide]), filled[last + 1:]))
+                verdicts = [v for run in _hypotheses(first, last, len(x)) if (
+                    v := _judge(channel, given, run, good, local, white)) is not None]
+                if verdicts:
+                    best = min(verdicts, key=lambda v: v.spread)
+                    bad[wide] &= ~doubted[wide]
+                    filled[wide] = given[wide]
+                    bad[best.run] |= best.far
+                    filled[best.run] = np.where(best.far, best.without, filled[best.run])
+        if np.count_nonzero(bad) == before or np.count_nonzero(bad) > MOST * len(x):
+            break
+    return bad, filled
+
+
+def weights_of(t: Array) -> Array:
+    """Return what foretells sample i from i-2, i-1, i+1, i+2: Lagrange's cubic (4, N - 4)."""
+    nodes = np.array([t[:-4], t[1:-3], t[3:-1], t[4:]]) - t[2:-2]
+    a, b, c, d = nodes
+    ab, ac, ad, bc, bd, cd = b - a, c - a, d - a, c - b, d - b, d - c
+    weights: Array = np.array([b * c * d / (ab * ac * ad), -a * c * d / (ab * bc * bd),
+                               a * b * d / (ac * bc * cd), -a * b * c / (ad * bd * cd)])
+    return weights
+
+
+def _foretold(x: Array, weights: Array) -> Array:
+    """Return how far samples are from what their neighbours foretell; without two at each end."""
+    w = weights
+    off: Array = x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:])
+    return off
+
+
+def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
+    """
+    Return how far each sample lies off, the robust scale of this, and whether noise is white.
+
+    In units of the white noise that would show the same.
+    """
+    off = np.zeros_like(x)
+    off[2:-2] = _foretold(x, weights) / np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
+    plain = x - np.median(x)
+    scale, white = _scale(off[2:-2]), _scale(plain)
+    if white < _WHITE * scale:
+        return plain, white, True
+    return off, scale, False
+
+
+def _scale(off: Array) -> float:
+    """Return the robust standard deviation; of what is not zero if much is (held, quantised)."""
+    size = np.abs(off)
+    scale = _MAD * float(np.median(size))
+    if not scale > 0.0:
+        moving = size[size > 0.0]
+        scale = _MAD * float(np.median(moving)) if len(moving) > _STILL * len(off) else np.inf
+    return scale
+
+
+def _local(off: Array, scale: float) -> Array:
+    """Return the scale at each sample: that of its surroundings where it is larger."""
+    size, count = np.abs(off), max(len(off) // _BLOCK, 1)
+    width, longer = divmod(len(off), count)                # blocks of two widths, side by side
+    bounds = longer * (width + 1)
+    own = _MAD * np.concatenate([np.median(size[:bounds].reshape(longer, width + 1), axis=1),
+                                 np.median(size[bounds:].reshape(-1, width), axis=1)])
+    padded = np.pad(own, 1, mode='edge')
+    largest = np.maximum(np.maximum(padded[:-2], padded[2:]), np.maximum(own, scale))
+    return np.repeat(largest, width + (np.arange(count) < longer))
+
+
+def followed(x: Array, inputs: Array, weights: Array) -> Array:
+    """
+    Return what of a channel follows inputs at once, and jumps as they do.
+
+    Their gain is found from the jumps by Huber's estimator: spikes have little say.
+    """
+    gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
+    columns = np.array([_foretold(u, weights) / gain for u in inputs.T]).T
+    off = _foretold(x, weights) / gain
+    weight = np.ones(len(off))
+    for _ in range(_REWEIGHTED):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(columns * root[:, np.newaxis], off * root, rcond=1e-10)[0]
+        rest = np.abs(off - columns @ found)
+        limit = max(2.0 * _MAD * float(np.median(rest)), np.finfo(float).tiny)
+        weight = limit / np.maximum(rest, limit)
+    part: Array = inputs @ found
+    return part
+
+
+def resolution(x: Array) -> float:
+    """Return three usual changes of a channel that is held or quantised; 0 of any other."""
+    change = np.abs(np.diff(x))
+    moving = change[change > 0.0]
+    if len(moving) > (1.0 - _STILL) * len(change) or not len(moving):
+        return 0.0
+    return 3.0 * float(np.quantile(moving, 0.75))
+
+
+def _runs(suspect: Mask, apart: int) -> list[tuple[int, int]]:
+    """Return first and last sample of each run of suspects that is not too long."""
+    places = np.flatnonzero(suspect)
+    if not len(places):
+        return []
+    parts = np.split(places, np.flatnonzero(np.diff(places) > apart) + 1)
+    return [(int(p[0]), int(p[-1])) for p in parts if p[-1] - p[0] < _LONGEST]
+
+
+def _hypotheses(first: int, last: int, count: int) -> list[slice]:
+    """Return where corrupt samples may be: in a run, or at an edge of a burst that it is."""
+    runs = [slice(first, last + 1)]
+    if last - first < _EDGE:
+        runs += [slice(first, min(first + 2 * _EDGE, count)),
+                 slice(max(last + 1 - 2 * _EDGE, 0), last + 1)]
+    return runs
+
+
+@dataclass(frozen=True, eq=False)
+class _Verdict:
+    """Which samples of a run are corrupt, the run without them, and how well it fits then."""
+
+    run: slice
+    far: Mask
+    without: Array
+    spread: float
+
+
+def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
+           white: bool) -> _Verdict | None:
+    """Compare a run with a curve through the good samples beside it; None if none is corrupt."""
+    before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
+    after = run.stop + np.flatnonzero(good[run.stop:run.stop + 4 * _SIDE])
+    if len(before) + len(after) < _SIDE or (not white and min(len(before), len(after)) < 3):
+        return None
+    side = np.concatenate((before[:_SIDE][::-1], after[:_SIDE]))
+    scale = float(np.max(local[run]))
+    curve, spread = min((_curve(channel.time, x, side, run, degree, scale)
+                         for degree in _DEGREES[:1 if white else None]),
+                        key=lambda pair: float(np.max(pair[1])))
+    far = np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)
+    without = x.copy()
+    without[run] = np.where(far, curve, x[run])
+    if not (far.any() and (white or channel.sharp(x, without, run, scale))):
+        return None
+    return _Verdict(run, far, without[run], float(np.max(spread)))
+
+
+def _curve(t: Array, x: Array, side: NDArray[np.intp], run: slice, degree: int,
+           least: float) -> tuple[Array, Array]:
+    """Return the curve through good samples at those of a run, and the deviation from it."""
+    centre, width = 0.5 * (t[side[0]] + t[side[-1]]), 0.5 * (t[side[-1]] - t[side[0]])
+    columns, own = (np.vander((t[k] - centre) / width, degree + 1) for k in (side, run))
+    inverse = np.linalg.pinv(columns)
+    found = inverse @ x[side]
+    rest = x[side] - columns @ found
+    spread = max(float(np.sqrt(rest @ rest / max(len(side) - degree - 1, 1))), least)
+    return own @ found, spread * np.sqrt(1.0 + np.sum((own @ inverse) ** 2, axis=1))

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Sliding windows on data time: samples in, records out.
+
+Rules, all of them functions of the stamps and of the order of pushes, never of a clock nor of how
+often `SlidingWindow.due` is called:
+
+- The *watermark* is the largest stamp seen over all groups minus `max_delay`. What is older has
+  its final order; a sample that arrives older than it is *late*: dropped and counted. It is
+  common to all groups, so that a silent group cannot stall the others.
+- The first window starts where every group has had its first sample, and every input `lead`
+  seconds of history; the others follow by `stride`.
+- A window is due when the watermark has passed its end and every interpolated group has the
+  samples after it that its interpolation wants; or, for a group that stopped, a tenth of the
+  length later. It is handed out with what there is. A window without any sample is skipped and
+  counted, however long the gap.
+- A sample is *astray* if it lies more than a length ahead of everything, or if it lies behind the
+  watermark and its own group has jumped back to it. One or two are dropped and counted. Three in
+  a row that agree are believed: ahead is a gap; back is a clock that restarted or a bag that
+  looped, which ends the old stream (its last windows become due) and starts a new one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from math import isfinite
+from operator import index
+from typing import NamedTuple
+
+from ctsid_core.errors import DataError
+from ctsid_core.signals.record import Record, Signal, common_interval
+from ctsid_core.signals.samples import STAMP_MAX, Counts, Group, Samples, check_groups
+
+_GRACE = 10  # wait for the samples after a window at most this fraction of its length
+_BELIEVED = 3  # stray samples in a row that are believed
+_RESTART_NS = 10**9  # a clock corrected by less does not end a stream: its samples are late
+
+
+class _Stray(NamedTuple):
+    """A sample that is set aside until others confirm it."""
+
+    track: Samples
+    stamp_ns: int
+    values: tuple[float, ...]
+    offset_ns: int
+
+
+class SlidingWindow:
+    """
+    Put samples in order and cut windows from them; the only mutable object of the core.
+
+    Not for several threads. What `due` has not handed out is kept, so ask it regularly.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        At least one output among them; inputs and outputs keep their order in the records.
+    length, stride : float
+        Length of a window, and from the start of one to the start of the next [s].
+    max_delay : float
+        How much older than the newest sample one may arrive and still be put in order [s].
+    lead : float
+        History of the inputs wanted before a window: the longest dead time [s].
+
+    Raises
+    ------
+    DataError
+        If groups or times cannot be.
+    """
+
+    def __init__(self, groups: Sequence[Group], length: float, stride: float, max_delay: float,
+                 lead: float = 0.0) -> None:
+        check_groups(groups)
+        self._length = _nanoseconds('length', length, 1)
+        self._stride = _nanoseconds('stride', stride, 1)
+        self._max_delay = _nanoseconds('max_delay', max_delay, 0)
+        self._lead = _nanoseconds('lead', lead, 0)
+        self._grace = max(self._length // _GRACE, 1)
+        self._restart = max(self._max_delay, min(_RESTART_NS, self._length))
+        self._tracks = {group.name: Samples(group) for group in groups}
+        self._pending: deque[Record] = deque()
+        self._windows = self._empty = self._resets = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        for track in self._tracks.values():
+            track.clear()
+        self._newest = 0
+        self._low, self._high = 1, STAMP_MAX  # stamps in this range are taken
+        self._next: int | None = None  # start of the next window, once one was handed out
+        self._check = 0  # watermark at which to look for due windows again
+        self._strays: list[_Stray] = []
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the samples and the windows so far."""
+        return Counts({name: track.counts() for name, track in self._tracks.items()},
+                      self._windows, self._empty, self._resets)
+
+    @property
+    def newest_ns(self) -> int:
+        """The largest stamp of the present stream [ns]; 0 if there is none yet."""
+        return self._newest
+
+    def push(self, group: str, stamp_ns: int, values: Sequence[float]) -> bool:
+        """
+        Take one sample of a group.
+
+        Parameters
+        ----------
+        group : str
+            Name of the group.
+        stamp_ns : int
+            Absolute time of the sample [ns].
+        values : sequence of float, length m
+
+        Returns
+        -------
+        bool
+            Whether it was taken, or set aside until others confirm it; else it was dropped and
+            counted.
+
+        Raises
+        ------
+        DataError
+            If there is no such group, or stamp or values are not numbers.
+        """
+        try:
+            track = self._tracks[group]
+            if (track.newest < stamp_ns and self._low <= stamp_ns <= self._high
+                    and len(values) == track.width and isfinite(sum(values))
+                    and not self._strays):
+                track.stamps.append(stamp_ns)  # the ordinary sample: written out, this path
+                track.values.extend(values)  # has to cost no more than a microsecond or two
+                track.newest = stamp_ns
+                if stamp_ns > self._newest:
+                    self._newest = stamp_ns
+                    self._low = stamp_ns - self._max_delay
+                    self._high = stamp_ns + self._length
+                return True
+            return self._examine(track, stamp_ns, values)
+        except KeyError:
+            raise DataError(f'`group` is {group!r}, but the groups are '
+                            f'{", ".join(map(repr, self._tracks))}') from None
+        except TypeError as error:
+            raise DataError(f'group {group!r}: stamp {stamp_ns!r} with values {values!r} cannot '
+                            f'be a sample ({error}); give int nanoseconds and a sequence of '
+                            'floats') from error
+
+    def due(self) -> Iterator[Record]:
+        """Hand out the windows that the stamps have passed, oldest first."""
+        if not self._pending and self._low <= self._check:
+            return iter(())  # asked after every push, mostly in vain
+        return self._hand_out()
+
+    def _hand_out(self) -> Iterator[Record]:
+        while True:
+            if self._pending:
+                yield self._pending.popleft()
+            elif self._low > self._check and (record := self._take(self._low)):
+                yield record
+            else:
+                return
+
+    def flush(self) -> Iterator[Record]:
+        """Hand out all windows that the samples reach the end of: no more will come."""
+        self._finish()
+        while self._pending:
+            yield self._pending.popleft()
+
+    def whole(self) -> Record | None:
+        """
+        Return everything from the start of the next window to where every group is known.
+
+        For one record of a whole stream: with a `length` that no stream reaches. None if there is
+        no such interval.
+        """
+        start = self._start()
+        if start is None:
+            return None
+        signals = [(track.group.role, track.cut(start, self._lead, self._newest, self._grace))
+                   for track in self._tracks.values()]
+        try:
+            end = common_interval([signal for _, signal in signals])[1]
+        except DataError:
+            return None
+        return _record(signals, start, end) if end > 0 else None
+
+    def latest(self) -> Record | None:
+        """
+        Return the last `length` of samples whose order is final, whatever the stride.
+
+        None if there is less. The windows that are due are not affected.
+        """
+        first = self._first()
+        start = self._low - self._length
+        if first is None or start < first:
+            return None
+        return _record([(track.group.role, track.cut(start, self._lead, self._low, self._grace))
+                        for track in self._tracks.values()], start, self._length / 1e9)
+
+    def _examine(self, track: Samples, stamp_ns: int, values: Sequence[float]) -> bool:
+        """Take or drop a sample that is not ordinary."""
+        stamp_ns = index(stamp_ns)
+        if len(values) != track.width:
+            return track.drop('wrong_width')
+        if not all(map(isfinite, values)):
+            return track.drop('non_finite')
+        if not 0 < stamp_ns < STAMP_MAX:
+            return track.drop('bad_stamp')
+        offset = stamp_ns - self._newest
+        if stamp_ns > self._high:
+            return self._set_aside(_Stray(track, stamp_ns, tuple(values), offset))
+        if stamp_ns < self._low:
+            if track.first is not None and track.newest - stamp_ns > self._restart:
+                return self._set_aside(_Stray(track, stamp_ns, tuple(values), offset))
+            return track.drop('late', offset)
+        self._drop_strays()
+        if not track.insert(stamp_ns, values):
+            return track.drop('duplicate')
+        if stamp_ns > self._newest:
+            self._newest = stamp_ns
+            self._low, self._high = stamp_ns - self._max_delay, stamp_ns + self._length
+        return True
+
+    def _set_aside(self, stray: _Stray) -> bool:
+        back = stray.offset_ns < 0
+        if self._strays and (self._strays[0].offset_ns < 0) != back:
+            self._drop_strays()
+        self._strays.append(stray)
+        if len(self._strays) < _BELIEVED:
+            return True
+        believed, self._strays = self._strays, []
+        if back:
+            self._finish()
+            self._clear()
+            self._resets += 1
+        else:
+            self._high = believed[0].stamp_ns
+        for track, stamp_ns, values, _ in believed:
+            self._examine(track, stamp_ns, values)
+        return True
+
+    def _drop_strays(self) -> None:
+        for stray in self._strays:
+            stray.track.drop('astray', stray.offset_ns)
+        self._strays = []
+
+    def _finish(self) -> None:
+        """Make all windows due that end before the newest stamp."""
+        self._drop_strays()
+        while record := self._take(self._newest, final=True):
+            self._pending.append(record)
+
+    def _start(self) -> int | None:
+        """Return the start of the next window [ns]; None while a group has had no sample."""
+        return self._first() if self._next is None else self._next
+
+    def _first(self) -> int | None:
+        """Return from when on all groups are known [ns]; None while one has had no sample."""
+        starts = [track.first + (self._lead if track.group.role == 'input' else 0)
+                  for track in self._tracks.values() if track.first is not None]
+        return max(starts) if len(starts) == len(self._tracks) else None
+
+    def _take(self, passed: int, *, final: bool = False) -> Record | None:
+        """Cut the next window that is due now that stamps to `passed` are complete."""
+        while (start := self._start()) is not None and start + self._length <= passed:
+            end = start + self._length
+            if not (final or self._complete(end, passed)):
+                break
+            self._next = start + self._stride
+            if any((stamp := track.stamp_from(start)) is not None and stamp <= end
+                   for track in self._tracks.values()):
+                self._windows += 1
+                record = _record([(track.group.role,
+                                   track.cut(start, self._lead, end, self._grace))
+                                  for track in self._tracks.values()], start, self._length / 1e9)
+                self._discard(passed)
+                return record
+            self._skip(end, passed)
+        self._discard(passed)
+        # Looking costs some microseconds, so do not look again at every push; but soon if only the
+        # samples after the end are awaited, for somebody waits for the model.
+        self._check = passed + self._grace // 16
+        if start is not None:
+            self._check = max(start + self._length - 1, passed + self._grace // 512)
+        return None
+
+    def _complete(self, end: int, passed: int) -> bool:
+        return passed >= end + self._grace or all(
+            track.has_after(end, passed) for track in self._tracks.values())
+
+    def _skip(self, end: int, passed: int) -> None:
+        """Count the empty window that ends at `end` and all the empty ones that follow it."""
+        stamps = (track.stamp_from(end + 1) for track in self._tracks.values())
+        target = min([passed, *(stamp for stamp in stamps if stamp is not None)])
+        count = max(-((end - target) // self._stride), 1)
+        self._empty += count
+        self._next = end - self._length + count * self._stride
+
+    def _discard(self, passed: int) -> None:
+        """Forget what neither a window nor the search for duplicates needs any more."""
+        start = self._start()
+        needed = min(passed, self._low, *(
+            [] if start is None else [start, self._low - self._length])) - self._lead
+        for track in self._tracks.values():
+            track.discard(needed)
+
+
+def _record(signals: Sequence[tuple[str, Signal]], epoch_ns: int, end: float) -> Record:
+    return Record(tuple(signal for role, signal in signals if role == 'input'),
+                  tuple(signal for role, signal in signals if role == 'output'),
+                  0.0, end, epoch_ns)
+
+
+def _nanoseconds(name: str, seconds: float, least: int) -> int:
+    if not (isfinite(seconds) and least <= round(seconds * 1e9) < STAMP_MAX):
+        raise DataError(f'`{name}` is {seconds!r} s; give a {"positive" if least else "number"} '
+                        f'of seconds{"" if least else ", zero or more"}')
+    return round(seconds * 1e9)

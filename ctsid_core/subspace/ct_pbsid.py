@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Continuous-time PBSID in the Laguerre domain (CT-PBSID), by projections or by filters.
+
+What follows an instant t of the record is projected on a few Laguerre functions of pole a. With
+c = sqrt(2 a), M = (A - a I)^-1 and xi_0 = x(t) the coefficients obey, whatever x(t) is,
+
+    xi_(k+1) = A_o xi_k + B_o u_k + K_o e_k,      y_k = C_o xi_k + D_o u_k + e_k
+    A_o = M (A + a I),   B_o = c M B,   C_o = -c C M,   D_o = D - C M B,
+
+because l_k' + a l_k = l_(k-1)' - a l_(k-1) and all l_k(0) = c. Every instant is one run of this
+discrete system from its own state, k = 0 .. p + 1: PBSID with one column for each instant. They
+are the stamps of the slowest output, but for the last ones, from which the functions reach beyond
+the end of the record. The model is then mapped back ([HD] eq. 4).
+
+By filters: what precedes an instant is filtered by the same functions. The equations are those
+above with -a for a, and C_o = c C M; it is the first stamps that are left out. There the system
+runs against time, from coefficients that weigh old data more to those of the present: noise of the
+past is not what a predictor leaves, and estimates are biased.
+
+Trim is a constant, whose coefficients are the same seen from any instant but for their sign:
+columns are centred instead of another input being added. D_o is free even if D is zero.
+
+References
+----------
+Bergamasco and Lovera 2011, IET Control Theory & Applications 5; [HD] sections 1, 2 and 5.2.
+Haverkamp, Verhaegen, Chou and Johansson 1997, for the filters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.bases.bandwidth import output_band
+from ctsid_core.bases.hermite import by_delay
+from ctsid_core.bases.laguerre import Direction, coefficients, reach
+from ctsid_core.bases.records import Joint
+from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.types import Array
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record
+from ctsid_core.subspace.method import Made, plain_matrices
+from ctsid_core.subspace.pbsid import Levels, Tuning, realise, regress
+
+_PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
+_POLES = 6                # values of the Laguerre pole tried
+_LONGEST = 0.4            # of the record that functions may reach at most, if the pole is chosen
+_SLOW = 10.0              # least pole tried, over the length of the record
+_MOST = 20000             # instants of a record
+
+
+def by_projection(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+    """Return the models by Laguerre projections, of every order, pole and past left open."""
+    return models(part, settings, orders, 'ahead')
+
+
+def models(part: Joint, settings: Settings, orders: Sequence[int],
+           direction: Direction) -> list[Made]:
+    """
+    Return the models of every order, pole and past left open.
+
+    Parameters
+    ----------
+    part : Joint
+    settings : Settings
+    orders : sequence of int
+    direction : {'ahead', 'back'}
+        Whether what follows an instant is projected, or what precedes it: Laguerre filters.
+    """
+    records, found = [p.record for p in part.parts], []
+    pasts = [settings.past] if settings.past else _PASTS
+    for a in _poles(records, settings, min(pasts)):
+        most = max((p for p in pasts if _fits(records, a, p)), default=0)
+        if most == 0:
+            continue
+        levels = laguerre_levels(records, settings, a, most + 2, direction)
+        for p in (p for p in pasts if p <= most):
+            found += _realised(_first(levels, p), settings.replace(
+                laguerre_pole=a, past=p, future=settings.future or p), orders, direction)
+    return found
+
+
+def _realised(levels: Levels, settings: Settings, orders: Sequence[int],
+              direction: Direction) -> list[Made]:
+    """Return the models of one pole and one p; none if there are too few instants."""
+    p, a = settings.past, settings.laguerre_pole
+    nz, ny = len(levels.scale), levels.counts[3]
+    if levels.rows.shape[2] < (p + 2) * nz:
+        return []
+    subspace = regress(levels, Tuning(0.0, 1.0, p, settings.future), feedthrough=True,
+                       rank_tolerance=settings.rank_tolerance)
+    return [Made(to_continuous(realise(subspace, n), a, direction), settings.replace(order=n),
+                 subspace.singular_values, subspace.condition)
+            for n in orders if n < min(p * ny, settings.future * ny + 1)]
+
+
+def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[float]:
+    """Return the Laguerre poles to try [rad/s]."""
+    if settings.laguerre_pole:
+        return [settings.laguerre_pole]
+    length = max(r.duration for r in records)
+    low = max(reach(past + 2) / _LONGEST, _SLOW) / length
+    high = max(max(output_band(r) for r in records), 4.0 * low)
+    return [float(a) for a in np.geomspace(low, high, _POLES)]
+
+
+def _fits(records: Sequence[Record], a: float, past: int) -> bool:
+    """Return whether the functions decay within the records, with as much time to spare."""
+    return max(r.duration for r in records) > 2.0 * reach(past + 2) / a
+
+
+def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, count: int,
+                    direction: Direction) -> Levels:
+    """
+    Return the Laguerre coefficients of records, compressed by one QR factorisation.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Too short ones are left out.
+    settings : Settings
+        Of which `delay` and `trim` matter here.
+    a : float
+        Laguerre pole [rad/s].
+    count : int
+        Number of functions, p + 2.
+    direction : {'ahead', 'back'}
+
+    Returns
+    -------
+    Levels
+        At index m the function of order count - 1 - m; a row for each input and output.
+    """
+    blocks = [block for record in records
+              if (block := _block(record, settings, a, count, direction)).shape[2]]
+    z = np.concatenate(blocks, axis=2)                        # (count, nz, instants)
+    scale = np.sqrt(np.mean(z ** 2, axis=(0, 2)))
+    scale[scale == 0.0] = 1.0
+    z /= scale[:, np.newaxis]
+    compressed = triangle(z.reshape(-1, z.shape[2]).T).T
+    nu, ny = records[0].nu, records[0].ny
+    return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
+
+
+def _first(levels: Levels, past: int) -> Levels:
+    """Return the levels of the first functions only: the oldest rows and columns."""
+    nz = len(levels.scale)
+    return replace(levels, rows=levels.rows[-(past + 2):, :, :(past + 2) * nz])
+
+
+def _block(record: Record, settings: Settings, a: float, count: int,
+           direction: Direction) -> Array:
+    """Return the coefficients of one record seen from its instants, (count, nz, instants)."""
+    inputs, delays = by_delay(record, settings.delays(record.nu))
+    at = instants(record, reach(count) / a, direction)
+    if len(at) == 0:
+        return np.empty((count, record.nu + record.ny, 0))
+    z = coefficients((*inputs, *record.outputs), at, (record.start, record.end), a, count,
+                     (*delays, *(0.0,) * len(record.outputs)), direction)
+    return z - z.mean(axis=2, keepdims=True) if settings.trim else z
+
+
+def instants(record: Record, length: float, direction: Direction) -> Array:
+    """
+    Return the instants from which a record is seen [s].
+
+    Parameters
+    ----------
+    record : Record
+    length : float
+        How far the functions reach [s].
+    direction : {'ahead', 'back'}
+    """
+    def inside(t: Array) -> Array:
+        low = record.start + (length if direction == 'back' else 0.0)
+        high = record.end - (length if direction == 'ahead' else 0.0)
+        found: Array = t[(t >= low) & (t <= high)]
+        return found
+
+    at = min((inside(signal.time) for signal in record.outputs), key=len)
+    return at[::-(-len(at) // _MOST) or 1]
+
+
+def to_continuous(m: Matrices, a: float, direction: Direction) -> Matrices:
+    """
+    Map a model back from the Laguerre domain.
+
+    Parameters
+    ----------
+    m : Matrices
+        A_o, B_o, C_o, D_o and K_o.
+    a : float
+        Laguerre pole [rad/s].
+    direction : {'ahead', 'back'}
+
+    References
+    ----------
+    [HD] eq. 4.
+    """
+    c, ones = np.sqrt(2.0 * a), np.eye(len(m.A))
+    b, sign = (a, -1.0) if direction == 'ahead' else (-a, 1.0)
+    try:
+        A = b * np.linalg.solve(m.A - ones, m.A + ones)
+        less = A - b * ones
+        C = sign * m.C @ less / c
+        D = m.D + C @ np.linalg.solve(less, less @ m.B) / c
+        K = less @ np.linalg.solve(c * ones + m.K @ C, m.K)
+    except np.linalg.LinAlgError:                  # a pole at infinity: not a model
+        A, C, D, K = (np.full_like(x, np.nan) for x in (m.A, m.C, m.D, m.K))
+        less = A
+    return plain_matrices(A, less @ m.B / c, C, D, K)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The method `gobf`: models of the Takenaka-Malmquist subspace method, for every order wanted.
+
+Pole sequences from the data: `functions` poles, evenly spread up to a frequency (the Legendre
+spacing of [TM] section III), which is one of a few fractions of the band in which the outputs
+rise above their noise. The caller takes the model that simulates best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ctsid_core.bases.bandwidth import output_band
+from ctsid_core.bases.records import Joint
+from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre
+from ctsid_core.errors import SettingsError
+from ctsid_core.linear.types import ComplexArray
+from ctsid_core.model.residue_fit import simulated
+from ctsid_core.settings import Settings
+from ctsid_core.subspace.gobf_subspace import filter_records, observe, realise, sample_times
+from ctsid_core.subspace.method import Made, plain_matrices
+
+_FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
+_SLOWEST = 10.0                 # times the inverse of the record's length: the least largest pole
+_FUNCTIONS = 8
+_SHARE = 0.8                    # of the fewest samples, that rows of the equations may be
+
+
+def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+    """
+    Return models of all orders that the chain can hold, for each pole sequence that comes in.
+
+    Parameters
+    ----------
+    part : Joint
+    settings : Settings
+    orders : sequence of int
+
+    Raises
+    ------
+    SettingsError
+        If the pole sequence of the settings is none.
+    """
+    records = [p.record for p in part.parts]
+    delay = settings.delays(records[0].nu)
+    samples = sum(len(sample_times(record)) for record in records)
+    found = []
+    for own in _chains(part, settings, max(orders)):
+        signals = records[0].nu + 2 * len(records) + records[0].ny
+        if own.size * signals > _SHARE * samples:
+            continue
+        filtered = filter_records(records, own, delay, trim=settings.trim,
+                                  feedthrough=settings.feedthrough)
+        seen = observe(filtered, settings.rank_tolerance)
+        for n in orders:
+            if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
+                continue
+            m = realise(seen, n, feedthrough=settings.feedthrough)
+            driven = simulated(
+                records, m.A, delay, trim=settings.trim, feedthrough=settings.feedthrough,
+                tolerance=settings.rank_tolerance)
+            best = driven or m
+            found.append(Made(
+                plain_matrices(m.A, best.B, best.C, best.D), _used(settings, own, n),
+                seen.singular_values, seen.condition))
+    return found
+
+
+def _used(settings: Settings, own: Chain, n: int) -> Settings:
+    imag = tuple(own.poles.imag.tolist()) if np.any(own.poles.imag) else 'auto'
+    return settings.replace(order=n, tm_real=tuple(own.poles.real.tolist()), tm_imag=imag,
+                            tm_functions=own.size)
+
+
+def _chains(part: Joint, settings: Settings, order: int) -> list[Chain]:
+    """Return the chains that the settings leave open."""
+    given = _given(settings)
+    if given is not None:
+        return [chain(given)]
+    records = [p.record for p in part.parts]
+    size = settings.tm_functions or max(
+        _FUNCTIONS, 2 * -(-(settings.order or min(order, 6)) // records[0].ny))
+    band = max(output_band(record) for record in records)
+    least = _SLOWEST / part.length
+    tops = sorted({max(band * fraction, least) for fraction in _FRACTIONS}, reverse=True)
+    return [legendre(top / (size - 0.5), size) for top in tops]
+
+
+def _given(settings: Settings) -> ComplexArray | None:
+    """Return the pole sequence of the settings; None if it is to be found."""
+    if isinstance(settings.tm_real, str):
+        return None
+    real = np.atleast_1d(np.array(settings.tm_real, dtype=float))
+    imag = np.zeros(len(real)) if isinstance(settings.tm_imag, str) else \
+        np.atleast_1d(np.array(settings.tm_imag, dtype=float))
+    if len(real) != len(imag):
+        raise SettingsError([f'`takenaka_malmquist.poles_imag` has {len(imag)} values, '
+                             f'`takenaka_malmquist.poles_real` {len(real)}; give one for each '
+                             'pole, or auto'])
+    return np.asarray(real + 1j * imag, dtype=complex)

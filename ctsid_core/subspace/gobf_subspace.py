@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The subspace method of generalized orthonormal bases, [TM] section IV.
+
+Every signal goes through a chain of Takenaka-Malmquist filters. With w_v the chain's states for
+the signal v, L and b of `bases.takenaka_malmquist`, and zero states of the chain at the start,
+
+    w_y = O x - (s - L)^-1 (O B - b D) u - (s - L)^-1 O x_0,      O A - L O = b C       (6)
+
+(Kronecker products with the identity of the outputs left out). This is [TM] eq. 6 and 7 with
+feedthrough and initial state. x_0 and the trim are inputs of their own: an impulse at the start,
+and the constant 1, each through the chain.
+
+Errata of [TM], found by deriving (6) anew; `docs/method.md` has the list. What matters here:
+
+- The regressors psi_(j,i+1) M_i u of eq. 6, N (N + 1) / 2 of them, lie in the span of N, the chain
+  itself: every one is a strictly proper function with poles among the chain's. So u(t) of eq. 6
+  has dependent rows, L11 of lemma 3 is singular, and a plain LQ factorisation gives arbitrary
+  rows of Q. Here the N independent ones are used; (s - L)^-1 e_k = Z_k w with bounded Z_k.
+- T_0 has the sign of D_0 reversed, and all T_i lack 1/sqrt(2 sigma) of the row (eq. 4 has it).
+- Eq. 13 means M^+ R. Eq. 14 lacks a root: C = Theta_(1,0) (A + sigma_0) / sqrt(2 sigma_0).
+- With complex poles, eq. 10 to 12 need conj sigma of the pole left, and Re sigma under roots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.bases.kinks import missed_between
+from ctsid_core.bases.takenaka_malmquist import Chain, respond
+from ctsid_core.linear.least_squares import solve
+from ctsid_core.linear.matrix_functions import svd
+from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.types import Array
+from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between
+from ctsid_core.signals.record import Record
+
+KINKS = 2             # integrals of held inputs whose kinks are worth it
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """
+    Signals through a chain, compressed by one QR factorisation.
+
+    Parameters
+    ----------
+    chain : Chain
+    inputs : ndarray, shape (N, k, columns)
+        u; an impulse at the start of each record (its initial state); the constant 1 over each
+        record (trim), if wanted; kinks.
+    y : ndarray, shape (N, ny, columns)
+    counts : tuple of int
+        How many of the inputs are u, impulses, constants, kinks.
+    """
+
+    chain: Chain
+    inputs: Array
+    y: Array
+    counts: tuple[int, int, int, int]
+
+    @property
+    def driving(self) -> int:
+        """How many inputs drive the states: all but the kinks."""
+        return sum(self.counts[:3])
+
+    def direct(self, feedthrough: bool) -> list[int]:
+        """Return which inputs act on the outputs at once."""
+        nu, impulses, ones, kinks = self.counts
+        first = nu + impulses
+        return [*range(nu * feedthrough), *range(first, first + ones + kinks)]
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """
+    What lemma 3 of [TM] gives.
+
+    Parameters
+    ----------
+    filtered : Filtered
+    left : ndarray, shape (N ny, r)
+        Left singular vectors of L22; the outputs run fastest.
+    singular_values : ndarray, shape (r,)
+    scale : ndarray, shape (ny,)
+        What the outputs were divided by.
+    condition : float
+        Of the chain's states of the inputs, dependent directions left out.
+    rank_tolerance : float
+    """
+
+    filtered: Filtered
+    left: Array
+    singular_values: Array
+    scale: Array
+    condition: float
+    rank_tolerance: float
+
+
+@dataclass(frozen=True)
+class Realised:
+    """
+    A model.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray
+        Shapes (n, n), (n, nu), (ny, n), (ny, nu).
+    x0 : ndarray, shape (n, records)
+        State at the start of each record.
+    x_trim, y_trim : ndarray, shapes (n, 0 or records), (ny, 0 or records)
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    x0: Array
+    x_trim: Array
+    y_trim: Array
+
+
+def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
+                   trim: bool, feedthrough: bool = True, pieces: Pieces = input_polynomials,
+                   kinks: int = KINKS) -> Filtered:
+    """
+    Return the signals of records through a chain, at the stamps of the densest output of each.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one plant; each with an initial state and a trim of its own.
+    chain : Chain
+    delay : tuple of float, length nu
+        Dead time of the inputs [s].
+    trim : bool
+        Whether a constant drives states and outputs, too.
+    feedthrough : bool
+        Whether u acts on y at once, so that y is as uneven as u.
+    pieces : callable
+        What signals are between their samples; by default what their holds say.
+    kinks : int
+        How many integrals of inputs that are held, or on straight lines, are looked at for what
+        interpolation of the outputs misses of them (`bases.kinks`).
+    """
+    found = [_filtered(record, chain, delay, pieces, kinks, feedthrough) for record in records]
+    nu, ny, count = records[0].nu, records[0].ny, len(records)
+    own, missed = nu + 1 + trim, found[0].shape[2] - nu - 2 - ny
+    total = nu + count * (1 + trim)
+    rows = np.zeros((sum(map(len, found)), chain.size, total + missed + ny))
+    first = 0
+    for i, part in enumerate(found):
+        to = slice(first, first + len(part))
+        first += len(part)
+        columns = [*range(nu), nu + i, *([nu + count + i] if trim else [])]
+        rows[to, :, columns] = part[:, :, :own]
+        rows[to, :, total:] = part[:, :, nu + 2:]
+    keep = np.ones(rows.shape[2], dtype=bool)
+    keep[total:total + missed] = np.any(rows[:, :, total:total + missed], axis=(0, 1))
+    counts = (nu, count, count * trim, int(keep[total:total + missed].sum()))
+    return _compressed(chain, rows[:, :, keep], counts)
+
+
+def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pieces,
+              kinks: int, feedthrough: bool) -> Array:
+    """Return u, impulse, constant, kinks and y through a chain, (times, N, signals)."""
+    times = sample_times(record)
+    none = (0.0,) * record.ny
+    knots = knots_between((*record.inputs, *record.outputs), (*delay, *none), times)
+    u = pieces(record.inputs, delay, knots)
+    y = pieces(record.outputs, none, knots)
+    uneven = np.repeat([s.hold != 'smooth' for s in record.inputs],
+                       [s.width for s in record.inputs]).astype(bool)
+    missed = missed_between(u[:, :, uneven], knots, record.outputs, pieces, kinks,
+                            0 if feedthrough else 1)
+    ones = np.ones((1, len(knots), 1))
+    w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
+    impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
+    return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
+
+
+def _side_by_side(parts: tuple[Array, ...]) -> Array:
+    degree = max(map(len, parts))
+    return np.concatenate([np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:]))))
+                           for p in parts], axis=2)
+
+
+def _compressed(chain: Chain, rows: Array, counts: tuple[int, int, int, int]) -> Filtered:
+    """Return what products of rows, (times, N, signals), tell."""
+    flat = rows.transpose(1, 2, 0).reshape(-1, len(rows))
+    compressed = triangle(flat.T).T if flat.shape[1] > flat.shape[0] else flat
+    short = compressed.reshape(chain.size, rows.shape[2], -1)
+    return Filtered(chain, short[:, :sum(counts)], short[:, sum(counts):], counts)
+
+
+def sample_times(record: Record) -> Array:
+    """Return the stamps of the densest output within the record, and its start and end [s]."""
+    own = [s.time[(s.time > record.start) & (s.time < record.end)] for s in record.outputs]
+    return np.concatenate(([record.start], max(own, key=len), [record.end]))
+
+
+def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
+    """
+    Return the column space of O.
+
+    Parameters
+    ----------
+    filtered : Filtered
+    rank_tolerance : float
+        Directions of the inputs below this fraction of the largest are left out.
+
+    References
+    ----------
+    [TM] lemma 3.
+    """
+    U = filtered.inputs.reshape(-1, filtered.inputs.shape[2])
+    scale = np.sqrt(np.sum(filtered.y ** 2, axis=(0, 2)))
+    scale[scale == 0.0] = 1.0
+    Y = (filtered.y / scale[:, np.newaxis]).reshape(-1, U.shape[1])
+    norm = np.sqrt(np.sum(U ** 2, axis=1))
+    norm[norm == 0.0] = 1.0
+    _, s, right = svd(U / norm[:, np.newaxis])
+    rank = int(np.count_nonzero(s > rank_tolerance * s[0])) if len(s) else 0
+    inside = right[:rank]
+    left, values, _ = svd(Y - (Y @ inside.T) @ inside)
+    return Observability(filtered, left, values, scale,
+                         float(s[0] / s[rank - 1]) if rank else 1.0, rank_tolerance)
+
+
+def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
+    """
+    Realise a model of order n.
+
+    Parameters
+    ----------
+    found : Observability
+    n : int
+        Less than N ny.
+    feedthrough : bool
+        Whether u acts on y at once.
+
+    References
+    ----------
+    [TM] eq. 10 to 15, with the corrections above.
+    """
+    A, C = dynamics(found.filtered.chain, found.left[:, :n])
+    B, D, x0, x_trim, y_trim = _driven(found, n, feedthrough)
+    size = found.scale
+    return Realised(A, B, size[:, np.newaxis] * C, size[:, np.newaxis] * D, x0, x_trim,
+                    size[:, np.newaxis] * y_trim)
+
+
+def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
+    """
+    Return A and C of an extended observability matrix.
+
+    Parameters
+    ----------
+    chain : Chain
+    theta : ndarray, shape (N ny, n)
+        Of (6), up to a change of states; the outputs run fastest.
+
+    References
+    ----------
+    [TM] eq. 11 to 14. Of N ny rows, those of the first N - 1 functions differ from the next.
+    """
+    sigma, n = chain.poles, theta.shape[1]
+    seen = np.tensordot(chain.turn, theta.reshape(chain.size, -1, n), axes=1)
+    root = np.sqrt(2.0 * sigma.real)[:, np.newaxis, np.newaxis]
+    pole = sigma[:, np.newaxis, np.newaxis]
+    M = (seen / root)[:-1] - (seen / root)[1:]
+    R = (pole.conj() * seen / root)[:-1] + (pole * seen / root)[1:]
+    A = _real_least_squares(np.asarray(M.reshape(-1, n), complex),
+                            np.asarray(R.reshape(-1, n), complex))
+    C = seen[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
+    return A, np.asarray(C.real)
+
+
+def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) -> Array:
+    both = np.vstack((M.real, M.imag)), np.vstack((R.real, R.imag))
+    found: Array = np.linalg.lstsq(*both, rcond=None)[0]
+    return found
+
+
+def _driven(found: Observability, n: int,
+            feedthrough: bool) -> tuple[Array, Array, Array, Array, Array]:
+    """
+    Return B, D, initial state and trim, of states and of scaled outputs.
+
+    [TM] eq. 15: with free states, what is left of (6) beside the columns of Theta_1 is linear in
+    them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
+    """
+    filtered, chain = found.filtered, found.filtered.chain
+    theta, ny, inputs = found.left[:, :n], len(found.scale), filtered.driving
+    other = found.left[:, n:]
+    # Z_k w: what the k-th block row of O B - b D is multiplied with
+    moved = np.einsum('kij,jml->kiml', chain.commuting(), filtered.inputs)
+    direct = filtered.direct(feedthrough)
+    rows = other.reshape(chain.size, ny, -1)
+    state = -np.einsum('kpn,ipr,kiml->nmrl', theta.reshape(chain.size, ny, n), rows,
+                       moved[:, :, :inputs], optimize=True)
+    feed = np.einsum('ipr,iml->pmrl', rows, filtered.inputs[:, direct], optimize=True)
+    cells = other.shape[1] * filtered.y.shape[2]
+    regressors = np.concatenate((state.reshape(n * inputs, cells),
+                                 feed.reshape(ny * len(direct), cells)))
+    y = (filtered.y / found.scale[:, np.newaxis]).reshape(chain.size * ny, -1)
+    unknown, _ = solve(regressors, (other.T @ y).reshape(1, -1), found.rank_tolerance)
+    B = unknown[0, :n * inputs].reshape(n, inputs)
+    D = np.zeros((ny, filtered.inputs.shape[1]))
+    D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
+    nu, to = filtered.counts[0], filtered.counts[0] + filtered.counts[1]
+    return B[:, :nu], D[:, :nu], B[:, nu:to], B[:, to:], D[:, to:inputs]

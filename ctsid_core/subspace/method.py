@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a subspace method has to give: models of the moving channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctsid_core.bases.records import Joint
+from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.types import Array
+from ctsid_core.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """
+    A continuous-time model of the moving channels, one of those that a method offers.
+
+    Parameters
+    ----------
+    matrices : Matrices
+        A, B, C, D and K (zero if the method has none), by `plain_matrices`: what belongs to the
+        ends and the trim of the records is added by the caller.
+    settings : Settings
+        Those given, with the order and whatever the method chose filled in: with these the method
+        makes this model, and no other.
+    singular_values : ndarray
+        Whose drop shows the order.
+    condition : float
+        Condition number of the regression.
+    """
+
+    matrices: Matrices
+    settings: Settings
+    singular_values: Array
+    condition: float
+
+
+@dataclass(frozen=True)
+class Method:
+    """
+    A row of the table of methods.
+
+    Parameters
+    ----------
+    models : callable
+        From the records, the settings and the orders that are wanted to all models that the
+        method has to offer: of every order and every tuning that the settings leave open. Orders
+        that the data are too short for are left out.
+    domain : str
+        What it works on.
+    looks_for_dead_time : bool
+        Whether dead times that are not given are looked for; else they count as 0.
+    refines : bool
+        Whether its models are taken to the maximum of the likelihood; else they stay as they are
+        made, and the likeliest is taken.
+    """
+
+    models: Callable[[Joint, Settings, Sequence[int]], list[Made]]
+    domain: str
+    looks_for_dead_time: bool = False
+    refines: bool = False
+
+
+def plain_matrices(A: Array, B: Array, C: Array, D: Array, K: Array | None = None) -> Matrices:
+    """Return a model without anything that belongs to single records."""
+    n, ny = len(A), len(C)
+    return Matrices(A=A, B=B, C=C, D=D, K=np.zeros((n, ny)) if K is None else K,
+                    tail=np.empty((n, 0)), x_trim=np.empty((n, 0)), y_trim=np.empty((ny, 0)))

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Predictor-based subspace identification, on any projection in which the derivative is diagonal.
+
+The model in the projected domain, with z = [u; tail; ones; y] ([HD] eq. 27, 35; the tail and the
+ones are inputs like u, but for the feedthrough, which the tail has not):
+
+    x s = A x + B u + B_t tail + B_1 ones + K e,      y = C x + D u + D_1 ones + e
+
+The operator (s + beta) / gamma (eq. 37) is a number per line, and so is its inverse g. The
+levels z g^(p+1) .. z g^0 are stacked and compressed once by a QR factorisation; all that follows
+are small matrices.
+
+Departures from the paper, each measured (standard deviation of the slow poles in Table 1's
+experiment, 20 dB): eq. 54 is multiplied by g before it is solved, so that the noise of the
+state's derivative is not amplified with frequency (0.019 to 0.011); C and D are estimated
+jointly, eq. 52 keeps the D of eq. 46.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctsid_core.bases.projection import Projection, as_real
+from ctsid_core.linear.least_squares import least_norm, solve
+from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrix_functions import svd
+from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.types import Array
+
+NEGLIGIBLE = 1e-7     # innovations below this fraction of the outputs carry no information on K
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """
+    Parameters of one regression.
+
+    Parameters
+    ----------
+    beta, gamma : float
+        Shift and radius of the operator ([HD] eq. 37) [rad/s].
+    past, future : int
+        Window lengths p and f, f <= p.
+    """
+
+    beta: float
+    gamma: float
+    past: int
+    future: int
+
+
+@dataclass(frozen=True)
+class Levels:
+    """
+    Signals at the powers of the inverse operator, compressed to what their products tell.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (p + 2 or more, nz, columns)
+        z g^m at index m.
+    scale : ndarray, shape (nz,)
+        What the rows of z were divided by.
+    counts : tuple of int
+        Rows of u, tail, ones, y.
+    """
+
+    rows: Array
+    scale: Array
+    counts: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class Subspace:
+    """
+    A regression from which models of any order are realised.
+
+    Parameters
+    ----------
+    levels : Levels
+    left : ndarray, shape (f ny, r)
+        Left singular vectors of Gamma^f K^p Z (eq. 50).
+    singular_values : ndarray, shape (r,)
+    gamma_k : ndarray, shape (f ny, p nz)
+        Gamma^f K^p (eq. 48).
+    condition : float
+        Condition number of the scaled regressors of eq. 46, dependent directions left out.
+    """
+
+    levels: Levels
+    left: Array
+    singular_values: Array
+    gamma_k: Array
+    condition: float
+    tuning: Tuning
+    feedthrough: bool
+    rank_tolerance: float
+
+
+def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
+            rank_tolerance: float) -> Subspace:
+    """
+    Estimate the extended observability times controllability matrix.
+
+    Parameters
+    ----------
+    levels : Levels
+        Of the tuning's beta and gamma, to level p + 1 at least.
+    tuning : Tuning
+    feedthrough : bool
+        Whether u acts on y at once.
+    rank_tolerance : float
+
+    References
+    ----------
+    [HD] eq. 43 to 50.
+    """
+    p, f = tuning.past, tuning.future
+    nz, ny = len(levels.scale), levels.counts[3]
+    Z = levels.rows[p:0:-1].reshape(p * nz, -1)                               # eq. 43
+    y = levels.rows[0, nz - ny:]
+    direct = _direct(levels.rows[0], levels.counts, feedthrough)
+    theta, condition = solve(np.vstack((Z, direct)), y, rank_tolerance)       # eq. 46
+    gamma_k = np.zeros((f * ny, p * nz))
+    for i in range(f):                                                        # eq. 48
+        gamma_k[i * ny:(i + 1) * ny, i * nz:] = theta[:, :(p - i) * nz]
+    left, s, _ = svd(gamma_k @ Z)                                             # eq. 50
+    return Subspace(levels, left, s, gamma_k, condition, tuning, feedthrough, rank_tolerance)
+
+
+def stack_levels(projection: Projection, beta: float, gamma: float, top: int) -> Levels:
+    """
+    Return the levels z g^0 .. z g^top, compressed by one QR factorisation.
+
+    Parameters
+    ----------
+    projection : Projection
+    beta, gamma : float
+        [HD] eq. 37 [rad/s].
+    top : int
+        p + 1 of the longest past window that is wanted.
+    """
+    blocks = (projection.u, projection.tail, projection.ones, projection.y)
+    z = np.vstack(blocks)
+    scale = np.sqrt(np.sum(as_real(z) ** 2, axis=1))
+    scale[scale == 0.0] = 1.0
+    g = gamma / (projection.s + beta)                                         # inverse of eq. 37
+    stack = np.empty((top + 1, *z.shape), dtype=complex)
+    np.divide(z, scale[:, np.newaxis], out=stack[0])
+    for m in range(1, top + 1):
+        np.multiply(stack[m - 1], g, out=stack[m])
+    rows = as_real(stack[::-1].reshape(-1, z.shape[1]))
+    compressed = triangle(rows.T).T
+    levels = compressed.reshape(top + 1, len(z), -1)[::-1]
+    counts = (len(projection.u), len(projection.tail), len(projection.ones), len(projection.y))
+    return Levels(levels, scale, counts)
+
+
+def _direct(level: Array, counts: tuple[int, int, int, int], feedthrough: bool) -> Array:
+    """Return the rows of a level that act on y at once: u (if so wanted) and ones."""
+    nu, tail, ones, _ = counts
+    constant = level[nu + tail:nu + tail + ones]
+    return np.vstack((level[:nu], constant)) if feedthrough else constant
+
+
+def realise(subspace: Subspace, n: int) -> Matrices:
+    """
+    Realise a model of order n.
+
+    Parameters
+    ----------
+    subspace : Subspace
+    n : int
+        At most the number of singular values.
+
+    References
+    ----------
+    [HD] eq. 51 to 54; eq. 54 multiplied by the inverse operator.
+    """
+    p, tolerance = subspace.tuning.past, subspace.rank_tolerance
+    levels, counts = subspace.levels.rows, subspace.levels.counts
+    nz, ny = len(subspace.levels.scale), counts[3]
+    root = np.sqrt(np.maximum(subspace.singular_values[:n], 1e-300))
+    to_state = (subspace.left[:, :n] / root).T @ subspace.gamma_k             # eq. 51
+    x = to_state @ levels[p:0:-1].reshape(p * nz, -1)
+    x_g = to_state @ levels[p + 1:1:-1].reshape(p * nz, -1)
+    direct = _direct(levels[0], counts, subspace.feedthrough)
+    output = least_norm(np.vstack((x, direct)), levels[0, nz - ny:], tolerance)  # eq. 52
+    e = levels[0, nz - ny:] - output @ np.vstack((x, direct))                 # eq. 53
+    e_g = levels[1, nz - ny:] - output @ np.vstack(
+        (x_g, _direct(levels[1], counts, subspace.feedthrough)))
+    quiet = np.linalg.norm(e) <= NEGLIGIBLE * np.linalg.norm(levels[0, nz - ny:])
+    beta, gamma = subspace.tuning.beta, subspace.tuning.gamma
+    regressors = [x_g, levels[1, :nz - ny]] + ([] if quiet else [e_g])
+    state = least_norm(np.vstack(regressors), gamma * x - beta * x_g, tolerance)  # eq. 54 times g
+    K = np.zeros((n, ny)) if quiet else state[:, n + nz - ny:]
+    return _unscale(state[:, :n], state[:, n:n + nz - ny], K, output[:, :n], output[:, n:],
+                    subspace)
+
+
+def _unscale(A: Array, B: Array, K: Array, C: Array, D: Array, subspace: Subspace) -> Matrices:
+    """Undo the scaling of the rows of z, and split what belongs to u, tail and ones."""
+    nu, tail, ones, ny = subspace.levels.counts
+    size = subspace.levels.scale
+    own = size[nu + tail + ones:, np.newaxis]
+    B = B / size[:nu + tail + ones]
+    columns = np.r_[:nu * subspace.feedthrough, nu + tail:nu + tail + ones].astype(int)
+    D = own * D / size[columns]
+    feed = D[:, :nu] if subspace.feedthrough else np.zeros((ny, nu))
+    return Matrices(
+        A=A, B=B[:, :nu], C=own * C, D=feed, K=K / own.T, tail=B[:, nu:nu + tail],
+        x_trim=B[:, nu + tail:], y_trim=D[:, nu * subspace.feedthrough:])

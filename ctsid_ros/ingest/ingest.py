@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From messages to windows: the one way in, for the live node and for bags.
+
+A message arrives as its times and the scalars of its topic's channels; what decodes it is of no
+concern here. "log" is the time of recording in a bag and that of receipt in the node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import groupby
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.errors import DataError
+from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.samples import Group
+from ctsid_core.signals.windows import SlidingWindow
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.decoding.cdr import DecodeError, Extracted, Extractor
+from ctsid_ros.decoding.cdr_layout import Raw
+from ctsid_ros.decoding.field_path import FieldPath, nearest
+from ctsid_ros.ingest.counts import ChannelCounts, IngestCounts, complaints
+
+_ZEROS = 3  # messages with a zero header stamp after which a topic is known to have none
+_SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
+_Times = tuple[int, int, int | None]  # log, publish, header [ns]
+_Message = tuple[_Times, Sequence[float]]
+_Columns = NDArray[np.intp]
+
+
+class _Topic:
+    """How the messages of one topic become samples of groups."""
+
+    def __init__(self, channels: Sequence[Channel], groups: Mapping[str, Sequence[Channel]],
+                 ) -> None:
+        self.fields = tuple(channel.path for channel in channels)
+        self.parts: dict[str, slice] = {}
+        self.width = 0
+        for channel in channels:
+            self.parts[channel.name] = slice(self.width, self.width + channel.width)
+            self.width += channel.width
+        self.stamps = {channel.name: channel.stamp for channel in channels}
+        self.groups = [(name, slice(self.parts[members[0].name].start,
+                                    self.parts[members[-1].name].stop), members[0].stamp)
+                       for name, members in groups.items()]
+        self.undivided = len(self.groups) == 1
+        self.non_finite = dict.fromkeys(self.parts, 0)
+        self.source = self.why = ''  # of the channels whose stamp is 'auto'
+        self.routes: list[tuple[str, slice, int]] = []  # group, its values, its source
+        self.held: list[_Message] = []  # messages that wait for the source to be known
+        if 'auto' not in self.stamps.values():
+            self.settle('', '')
+
+    def settle(self, source: str, why: str) -> list[_Message]:
+        """Choose the source of the stamps; return the messages that have waited for it."""
+        self.source, self.why = source, why
+        self.routes = [(name, part, _SOURCES[source if stamp == 'auto' else stamp])
+                       for name, part, stamp in self.groups]
+        held, self.held = self.held, []
+        return held
+
+    def source_of(self, channel: str) -> tuple[str, str]:
+        """Return the source of the stamps of a channel, and why."""
+        stamp = self.stamps[channel]
+        return (self.source, self.why) if stamp == 'auto' else (stamp, 'it is set so')
+
+
+class Ingest:
+    """
+    Take messages, hand out windows; the same for the live node and for bags.
+
+    Not for several threads. What `due` has not handed out is kept, so ask it regularly.
+
+    Parameters
+    ----------
+    config : Config
+        Inputs and outputs keep its order in the records. Neighbours of one role, topic, stamp and
+        hold form one signal, with the same stamps.
+
+    Raises
+    ------
+    SettingsError
+        If the number of scalars of a channel is known only from a message.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        runs = [list(run) for _, run in groupby(
+            (*config.inputs, *config.outputs), key=lambda c: (c.role, c.topic, c.stamp, c.hold))]
+        groups = {', '.join(channel.name for channel in run): run for run in runs}
+        self._group_of = {channel.name: name for name, run in groups.items() for channel in run}
+        self._topics = {
+            topic: _Topic([c for run in runs for c in run if c.topic == topic],
+                          {name: run for name, run in groups.items() if run[0].topic == topic})
+            for topic in dict.fromkeys(run[0].topic for run in runs)}
+        settings = config.settings
+        nu = sum(channel.width for channel in config.inputs)
+        self._window = SlidingWindow(
+            [_group(name, run) for name, run in groups.items()], settings.window_length,
+            settings.window_stride, settings.window_max_delay, max(settings.delays(nu)))
+        self._push = self._window.push
+        self._angles: dict[str, list[_Columns]] = {'input': [], 'output': []}
+        for run in runs:
+            flags = [angle for channel in run for angle in channel.path.angles]
+            self._angles[run[0].role].append(np.flatnonzero(flags))
+
+    @property
+    def fields(self) -> dict[str, tuple[FieldPath, ...]]:
+        """The fields wanted of each topic; `push` wants their scalars in this order."""
+        return {name: topic.fields for name, topic in self._topics.items()}
+
+    @property
+    def newest_ns(self) -> int:
+        """The largest stamp of the present stream [ns]; 0 if there is none yet."""
+        return self._window.newest_ns
+
+    def push(self, topic: str, log_ns: int, publish_ns: int, header_ns: int | None,
+             values: Sequence[float]) -> None:
+        """
+        Take one message.
+
+        Parameters
+        ----------
+        topic : str
+        log_ns : int
+            When it was recorded, or received [ns].
+        publish_ns : int
+            When it was published [ns]; 0 if that is not known.
+        header_ns : int or None
+            The stamp in its header [ns]; None if it has no header.
+        values : sequence of float
+            The scalars of `fields[topic]`, one after another; empty for a message that could not
+            be decoded: it is counted.
+
+        Raises
+        ------
+        DataError
+            If no channel is of this topic, or times and values are not numbers.
+        """
+        target = self._topics.get(topic)
+        if target is None:
+            raise DataError(f'no channel is of topic {topic!r}'
+                            f'{nearest(topic, list(self._topics))}')
+        if target.routes:
+            self._route(target, (log_ns, publish_ns, header_ns), values)
+        else:
+            self._choose(target, (log_ns, publish_ns, header_ns), values)
+
+    def due(self) -> Iterator[Record]:
+        """Hand out the windows that the stamps have passed, oldest first."""
+        return map(self._join_angles, self._window.due())
+
+    def flush(self) -> Iterator[Record]:
+        """Hand out all windows that the samples reach the end of: no more will come."""
+        self._settle_all()
+        return map(self._join_angles, self._window.flush())
+
+    def whole(self) -> Record | None:
+        """
+        Return everything from the start of the next window to where every channel is known.
+
+        For one record of a whole stream: with a `window.length` that no stream reaches. None if
+        there is no such interval.
+        """
+        self._settle_all()
+        record = self._window.whole()
+        return record and self._join_angles(record)
+
+    def latest(self) -> Record | None:
+        """
+        Return the last `window.length` of data, whatever the stride; None if there is less yet.
+
+        The windows that are due are not affected.
+        """
+        record = self._window.latest()
+        return record and self._join_angles(record)
+
+    def counts(self) -> IngestCounts:
+        """Return what became of messages and windows so far."""
+        counts, channels = self._window.counts, {}
+        for channel in self._config.channels:
+            topic = self._topics[channel.topic]
+            samples = replace(counts.groups[self._group_of[channel.name]],
+                              non_finite=topic.non_finite[channel.name])
+            channels[channel.name] = ChannelCounts(*topic.source_of(channel.name), samples)
+        return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
+
+    def report(self) -> list[str]:
+        """Return a sentence on each thing that is not as it should be, and its cure."""
+        return complaints(self.counts(), self._config)
+
+    def _route(self, topic: _Topic, times: _Times, values: Sequence[float]) -> None:
+        if len(values) != topic.width:
+            values = ()  # nobody knows which of them are whose: a wrong width for all
+        for group, part, source in topic.routes:
+            # A header stamp that is missing counts as zero: the window drops and counts it.
+            own = values if topic.undivided else values[part]
+            if not self._push(group, times[source] or 0, own):
+                self._count_non_finite(topic, part, values)
+
+    def _count_non_finite(self, topic: _Topic, dropped: slice, values: Sequence[float]) -> None:
+        for name, part in topic.parts.items():
+            if dropped.start <= part.start < dropped.stop:
+                topic.non_finite[name] += not all(map(isfinite, values[part]))
+
+    def _choose(self, topic: _Topic, times: _Times, values: Sequence[float]) -> None:
+        """Settle where the stamps of a topic come from, once and for all its messages."""
+        topic.held.append((times, values))
+        header_ns = times[2]
+        if header_ns is None:
+            held = topic.settle('log', 'its messages have no header')
+        elif header_ns != 0:
+            held = topic.settle('header', 'its messages have a header with a stamp')
+        elif len(topic.held) == _ZEROS:
+            held = topic.settle('log', 'the stamps in its headers are zero')
+        else:
+            return
+        for message in held:
+            self._route(topic, *message)
+
+    def _settle_all(self) -> None:
+        for topic in self._topics.values():
+            if topic.held:
+                for message in topic.settle('log', 'the stamps in its headers are zero'):
+                    self._route(topic, *message)
+
+    def _join_angles(self, record: Record) -> Record:
+        """Unwrap the angles, now that the samples are in order."""
+        return replace(record, inputs=_unwrapped(record.inputs, self._angles['input']),
+                       outputs=_unwrapped(record.outputs, self._angles['output']))
+
+
+def decoded(extract: Extractor, raw: Raw) -> Extracted:
+    """
+    Return header stamp and scalars of a message as `Ingest.push` wants them.
+
+    One that cannot be decoded has no scalars, so that it is counted; its header stamp is zero,
+    not absent, so that it does not settle where the stamps come from.
+    """
+    try:
+        return extract(raw)
+    except DecodeError:
+        return (0 if extract.message_type.has_header else None), ()
+
+
+def _group(name: str, channels: Sequence[Channel]) -> Group:
+    first = channels[0]
+    names = tuple(scalar for channel in channels for scalar in channel.scalar_names)
+    units = tuple(channel.unit for channel in channels for _ in range(channel.width))
+    return Group(name, len(names), first.role, first.hold, names, units)
+
+
+def _unwrapped(signals: tuple[Signal, ...], angles: Sequence[_Columns]) -> tuple[Signal, ...]:
+    joined = []
+    for signal, columns in zip(signals, angles, strict=True):
+        if len(columns):
+            values = signal.values.copy()
+            values[:, columns] = np.unwrap(values[:, columns], axis=0)
+            signal = replace(signal, values=values)
+        joined.append(signal)
+    return tuple(joined)

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The subscriptions of the node, drained by a thread of their own.
+
+An executor spends 100 to 200 microseconds on each message; taking all that have come every few
+milliseconds costs a tenth of it. The subscriptions therefore belong to a second node that is in
+no executor. With `ingest.method: callbacks` they belong to the first one, and its executor
+calls back for every message; from there on all is the same.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+import itertools
+from threading import Event, Lock, Thread
+import time
+from typing import Any
+
+import rclpy.node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
+from rosgraph_msgs.msg import Clock
+
+from ctsid_core.signals.record import Record
+from ctsid_ros.config.node_settings import NodeSettings
+from ctsid_ros.decoding.message_types import type_name
+from ctsid_ros.ingest.feed import Feed, Taken
+from ctsid_ros.ingest.sim_clock import SimClock
+
+_AHEAD_NS = 500_000  # a message may be handed out so much later than it arrived
+_TOO_MANY = 20_000  # messages of a topic taken at once: then it is the turn of the others
+RELIABILITY = {'best_effort': ReliabilityPolicy.BEST_EFFORT,
+               'reliable': ReliabilityPolicy.RELIABLE}
+
+
+class Intake:
+    """
+    Subscribe to the topics of a feed and push their messages into it.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        In whose name it subscribes; its remappings count.
+    feed : Feed
+    classes : mapping of str to class
+        Message class of each topic.
+    settings : NodeSettings
+    deliver : callable
+        Given each window that is due, in the thread of the intake, which holds the lock.
+    clock : SimClock, optional
+        The simulated clock of the feed; /clock is subscribed to for it.
+
+    Attributes
+    ----------
+    lock : Lock
+        To be held by whoever asks the feed something.
+    failure : str
+        What has gone wrong in the thread last, if anything has: a fault of ctsid itself.
+    """
+
+    def __init__(self, node: rclpy.node.Node, feed: Feed, classes: Mapping[str, Any],
+                 settings: NodeSettings, deliver: Callable[[Record], None],
+                 clock: SimClock | None = None) -> None:
+        self._node, self._feed, self._deliver, self._clock = node, feed, deliver, clock
+        self.lock = Lock()
+        self.failure = ''
+        self._called: deque[Taken] = deque()  # by callbacks
+        # `-r __node:=name` would rename it as well: hence no global arguments.
+        self._own = rclpy.node.Node(
+            f'{node.get_name()}_intake', namespace=node.get_namespace(), context=node.context,
+            use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
+        self._qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST, depth=settings.ingest_depth,
+            reliability=RELIABILITY[settings.ingest_reliability],
+            durability=DurabilityPolicy.VOLATILE)
+        self._classes = dict(classes)
+        self._names = {topic: node.resolve_topic_name(topic) for topic in classes}
+        self._by_callback = settings.ingest_method == 'callbacks'
+        self._subscriptions = {topic: self._subscribe(topic) for topic in classes}
+        self._ticks = None if clock is None else self._own.create_subscription(
+            Clock, '/clock', _not_called, QoSProfile(
+                depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
+        self._period = 1.0 / settings.ingest_rate
+        self._stopping = Event()
+        self._thread = Thread(target=self._run, name='intake', daemon=True)
+        self._thread.start()
+
+    def stop(self, timeout: float) -> bool:
+        """End the thread [s] and the subscriptions; return whether it has ended."""
+        self._stopping.set()
+        self._thread.join(timeout)
+        if self._thread.is_alive():
+            return False
+        if self._by_callback:
+            for subscription in self._subscriptions.values():
+                self._node.destroy_subscription(subscription)
+        self._own.destroy_node()
+        return True
+
+    def faults(self) -> Iterator[str]:
+        """Yield a sentence on each publisher that cannot be heard."""
+        for topic, name in self._names.items():
+            wanted = type_name(self._classes[topic])
+            for end in self._node.get_publishers_info_by_topic(name):
+                who = f'the publisher `{end.node_namespace.rstrip("/")}/{end.node_name}` of {name}'
+                if end.topic_type != wanted:
+                    yield f'{who} sends {end.topic_type}, but `type` says {wanted}; correct it'
+                    continue
+                verdict, _ = qos_check_compatible(end.qos_profile, self._qos)
+                if verdict == QoSCompatibility.ERROR:
+                    yield (f'{who} is best effort, but `ingest.reliability` asks for reliable, '
+                           'so its messages do not come; set it to best_effort')
+
+    def _subscribe(self, topic: str) -> Any:
+        if not self._by_callback:
+            return self._own.create_subscription(
+                self._classes[topic], self._names[topic], _not_called, self._qos, raw=True)
+
+        def called(raw: bytes, info: Mapping[str, Any]) -> None:
+            self._called.append(_taken(topic, raw, info))
+
+        return self._node.create_subscription(
+            self._classes[topic], topic, called, self._qos, raw=True)
+
+    def _run(self) -> None:
+        while not self._stopping.wait(self._period):
+            try:
+                self._turn()
+            except Exception as error:  # of any kind: the node lives on and tells of it
+                if not self._node.context.ok():
+                    return
+                self.failure = f'{type(error).__name__}: {error}'
+
+    def _turn(self) -> None:
+        until_ns = time.time_ns() - _AHEAD_NS
+        self._tick()
+        batch = [*self._drain(), *self._from_callbacks()]
+        with self.lock:
+            for record in self._feed.take(batch, until_ns):
+                self._deliver(record)
+
+    def _tick(self) -> None:
+        if self._ticks is None or self._clock is None:
+            return
+        while taken := self._ticks.handle.take_message(Clock, False):
+            message, info = taken
+            now = message.clock
+            self._clock.tick(info['received_timestamp'], now.sec * 10**9 + now.nanosec)
+
+    def _drain(self) -> Iterator[Taken]:
+        if self._by_callback:
+            return
+        for topic, subscription in self._subscriptions.items():
+            take, kind = subscription.handle.take_message, self._classes[topic]
+            for _ in range(_TOO_MANY):
+                taken = take(kind, True)
+                if taken is None:
+                    break
+                yield _taken(topic, *taken)
+
+    def _from_callbacks(self) -> Iterator[Taken]:
+        for _ in itertools.repeat(None, len(self._called)):
+            yield self._called.popleft()
+
+
+def _taken(topic: str, raw: bytes, info: Mapping[str, Any]) -> Taken:
+    return Taken(info['received_timestamp'] or time.time_ns(), topic, raw,
+                 info['source_timestamp'] or 0, info['publication_sequence_number'])
+
+
+def _not_called(_: object) -> None:
+    """Stand where rclpy wants a callback: the subscription is in no executor."""

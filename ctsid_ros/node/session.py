@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Windows to models in a thread of its own: the part of the node that knows no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+import math
+from threading import Lock
+import time
+import traceback
+
+from ctsid_core.sequence.tracking import Tracked, Tracker
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record
+from ctsid_ros.node.worker import Worker
+
+
+@dataclass(frozen=True)
+class Window:
+    """
+    A window of data on its way to a model.
+
+    Parameters
+    ----------
+    record : Record
+    number : int
+        Of the windows that were due, counted from 1.
+    arrival_ns : int or None
+        When the sample arrived that completed the window [ns], by the computer's clock.
+    requested : bool
+        Whether somebody asked for it, out of turn.
+    """
+
+    record: Record
+    number: int
+    arrival_ns: int | None
+    requested: bool = False
+
+
+@dataclass(frozen=True)
+class Identified:
+    """
+    A window and what came of it.
+
+    Parameters
+    ----------
+    window : Window
+    tracked : Tracked
+    computing : float
+        How long its identification took [s].
+    latency : float
+        From the arrival of the last sample of the window to the end of its publication [s]; NaN
+        until then, or if not known.
+    """
+
+    window: Window
+    tracked: Tracked
+    computing: float
+    latency: float = math.nan
+
+
+@dataclass(frozen=True)
+class Progress:
+    """
+    How far identification has come.
+
+    Parameters
+    ----------
+    windows : int
+        Windows that were to be identified.
+    skipped : int
+        Those of them that gave way to a newer one.
+    failures : int
+        Those of which the identification broke off: faults of ctsid itself.
+    failure : str
+        The last of these faults.
+    last, accepted : Identified or None
+        The last window, and the last one with an accepted model.
+    """
+
+    windows: int = 0
+    skipped: int = 0
+    failures: int = 0
+    failure: str = ''
+    last: Identified | None = None
+    accepted: Identified | None = None
+
+
+class Session:
+    """
+    Identify windows one after the other in a thread of its own.
+
+    Parameters
+    ----------
+    settings : Settings
+    publish : callable
+        Given each result, in the thread of identification.
+    warn : callable
+        Given the text of a fault of ctsid itself.
+    """
+
+    def __init__(self, settings: Settings, publish: Callable[[Identified], None],
+                 warn: Callable[[str], None]) -> None:
+        self._settings, self._publish, self._warn = settings, publish, warn
+        self._tracker = Tracker(settings)
+        self._term = 0  # counts what makes all windows before it void
+        self._tracked = 0  # of the windows that the tracker remembers
+        self._progress, self._lock = Progress(), Lock()
+        self._worker: Worker[tuple[int, Window]] = Worker(self._identify, self._failed)
+        self._worker.start()
+
+    @property
+    def progress(self) -> Progress:
+        """How far it has come."""
+        return replace(self._progress, skipped=self._worker.skipped)
+
+    def submit(self, record: Record, arrival_ns: int | None, *, requested: bool = False) -> None:
+        """Identify a window as soon as the present one is done; see `Window`."""
+        with self._lock:
+            number = self._progress.windows + 1
+            self._progress = replace(self._progress, windows=number)
+            self._worker.submit((self._term, Window(record, number, arrival_ns, requested)))
+
+    def change(self, settings: Settings) -> None:
+        """Use other settings from the next window on."""
+        self._settings = settings
+
+    def reset(self) -> None:
+        """Forget the models, the window that waits and the one under way."""
+        with self._lock:
+            self._worker.drop()
+            self._term += 1  # the tracker is told by the thread that uses it
+            self._progress = replace(self._progress, last=None, accepted=None)
+
+    def stop(self, timeout: float) -> bool:
+        """End the thread [s], publish nothing more; return whether it has ended."""
+        with self._lock:
+            self._term += 1
+        return self._worker.stop(timeout)
+
+    def _identify(self, job: tuple[int, Window]) -> None:
+        (term, window), start = job, time.monotonic()
+        if term != self._tracked:
+            self._tracker.reset()
+            self._tracked = term
+        self._tracker.settings = self._settings
+        tracked = self._tracker.take(window.record)
+        result = Identified(window, tracked, time.monotonic() - start)
+        if term != self._term:  # reset or stopped in the meantime
+            return
+        self._publish(result)
+        if window.arrival_ns is not None:
+            result = replace(result, latency=(time.time_ns() - window.arrival_ns) * 1e-9)
+        with self._lock:
+            if term == self._term:
+                accepted = result if tracked.estimate.ok else self._progress.accepted
+                self._progress = replace(self._progress, last=result, accepted=accepted)
+
+    def _failed(self, error: Exception) -> None:
+        with self._lock:
+            self._progress = replace(self._progress, failures=self._progress.failures + 1,
+                                     failure=f'{type(error).__name__}: {error}')
+        self._warn('the identification of a window broke off, which is a fault of ctsid:\n'
+                   + ''.join(traceback.format_exception(error)))

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Bags: rosbag2 in MCAP or SQLite, ROS 1; one file, a folder, or several that belong together.
+
+    with open_bag('flight') as bag:
+        extract = bag.extractor('/imu', [parse_field('angular_velocity.x')])
+        for message in bag.messages(['/imu']):
+            stamp_ns, (rate,) = extract(message.raw)
+
+Whatever is complete is read; what was damaged, recovered or odd is said in `bag.notes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from functools import partial
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+from ctsid_ros.decoding.cdr import Extractor
+from ctsid_ros.decoding.cdr_layout import DecodeError
+from ctsid_ros.decoding.field_path import FieldError, FieldPath, nearest
+from ctsid_ros.decoding.message_fields import bind, scalar_fields
+from ctsid_ros.decoding.message_types import MessageType
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.files import ZSTD_MAGIC, find_files, scan_file, unpack_message
+from ctsid_ros.recordings.recording import Payload, Recording, merge_in_time
+from ctsid_ros.recordings.topics import TopicInfo, join_topics
+
+__all__ = ['Bag', 'BagMessage', 'DecodeError', 'TopicInfo', 'open_bag']
+
+
+class BagMessage(NamedTuple):
+    """A serialised message; times in ns. Publish time is log time where it is not recorded."""
+
+    topic: str
+    log_ns: int
+    publish_ns: int
+    raw: Payload
+
+
+class Bag:
+    """
+    An open bag; made by `open_bag`, closed by `close` or at the end of a `with` block.
+
+    Attributes
+    ----------
+    topics : mapping of str to TopicInfo
+    start_ns, end_ns : int
+        First and last log time of all messages; 0 if there are none.
+    """
+
+    def __init__(self, recordings: Sequence[Recording], notes: Iterable[str],
+                 resources: ExitStack) -> None:
+        self._recordings = tuple(recordings)
+        self._resources = resources
+        joined = join_topics(self._recordings)
+        self._types, self._names = joined.types, joined.names
+        self._notes = dict.fromkeys([*notes, *joined.notes])
+        self.topics: Mapping[str, TopicInfo] = joined.infos
+        filled = [recording for recording in self._recordings if recording.count]
+        self.start_ns = min((recording.start_ns for recording in filled), default=0)
+        self.end_ns = max((recording.end_ns for recording in filled), default=0)
+        if not filled:
+            self._note('there is no message in the bag')
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was damaged, recovered, skipped or odd; may grow while messages are read."""
+        return tuple(self._notes)
+
+    def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
+        """
+        Iterate over the messages of one or more topics (all if None) in the order of log time.
+
+        Raises
+        ------
+        BagError
+            If a topic is not in the bag.
+        """
+        if isinstance(topics, str):
+            topics = [topics]
+        wanted = set(self.topics if topics is None else topics)
+        for topic in wanted:
+            self.topic(topic)
+        streams: list[tuple[int, Callable[[], Iterator[BagMessage]]]] = []
+        for recording, names in zip(self._recordings, self._names, strict=True):
+            chosen = {number: name for number, name in names.items() if name in wanted}
+            if chosen:
+                streams.append((recording.start_ns, partial(self._stream, recording, chosen)))
+        if len(streams) == 1:
+            return streams[0][1]()
+        return merge_in_time(streams, lambda message: message.log_ns)
+
+    def topic(self, name: str) -> TopicInfo:
+        """
+        Return a topic.
+
+        Raises
+        ------
+        BagError
+            If it is not in the bag; the message names the nearest.
+        """
+        if name not in self.topics:
+            raise BagError(f'no topic {name!r} in the bag' + nearest(name, sorted(self.topics)))
+        return self.topics[name]
+
+    def message_type(self, topic: str) -> MessageType:
+        """
+        Return the type of a topic's messages.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic, or its messages cannot be decoded.
+        """
+        problem = self.topic(topic).problem
+        if problem:
+            raise BagError(f'topic {topic} cannot be decoded: {problem}')
+        return self._types[topic]
+
+    def extractor(self, topic: str, fields: Sequence[FieldPath]) -> Extractor:
+        """
+        Return a function: raw message -> (header stamp [ns] or None, scalars of the fields).
+
+        It raises `DecodeError` (a ValueError) for a message that does not hold them.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic or field, or a field is not a number.
+        """
+        try:
+            return Extractor(self.message_type(topic), fields)
+        except FieldError as error:
+            raise BagError(f'topic {topic}: {error}') from None
+
+    def bind(self, topic: str, path: FieldPath) -> FieldPath:
+        """
+        Close the open ranges of a field (`effort[:]`) by the first message that has elements.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic or field, or no message with elements.
+        """
+        kind = self.message_type(topic)
+        reason: Exception | str = 'there is no message'
+        try:
+            if not path.is_open:
+                Extractor(kind, [path])
+                return path
+            with closing(self._stream_of(topic)) as messages:
+                for message in messages:
+                    try:
+                        return bind(kind, path, message.raw)
+                    except DecodeError as error:
+                        reason = error
+        except FieldError as error:
+            raise BagError(f'topic {topic}: {error}') from None
+        raise BagError(f'topic {topic}: the length of `{path}` is not known: {reason}')
+
+    def scalar_fields(self, topic: str, most: int = 64) -> list[FieldPath]:
+        """
+        List the scalars of a topic that could be signals, by its first message.
+
+        Parameters
+        ----------
+        topic : str
+        most : int
+            Longer arrays of numbers are left out.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic, or its messages cannot be decoded.
+        """
+        kind = self.message_type(topic)
+        with closing(self._stream_of(topic)) as messages:
+            for message in messages:
+                try:
+                    return scalar_fields(kind, message.raw, most=most)
+                except DecodeError:
+                    continue
+        return scalar_fields(kind, None, most=most)
+
+    def close(self) -> None:
+        """Close files and remove temporary ones."""
+        self._resources.close()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def _note(self, text: str) -> None:
+        self._notes[text] = None
+
+    def _stream_of(self, topic: str) -> Generator[BagMessage, None, None]:
+        yield from self.messages([topic])
+
+    def _stream(self, recording: Recording, names: Mapping[int, str]
+                ) -> Generator[BagMessage, None, None]:
+        unpack: Callable[[Payload], Payload] | None = None
+        first = True
+        try:
+            for log_ns, publish_ns, number, raw in recording.rows(names, self._note):
+                if first:  # rosbag2 compresses all messages of a file, or none
+                    first = False
+                    unpack = unpack_message if raw[:4] == ZSTD_MAGIC else None
+                yield BagMessage(names[number], log_ns, publish_ns,
+                                 unpack(raw) if unpack else raw)
+        except OSError as error:
+            raise BagError(f'reading stopped: {error}') from error
+
+
+def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> Bag:
+    """
+    Open a bag.
+
+    Parameters
+    ----------
+    path : path or several
+        A file (.mcap, .db3, .bag, packed with zstd or not), a folder with such files
+        (metadata.yaml is not needed), or several of both, to be read as one bag merged by time.
+
+    Raises
+    ------
+    BagError
+        If there is no bag, or it is damaged beyond use; the message says which and why.
+    """
+    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
+    if not paths:
+        raise BagError('no bag was named')
+    notes: list[str] = []
+    recordings: dict[Path, Recording] = {}
+    with ExitStack() as resources:
+        for given in map(Path, paths):
+            try:
+                _open_one(given.expanduser(), recordings, notes, resources)
+            except BagError:
+                raise
+            except PermissionError as error:
+                raise BagError(f'{error.filename or given}: permission denied; check its owner '
+                               'and mode with `ls -ld`') from error
+            except OSError as error:
+                raise BagError(f'{given}: {error.strerror or error}') from error
+        return Bag(tuple(recordings.values()), notes, resources.pop_all())
+
+
+def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],
+              resources: ExitStack) -> None:
+    """Add the recordings of one path; in a folder, single unusable files are noted."""
+    found = find_files(path)
+    notes += found.notes
+    unusable: list[BagError] = []
+    count = 0
+    for file in found.files:
+        try:
+            recording = recordings[file.resolve()] = scan_file(file, resources)
+            notes += recording.notes
+            count += recording.count
+        except BagError as error:
+            unusable.append(error)
+    if len(unusable) == len(found.files):
+        raise unusable[0]
+    notes += [f'skipped: {error}' for error in unusable]
+    if found.stated not in (None, count):
+        notes.append(f'{path.name}: metadata.yaml states {found.stated} messages, {count} are '
+                     'there')

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which files a path stands for, and what each of them is, judged by content, not by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+import difflib
+from pathlib import Path
+import shutil
+import tempfile
+
+import yaml
+import zstandard
+
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings import mcap_file as bag_mcap
+from ctsid_ros.recordings import ros1_file as bag_ros1
+from ctsid_ros.recordings import sqlite_file as bag_sqlite
+from ctsid_ros.recordings.recording import Payload, Recording
+
+SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.bag', '.bag.active')
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+Scan = Callable[[Path, ExitStack], Recording]
+SCANS: dict[bytes, Scan] = {bag_mcap.MAGIC: bag_mcap.scan_mcap,
+                            bag_sqlite.MAGIC: bag_sqlite.scan_sqlite,
+                            bag_ros1.MAGIC: bag_ros1.scan_ros1}
+LOOKS = {b'ULog': 'a PX4 ULog', b'\x1f\x8b': 'a gzip archive (unpack it first)',
+         b'PK\3\4': 'a zip archive (unpack it first)', b'BZh': 'a bzip2 archive (unpack it first)',
+         b'\xfd7zXZ': 'an xz archive (unpack it first)', b'\x89HDF': 'an HDF5 file',
+         b'MATLAB': 'a MATLAB file', b'\x93NUMPY': 'a NumPy array', b'\x7fELF': 'a program',
+         b'\x89PNG': 'a picture', b'\xff\xd8\xff': 'a picture', b'%PDF': 'a PDF',
+         b'\xa3\x95': 'an ArduPilot log', b'PAR1': 'a Parquet file',
+         b'rosbag2_bagfile_information': 'the metadata.yaml of a bag (give its folder)'}
+
+
+@dataclass(frozen=True)
+class Found:
+    """
+    The files of one bag.
+
+    Parameters
+    ----------
+    files : tuple of Path
+    notes : tuple of str
+        What is odd about the folder.
+    stated : int or None
+        Number of messages that its metadata.yaml states.
+    """
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+    stated: int | None = None
+
+
+def find_files(path: Path) -> Found:
+    """
+    Return the bag files that a path stands for.
+
+    Raises
+    ------
+    BagError
+        If there is no such file or folder, or no bag file in the folder.
+    """
+    if path.is_file():
+        return Found((path,))
+    if not path.exists():
+        raise BagError(f'{path}: no such file or folder' + _near(path))
+    if not path.is_dir():
+        raise BagError(f'{path} is neither a file nor a folder')
+    present = {p.name: p for p in sorted(path.iterdir())
+               if p.name.endswith(SUFFIXES) and p.is_file()}
+    # `ros2 bag play` leaves the unpacked file beside the packed one: the same messages twice.
+    files = {name: p for name, p in present.items()
+             if name.removesuffix('.zstd') == name or name.removesuffix('.zstd') not in present}
+    listed, stated, notes = _metadata(path)
+    absent = [name for name in listed
+              if name not in present and name.removesuffix('.zstd') not in present]
+    more = [name for name in files if name not in listed and f'{name}.zstd' not in listed]
+    if absent:
+        notes.append(f'{path.name}: metadata.yaml lists files that are not there: '
+                     + ', '.join(absent))
+    if listed and more:
+        notes.append(f'{path.name}: read as well, though metadata.yaml does not list them: '
+                     + ', '.join(more))
+    if not files:
+        raise BagError(f'{path}: no bag file ({", ".join(SUFFIXES)}) in this folder'
+                       + _inner(path))
+    return Found(tuple(files.values()), tuple(notes), None if more or absent else stated)
+
+
+def scan_file(path: Path, resources: ExitStack) -> Recording:
+    """
+    Read what a bag file of any kind contains.
+
+    Raises
+    ------
+    BagError
+        If it is empty, not a bag, or damaged beyond use.
+    """
+    if not path.is_file():
+        raise BagError(f'{path} is not a regular file')
+    with path.open('rb') as file:
+        start = file.read(512)
+    if not start:
+        raise BagError(f'{path} is empty (0 bytes): nothing was recorded, or nothing was copied')
+    if start.startswith(ZSTD_MAGIC):
+        unpacked = _unpack(path, resources)
+        try:
+            return scan_file(unpacked, resources)
+        except BagError as error:
+            raise BagError(str(error).replace(str(unpacked), f'{path} (unpacked)')) from None
+    for magic, scan in SCANS.items():
+        if start.startswith(magic):
+            return scan(path, resources)
+    raise BagError(f'{path} is not a bag: it looks like {_look(start)}; ctsid reads rosbag2 '
+                   '(.mcap, .db3) and ROS 1 (.bag)')
+
+
+def unpack_message(raw: Payload) -> Payload:
+    """Decompress a message of a bag whose messages are packed one by one."""
+    try:
+        return zstandard.ZstdDecompressor().decompressobj().decompress(raw)
+    except zstandard.ZstdError:
+        return raw  # it will not decode either, and is counted then
+
+
+def _metadata(folder: Path) -> tuple[list[str], int | None, list[str]]:
+    """Return file names and message count of metadata.yaml, as far as it can be read."""
+    path = folder / 'metadata.yaml'
+    if not path.is_file():
+        return [], None, []
+    try:
+        stated = yaml.safe_load(path.read_text('utf-8'))['rosbag2_bagfile_information']
+        names = [Path(name).name for name in stated['relative_file_paths']]
+        return names, int(stated['message_count']), []
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        return [], None, [f'{folder.name}: metadata.yaml is not usable '
+                          f'({type(error).__name__}) and not needed']
+
+
+def _unpack(path: Path, resources: ExitStack) -> Path:
+    """Decompress a file into a temporary folder; as much of it as is there."""
+    folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix='ctsid-')))
+    target = folder / (path.name.removesuffix('.zstd') if path.suffix == '.zstd' else path.name)
+    with path.open('rb') as packed, target.open('wb') as file:
+        try:
+            unpacker = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+            with unpacker:
+                shutil.copyfileobj(unpacker, file)
+        except zstandard.ZstdError:
+            pass  # the scan of what came out will tell
+        except OSError as error:
+            raise BagError(f'{path} cannot be unpacked to {folder}: {error.strerror}; set TMPDIR '
+                           'to a folder with more space') from error
+    return target
+
+
+def _near(path: Path) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        return f'; the folder {folder} does not exist either'
+    names = [p.name for p in folder.iterdir()]
+    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.5)
+    near += [name for name in names if name.startswith(f'{path.name}.') and name not in near]
+    return f'; nearest: {", ".join(near)}' if near else ''
+
+
+def _inner(folder: Path) -> str:
+    inner = sorted({p.parent.name for p in folder.glob('*/*') if p.name.endswith(SUFFIXES)})
+    return f'; there are bags in its subfolders {", ".join(inner[:5])}' if inner else ''
+
+
+def _look(start: bytes) -> str:
+    for magic, look in LOOKS.items():
+        if start.startswith(magic):
+            return look
+    if b'ustar' in start[257:265]:
+        return 'a tar archive (unpack it first)'
+    if not start.strip(b'\0'):
+        return 'zeros only: a recording whose data never reached the disk'
+    try:
+        text = start.decode('utf-8', errors='strict')
+    except UnicodeDecodeError as error:
+        if error.start < len(start) - 4:
+            return f'binary data ({start[:4].hex(" ")} ...)'
+        text = start[:error.start].decode('utf-8')
+    return f'text ({text.splitlines()[0][:40]!r} ...)' if text.isprintable() or '\n' in text \
+        else f'binary data ({start[:4].hex(" ")} ...)'

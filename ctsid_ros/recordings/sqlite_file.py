@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+rosbag2 files in SQLite (.db3), of any schema version, sound or cut off.
+
+A file left behind by a crash may have its last messages in a write-ahead log beside it, which is
+then read as well. A cut-off file is malformed for SQLite; filled up with zeros to the size its
+header states, it gives up every message before the first missing page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
+import io
+from pathlib import Path
+import shutil
+import sqlite3
+import tempfile
+from typing import BinaryIO
+
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.recording import Connection, Note, Recording, Row
+
+MAGIC = b'SQLite format 3\0'
+TABLES = {
+    'topics': ('id', 'name', 'type', 'serialization_format'),
+    'messages': ('id', 'topic_id', 'timestamp', 'data'),
+    'message_definitions': ('topic_type', 'encoding', 'encoded_message_definition'),
+}
+# A damaged schema may even come with an error message that is not UTF-8.
+DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
+SOUND = "typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"  # columns can hold anything
+
+
+def scan_sqlite(path: Path, resources: ExitStack) -> Recording:
+    """
+    Read what an SQLite file contains.
+
+    Raises
+    ------
+    BagError
+        If it is not one of rosbag2, or nothing of it can be read.
+    """
+    database = _connect(path, resources)
+    try:
+        return _recording(path, database, ())
+    except DAMAGE as error:
+        salvaged, count = _salvage(path, resources, error)
+        note = f'{path.name}: truncated: {count} messages recovered ({error})'
+        return _recording(path, salvaged, (note,))
+
+
+def _connect(path: Path, resources: ExitStack) -> sqlite3.Connection:
+    """Open a file for reading; without touching its folder unless a write-ahead log is there."""
+    log = path.with_name(path.name + '-wal')
+    mode = 'mode=ro' if log.exists() and log.stat().st_size else 'immutable=1'
+    database = sqlite3.connect(f'{path.resolve().as_uri()}?{mode}', uri=True,
+                               check_same_thread=False)
+    database.text_factory = _text
+    resources.callback(database.close)
+    return database
+
+
+def _text(stored: bytes) -> str:
+    return stored.decode(errors='replace')
+
+
+def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...]) -> Recording:
+    present = {name for name, in database.execute('SELECT name FROM sqlite_master')}
+    if not {'topics', 'messages'} <= present:
+        raise BagError(f'{path} is an SQLite database, but not a bag: its tables are '
+                       f'{", ".join(sorted(present)) or "none"}')
+    spans = {topic: (count, first, last) for topic, count, first, last in database.execute(
+        f'SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages WHERE {SOUND} '
+        'GROUP BY topic_id')}
+    definitions = _definitions(database) if 'message_definitions' in present else {}
+    connections = tuple(
+        Connection(number, topic, kind, encoding, *definitions.get(kind, ('', '')),
+                   spans.get(number, (0,))[0])
+        for number, topic, kind, encoding in database.execute(
+            f'SELECT {", ".join(TABLES["topics"])} FROM topics')
+        if all(isinstance(text, str) for text in (topic, kind, encoding)))
+
+    def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
+        return _rows(path, database, wanted, note)
+
+    known = [spans[c.id] for c in connections if c.id in spans]
+    return Recording(connections, min((s[1] for s in known), default=0),
+                     max((s[2] for s in known), default=0), rows, notes)
+
+
+def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    columns = ', '.join(TABLES['message_definitions'])
+    return {kind: (str(encoding), str(text)) for kind, encoding, text in database.execute(
+        f'SELECT {columns} FROM message_definitions')}
+
+
+def _rows(path: Path, database: sqlite3.Connection, wanted: Collection[int], note: Note
+          ) -> Iterator[Row]:
+    marks = ', '.join('?' * len(wanted))
+    query = (f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
+             f'AND {SOUND} ORDER BY timestamp, id')
+    given = 0
+    try:
+        for log_ns, topic, data in database.execute(query, tuple(wanted)):
+            given += 1
+            yield log_ns, log_ns, topic, data
+    except DAMAGE as error:
+        note(f'{path.name}: damaged: {given} messages read, the rest is lost ({error})')
+
+
+def _salvage(path: Path, resources: ExitStack, error: Exception
+             ) -> tuple[sqlite3.Connection, int]:
+    """Copy into a new database what can be read of a malformed one."""
+    folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix='ctsid-')))
+    copy = folder / 'damaged.db3'
+    _fill_up(path, copy)
+    damaged = _connect(copy, resources)
+    new = sqlite3.connect(folder / 'salvaged.db3', check_same_thread=False)
+    resources.callback(new.close)
+    new.executescript('PRAGMA synchronous = OFF; PRAGMA journal_mode = OFF')  # quick, temporary
+    for table, columns in TABLES.items():
+        new.execute(f'CREATE TABLE {table} ({", ".join(columns)})')
+        _copy_rows(damaged, new, table, columns)
+    new.execute('CREATE INDEX by_time ON messages (timestamp)')
+    new.commit()
+    (count,) = new.execute('SELECT COUNT(*) FROM messages').fetchone()
+    if not count:
+        raise BagError(f'{path}: the database is damaged ({error}) and no message can be '
+                       'recovered; try `sqlite3 FILE .recover`')
+    return new, count
+
+
+def _fill_up(path: Path, copy: Path) -> None:
+    """Copy a file without its last, half-written page, filled with zeros to its stated size."""
+    shutil.copyfile(path, copy)
+    with copy.open('r+b') as file:
+        header = file.read(100).ljust(100, b'\0')
+        page = int.from_bytes(header[16:18], 'big')
+        page = 65536 if page == 1 else max(page, 512)
+        whole = _end_of_data(file) // page * page
+        file.truncate(whole)
+        file.truncate(max(whole, page * int.from_bytes(header[28:32], 'big')))
+
+
+def _end_of_data(file: BinaryIO) -> int:
+    """Return the size of a file without the zeros at its end."""
+    end = file.seek(0, io.SEEK_END)
+    while end > 0:
+        start = max(0, end - (1 << 20))
+        file.seek(start)
+        block = file.read(end - start).rstrip(b'\0')
+        if block:
+            return start + len(block)
+        end = start
+    return 0
+
+
+def _copy_rows(damaged: sqlite3.Connection, new: sqlite3.Connection, table: str,
+               columns: tuple[str, ...]) -> None:
+    marks = ', '.join('?' * len(columns))
+    try:
+        for row in damaged.execute(f'SELECT {", ".join(columns)} FROM {table} ORDER BY rowid'):
+            new.execute(f'INSERT INTO {table} VALUES ({marks})', row)
+    except DAMAGE:
+        return  # no such table, or no further row

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sliding windows along a bag, and the folder of results."""

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sliding windows along a bag: every one identified, and tested on data that it has not seen."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.validation import simulation
+from ctsid_core.sequence.tracking import Tracked, Tracker
+from ctsid_core.signals.record import Record
+from ctsid_ros.config.channels import Config
+from ctsid_ros.errors import BagError
+from ctsid_ros.ingest.ingest import Ingest
+from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.playback import (
+    Advance,
+    Interval,
+    Played,
+    Spans,
+    apart,
+    fit_config,
+    play,
+    read_record,
+    why_nothing,
+)
+
+_LIKE = 1.0  # fits [%] that differ by less are alike
+
+
+@dataclass(frozen=True)
+class Result:
+    """
+    One window along a bag.
+
+    Parameters
+    ----------
+    tracked : Tracked
+        As the node publishes it: the estimate in states that stay along the bag, the rows of its
+        eigenvalues, and how well the model before foretold what is new in this window.
+    next_fit : ndarray, shape (ny,)
+        Simulation fit on the first later window that shares no data with it [%], with the trim
+        of the model; NaN where there is none.
+    """
+
+    tracked: Tracked
+    next_fit: Array
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the window told."""
+        return self.tracked.estimate
+
+    @property
+    def tested(self) -> bool:
+        """Whether it was tested on data of other windows."""
+        return bool(np.isfinite(self.next_fit).any())
+
+
+class Replay:
+    """
+    Sliding windows along a bag: every one of them is identified, none is skipped.
+
+    `run` may be interrupted at any time: `results` and `played` tell how far it came.
+
+    Parameters
+    ----------
+    bag : Bag
+    config : Config
+    interval : Interval, optional
+
+    Attributes
+    ----------
+    results : list of Result
+
+    Raises
+    ------
+    BagError
+        If topics, fields or types are not in the bag.
+    """
+
+    def __init__(self, bag: Bag, config: Config, interval: Interval | None = None) -> None:
+        self._bag, self._interval = bag, interval or Interval()
+        self.config = fit_config(bag, config)
+        self._ingest, self._tracker = Ingest(self.config), Tracker(self.config.settings)
+        self._untested: deque[int] = deque()  # results that wait for data of their own future
+        self.results: list[Result] = []
+
+    @property
+    def played(self) -> Played:
+        """What became of the messages so far."""
+        return Played(self.config, self._ingest.counts(), tuple(self._ingest.report()))
+
+    @property
+    def best(self) -> int | None:
+        """The number of the result to keep, see `best_of`; None if no model was accepted."""
+        return best_of(self.results)
+
+    def run(self, advance: Advance | None = None) -> None:
+        """
+        Play the interval to its end.
+
+        Raises
+        ------
+        BagError
+            If the bag cannot be read on, or there is no window because a channel is missing, the
+            channels do not overlap, or the window is longer than the data.
+        """
+        fraction = 0.0
+
+        def moved(now: float, _: str) -> None:
+            nonlocal fraction
+            fraction = now
+            if advance:
+                advance(now, self._news())
+
+        spans: Spans = {}
+        for record in self._windows(self._ingest, moved, spans):
+            self._take(record)
+            moved(fraction, '')
+        if self.best is None and apart(spans):
+            raise BagError(why_nothing(self._bag, self.config, self._ingest, spans,
+                                        self.played.complaints))
+        if not self.results:
+            raise BagError(self._why_no_window())
+
+    def record(self, number: int) -> Record:
+        """
+        Return the data of a result, read anew: they are not kept, for bags are long.
+
+        Raises
+        ------
+        BagError
+            If the bag cannot be read again.
+        """
+        windows = self._windows(Ingest(self.config), None, None)
+        return next(islice(windows, number, None))
+
+    def _windows(self, ingest: Ingest, advance: Advance | None, spans: Spans | None
+                 ) -> Iterator[Record]:
+        for _ in play(self._bag, ingest, self._interval, advance, spans):
+            yield from ingest.due()
+        yield from ingest.flush()
+
+    def _take(self, record: Record) -> None:
+        start_ns = record.epoch_ns + round(record.start * 1e9)
+        while self._untested and self.results[self._untested[0]].estimate.end_ns <= start_ns:
+            self._test(self._untested.popleft(), record)
+        tracked = self._tracker.take(record)
+        self.results.append(Result(tracked, np.full(record.ny, np.nan)))
+        if tracked.estimate.ok:
+            self._untested.append(len(self.results) - 1)
+
+    def _test(self, number: int, record: Record) -> None:
+        result = self.results[number]
+        assert result.estimate.model is not None
+        self.results[number] = replace(
+            result, next_fit=simulation(result.estimate.model, record).fit)
+
+    def _news(self) -> str:
+        if not self.results:
+            return 'no window yet'
+        last = self.results[-1].estimate
+        fit = ', '.join(f'{value:.1f}' for value in last.fit)
+        count = f'{len(self.results)} window{"s" if len(self.results) > 1 else ""}'
+        return f'{count}, fit {fit} %, {last.verdict.grade.name}' if last.ok else \
+            f'{count}, {last.status.name}'
+
+    def _why_no_window(self) -> str:
+        length = self.config.settings.window_length
+        recorded = read_record(self._bag, self.config, self._interval)
+        return '\n'.join([
+            f'no window of {length:g} s fits into the data, in which all channels are known for '
+            f'{recorded.record.duration:.3g} s; lower `window.length`, or make one model of the '
+            'whole interval with `ctsid identify`', *self.played.complaints])
+
+
+def best_of(results: Sequence[Result]) -> int | None:
+    """
+    Return the number of the model to keep; None if none was accepted.
+
+    Of the GOOD ones, if there are any; of those that explain unseen data nearly as well as any
+    (the windows they were tested on differ, so that the last percent means nothing), the one with
+    the fewest states; of these the one that explains them best.
+    """
+    accepted = [(i, r, r.estimate.model.n) for i, r in enumerate(results) if r.estimate.model]
+    accepted = [entry for entry in accepted if entry[1].estimate.good] or accepted
+    tested = [entry for entry in accepted if entry[1].tested] or accepted
+    if not tested:
+        return None
+    top = max(_merit(r) for _, r, _ in tested)
+    close = [(n, -_merit(r), i) for i, r, n in tested if _merit(r) >= top - _LIKE]
+    return min(close)[2]
+
+
+def _merit(result: Result) -> float:
+    """Return the mean fit on data that the model has not seen, as far as there are any [%]."""
+    for values in (result.next_fit, result.estimate.held_out_fit, result.estimate.fit):
+        if np.isfinite(values).any():
+            return float(np.nanmean(np.maximum(values, -1e3)))
+    return -1e3

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of results, and what a model file says of where the model comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+import hashlib
+from pathlib import Path
+import re
+
+from ctsid_core.errors import SettingsError, StorageError
+from ctsid_core.model.storage import write_file
+from ctsid_core.settings import Settings
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.config.origin import described, package_version
+
+MODEL, SERIES, TABLE = 'model.json', 'estimates.npz', 'estimates.csv'
+REPORT, PAGE = 'report.md', 'report.html'
+_HASHED = 2**28  # bytes: larger bags are named, but not hashed
+_SUFFIXES = re.compile(r'(\.(mcap|db3|bag|zstd|active))+$')
+
+
+def make_folder(out: str | None, bags: Sequence[str], method: str, *, force: bool) -> Path:
+    """
+    Make the folder of results.
+
+    Parameters
+    ----------
+    out : str or None
+        Its path; None for `results/<bag>-<method>-<UTC>`.
+    bags : sequence of str
+    method : str
+    force : bool
+        Whether it may exist: then only the files of ctsid in it are replaced.
+
+    Raises
+    ------
+    StorageError
+        If it exists, or cannot be made or written to.
+    """
+    if out is None:
+        stamp = datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')
+        folder = Path('results') / f'{bag_name(bags)}-{method}-{stamp}'
+        twin = 2
+        while folder.exists():  # made within the same second
+            folder = folder.with_name(f'{bag_name(bags)}-{method}-{stamp}-{twin}')
+            twin += 1
+    else:
+        folder = Path(out).expanduser()
+    if folder.exists() and not folder.is_dir():
+        raise StorageError(f'{folder} is a file, but a folder is wanted; choose another with '
+                           '--out')
+    if folder.exists() and not force:
+        raise StorageError(f'{folder} exists already; choose another folder with --out, or add '
+                           '--force to replace the results in it')
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        trial = folder / '.writable'
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise StorageError(f'{folder} cannot be written to ({error.strerror}); choose another '
+                           'folder with --out') from error
+    return folder
+
+
+@contextmanager
+def results_folder(out: str | None, bags: Sequence[str], method: str, *, force: bool
+                   ) -> Iterator[Path]:
+    """Give the folder of results, as `make_folder`; removed again if nothing came into it."""
+    folder = make_folder(out, bags, method, force=force)
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):  # not empty
+            folder.rmdir()
+
+
+def write_results(folder: Path, contents: Mapping[str, str]) -> None:
+    """
+    Write texts by file name; results of an earlier run that have no successor are removed.
+
+    Raises
+    ------
+    StorageError
+        If a file cannot be written.
+    """
+    for name in (MODEL, SERIES, TABLE, REPORT, PAGE):
+        with suppress(OSError):
+            (folder / name).unlink()
+    for name, text in contents.items():
+        write_file(folder / name, text.encode(), force=True)
+
+
+def bag_name(bags: Sequence[str]) -> str:
+    """Return a short name of a bag for people: that of its file or folder."""
+    name = Path(bags[0]).expanduser().resolve().name
+    return _SUFFIXES.sub('', name) or name or 'bag'
+
+
+def origin(config: Config, bags: Sequence[str], interval: Mapping[str, object],
+           records: Sequence[Mapping[str, object]] = ()) -> dict[str, object]:
+    """Return what a model file keeps of where the model comes from; of several records, each."""
+    return {'ctsid': package_version(), 'bag': [Path(b).name for b in bags],
+            'sha256': _hash(bags), 'interval': dict(interval),
+            **({'records': [dict(r) for r in records]} if records else {}),
+            'channels': described(config)}
+
+
+def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> Config:
+    """
+    Return the channels that a model file names.
+
+    Raises
+    ------
+    StorageError
+        If it names none, or they are not valid.
+    """
+    listed = metadata.get('channels')
+    if not isinstance(listed, list) or not listed:
+        raise StorageError(f'{path} does not say which topics and fields its channels are; give '
+                           'them with --params')
+    try:
+        return Config(tuple(Channel(**channel) for channel in listed),
+                      settings.replace(delay='auto'))
+    except (TypeError, SettingsError) as error:
+        raise StorageError(f'{path}: `metadata.channels` is not usable ({error}); give --params'
+                           ) from error
+
+
+def _hash(bags: Sequence[str]) -> str | None:
+    """Return the SHA-256 of all files of a bag in the order of their names, if it is small."""
+    files = [f for bag in map(Path, bags) for f in
+             (sorted(p for p in bag.iterdir() if p.is_file()) if bag.is_dir() else [bag])]
+    if sum(f.stat().st_size for f in files) > _HASHED:
+        return None
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which experiment is missing, in tables and words."""
+
+from __future__ import annotations
+
+import math
+
+from ctsid_core.advice.advice import Advice, PoleAdvice
+from ctsid_core.advice.forecast import Band
+from ctsid_ros.report.document import Bullets, Section
+from ctsid_ros.report.tables import Table, number, pole_text
+
+
+def experiment_section(advice: Advice, *, brief: bool = True) -> Section:
+    """Return what would make the model more accurate, as sentences."""
+    return Section('Which experiment would help', (Bullets(advice.sentences),), brief=brief)
+
+
+def accuracy_section(advice: Advice) -> Section:
+    """Return how well poles are known, and what it takes to know them as wanted."""
+    rows = tuple((pole_text(p.pole, 3), number(p.std, 2), number(p.wanted, 2),
+                  _times(p.longer), _times(p.larger), *_best(p)) for p in advice.poles)
+    head = ('pole [rad/s]', 'std', 'wanted', 'longer', 'larger input', 'or excite', 'for [s]')
+    return Section('Accuracy of the poles, now and wanted', (Table(head, rows, head[5:6]),)
+                   if rows else ())
+
+
+def _times(factor: float) -> str:
+    return '-' if factor <= 1.0 else 'never' if math.isinf(factor) else f'x {number(factor, 3)}'
+
+
+def _best(p: PoleAdvice) -> tuple[str, str]:
+    if p.std <= p.wanted or math.isinf(p.enough):
+        return ('-', '-')
+    band = p.bands[0]
+    return f'{band.input}, {_hertz(band)} Hz', number(p.enough, 2)
+
+
+def _hertz(band: Band) -> str:
+    return f'{number(band.low / (2 * math.pi), 2)} to {number(band.high / (2 * math.pi), 2)}'
+
+
+def band_section(advice: Advice) -> Section:
+    """Return what further excitation of each input in each band would do to each pole."""
+    if not advice.poles:
+        return Section('', ())
+    first = sorted(advice.poles[0].bands, key=lambda b: (b.input, b.low))
+    ratios = [{(b.input, b.low): b.ratio for b in p.bands} for p in advice.poles]
+    rows = tuple((b.input, _hertz(b), number(100 * b.share, 2),
+                  *(f'/ {number(1 / r[b.input, b.low], 3)}' for r in ratios)) for b in first)
+    head = ('input', 'band [Hz]', 'of its power now [%]',
+            *(pole_text(p.pole, 3) for p in advice.poles))
+    return Section(f'Standard deviations after {advice.seconds:g} s more in one band', (
+        'With the size that the input has now, all of it in this band.',
+        Table(head, rows, head[:1])))

@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sections of a report: the same words on the terminal, in report.md and in report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import math
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.covariance import Covariance, gain_deviation
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import ResidualTests, Validation
+from ctsid_core.model.verdict import Grade
+from ctsid_ros.config.channels import Channel
+from ctsid_ros.recordings.playback import Played
+from ctsid_ros.replay.replay import Result
+from ctsid_ros.report.document import Bullets, Section
+from ctsid_ros.report.figures import (
+    bode_figures,
+    frequencies,
+    label,
+    response_of,
+    response_std,
+    supported_band,
+)
+from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
+from ctsid_ros.report.tracks import Mode, match, modes, modes_of
+
+_MOST_ROWS = 40  # of the table of windows
+_MOST_MODES = 4  # in a row of it
+_NEAR_TRUTH = 3.0  # standard deviations
+
+
+def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float]]) -> Section:
+    """
+    Return the records that were identified together: bag, from and to [s], and how they fit.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    records : sequence of (str, float, float)
+        Of each record: its bag, and start and end after the start of the bag [s].
+    """
+    shares, rows = {r.number: r for r in estimate.records}, []
+    for index, (bag, start, end) in enumerate(records, 1):
+        own = shares.get(index)
+        rows.append((str(index), bag, f'{start:.1f}', f'{end:.1f}',
+                     _fits(own.fit) if own else '-',
+                     number(1.0 / own.weight, 2) if own else 'left out'))
+    head = ('record', 'bag', 'from [s]', 'to [s]', 'fit [%]', 'noise')
+    words = [] if not shares else [
+        'One plant, of each record a trim and initial state of its own. The trim of the model is '
+        'that of the record that ends last. Noise: its amplitude relative to that of all.']
+    return Section('Records', (*words, Table(head, tuple(rows), ('bag',))))
+
+
+def channel_section(played: Played, title: str = 'Signals', *, brief: bool = True) -> Section:
+    """Return which signals were used, and where their stamps came from."""
+    rows = []
+    for c in played.config.channels:
+        counts = played.counts.channels[c.name]
+        rows.append((c.role, label(c.name, c.unit), c.topic, c.field, c.hold,
+                     _delay(c) if c.role == 'input' else '',
+                     counts.source, str(counts.samples.accepted)))
+    head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
+    why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'
+           for name, counts in played.counts.channels.items() if counts.why.endswith('no header')]
+    return Section(title, (Table(head, tuple(rows), head[:5] + head[6:7]),
+                           *([Bullets(tuple(why))] if why else [])), brief=brief)
+
+
+def complaint_section(notes: Sequence[str]) -> Section:
+    """Return what is not as it should be with the data."""
+    unique = tuple(dict.fromkeys(notes))
+    return Section('Notes on the data', (Bullets(unique),) if unique else ())
+
+
+def choice_section(estimate: Estimate, *, brief: bool = False) -> Section:
+    """Return what was chosen from the data, and why."""
+    lines = tuple(f'`{c.name}` = {_value(c.value)}: {c.why}' for c in estimate.choices)
+    return Section('Chosen from the data', (Bullets(lines),) if lines else (), brief=brief)
+
+
+def _value(value: object) -> str:
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def mode_table(found: Sequence[Mode]) -> Table:
+    """Return poles with all that engineers ask of them."""
+    rows = tuple((pole_text(m.pole), number(m.std, 2), plus_minus(m.frequency, m.frequency_std),
+                  number(m.frequency / (2 * math.pi), 3), plus_minus(m.damping, m.damping_std, 3),
+                  number(1 / abs(m.pole.real), 3) if m.pole.real else '-')
+                 for m in found)
+    return Table(('pole [rad/s]', 'std', 'natural freq. [rad/s]', '[Hz]', 'damping',
+                  'time constant [s]'), rows)
+
+
+def model_section(estimate: Estimate, title: str) -> Section:
+    """Return a model, accepted or rejected, with its poles, fits and gains."""
+    model = estimate.model or estimate.rejected_model
+    parts: list[str | Table | Bullets] = [verdict_text(estimate)]
+    if estimate.verdict.agreement is not None:
+        parts.append(f'Cross-check: {estimate.verdict.agreement.words}')
+    if model is None:
+        return Section(title, tuple(parts))
+    if not estimate.ok:
+        parts.append(f'NOT ACCEPTED ({estimate.status.name}). What was computed all the same, to '
+                     'look at:')
+    words = f'{model.n} state{"s" if model.n > 1 else ""}, {"with" if model.D.any() else "no"} ' \
+            'direct feedthrough'
+    if any(model.delay):
+        words += f', dead time {_dead_times(estimate, model)} s'
+    return Section(title, (*parts, f'{words}.', mode_table(modes_of(estimate)),
+                           *verdict_tables(estimate, model), fit_table(estimate, model)))
+
+
+def verdict_text(estimate: Estimate) -> str:
+    """Return the verdict in words."""
+    return f'{estimate.verdict.grade.name}. {estimate.verdict.reason}'
+
+
+def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
+    """Return the numbers behind the verdict."""
+    verdict = estimate.verdict
+    inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
+                    percent(100 * x.own), percent(100 * x.uncertainty))
+                   for x in verdict.excitation)
+    columns = (100 * verdict.missing, verdict.whiteness, verdict.next_ratio, verdict.fresh_ratio)
+    outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
+                    for i, name in enumerate(model.output_names))
+    tables = [Table(('input', 'excites from [rad/s]', 'to [rad/s]', 'frequencies',
+                     'by itself [%]', 'response known to [%]'), inputs, ('input',))]
+    tables.append(Table(('output', 'missing [%]', 'white (p)', 'unseen / own error',
+                         'fresh / own'), outputs, ('output',)))
+    return tables if inputs else []
+
+
+def _delay(channel: Channel) -> str:
+    return channel.delay if isinstance(channel.delay, str) else number(channel.delay, 3)
+
+
+def _dead_times(estimate: Estimate, model: StateSpace) -> str:
+    std = estimate.delay_std if len(estimate.delay_std) == model.nu else np.zeros(model.nu)
+    return ', '.join(f'{d:.4g}' + (f' +- {s:.2g}' if s > 0.0 else '')
+                     for d, s in zip(model.delay, std, strict=True))
+
+
+def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
+    """Return the fits of each output [%]; `more` columns by name."""
+    columns = {'fit [%]': estimate.fit, 'held-out fit [%]': estimate.held_out_fit}
+    columns |= {name.replace('_', ' ') + ' [%]': values for name, values in more.items()}
+    rows = tuple((name, *(percent(v[i]) if i < len(v) else '-' for v in columns.values()))
+                 for i, name in enumerate(model.output_names))
+    return Table(('output', *columns), rows, ('output',))
+
+
+def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Section:
+    """Return the steady gains, where they mean something, with their standard deviations."""
+    if not (model.poles.real < 0).all():
+        return Section('', ())
+    gain = model.dc_gain
+    std = np.full_like(gain, np.nan) if covariance is None else gain_deviation(covariance, model)
+    rows = tuple((label(y, model.output_units[i]),
+                  *(plus_minus(gain[i, j], std[i, j]) for j in range(model.nu)))
+                 for i, y in enumerate(model.output_names))
+    heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
+    return Section('Steady gain: output per input', (Table(('output', *heads), rows,
+                                                           ('output',)),))
+
+
+def bode_section(model: StateSpace, points: int = 13,
+                 covariance: Covariance | None = None) -> Section:
+    """Return the frequency response as a table, with its standard deviations."""
+    omega = frequencies(model, count=points)
+    std = response_std(model, omega, covariance)
+    columns: dict[str, list[str]] = {}
+    for i, y in enumerate(model.output_names):
+        for j, u in enumerate(model.input_names):
+            gain, phase = response_of(model, omega, i, j)
+            columns[f'{u} → {y} [dB]'] = _with_std(gain, std[0][:, i, j])
+            columns[f'[deg]{" " * len(columns)}'] = _with_std(phase, std[1][:, i, j])
+    head = ('frequency [rad/s]', '[Hz]', *columns)
+    rows = tuple((number(w), number(w / (2 * math.pi), 3),
+                  *(v[k] for v in columns.values())) for k, w in enumerate(omega))
+    return Section('Frequency response in numbers', (Table(head, rows),))
+
+
+def _with_std(values: Array, std: Array) -> list[str]:
+    """Return values with one decimal, and their deviations with two digits."""
+    return ['-' if not math.isfinite(v) else f'{v:.1f}' if math.isnan(s) else
+            f'{v:.{_decimals(s)}f} ± {number(s, 2)}' for v, s in zip(values, std, strict=True)]
+
+
+def _decimals(std: float) -> int:
+    """Return how many decimals belong beside a deviation of two digits."""
+    return min(max(1 - math.floor(math.log10(std)), 1), 4) if 0 < std < math.inf else 1
+
+
+def response_section(model: StateSpace, found: Validation, truth: StateSpace | None,
+                     covariance: Covariance | None = None) -> Section:
+    """Return the Bode diagrams; shaded where the data of a simulation support the model."""
+    band = supported_band(found)
+    words = ['Shaded: there the model explains more than half of the power of an output. Beyond, '
+             'it is extrapolation.'] if band else []
+    words += ['The bands around the curves are two standard deviations.'] if covariance else []
+    return Section('Frequency response', (*words, *bode_figures(model, band, truth, covariance)))
+
+
+def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
+    """Return what the residuals still contain."""
+    rows = tuple((y, number(tests.whiteness[i], 2),
+                  *(number(v, 2) for v in tests.independence[i]))
+                 for i, y in enumerate(model.output_names))
+    head = ('output', 'white', *(f'independent of {u}' for u in model.input_names))
+    return Section('What the simulation leaves over', (
+        'p-values: below 0.01 the residuals are not white (gusts and other disturbances colour '
+        'them, which is no fault), or they still know the past of an input (then dynamics from '
+        'that input are missing, or a controller closes a loop).',
+        Table(head, rows, ('output',))), brief=False)
+
+
+def window_section(results: Sequence[Result], start_ns: int, best: int = 0) -> Section:
+    """Return the windows along a bag, thinned where they are many."""
+    rows = [_window_row(index, r, start_ns) for index, r in enumerate(results, 1)]
+    head = ('window', 'from [s]', 'to [s]', 'verdict', 'order', 'fit [%]', 'next fit [%]',
+            'poles of the model [rad/s]')
+    shown = thinned(rows, _MOST_ROWS, best)
+    more = [f'{len(shown)} of {len(rows)} windows are shown; all are in `estimates.csv`.'] \
+        if len(shown) < len(rows) else []
+    return Section('Models along the bag', (Table(head, shown, (head[3], head[-1])), *more))
+
+
+def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
+    estimate = result.estimate
+    span = (f'{(t - start_ns) * 1e-9:.1f}' for t in (estimate.start_ns, estimate.end_ns))
+    found = modes(estimate.model)
+    poles = ',  '.join(pole_text(m.pole, 3) for m in found[:_MOST_MODES]) if estimate.model \
+        else f'none: {estimate.status.name}'
+    poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''
+    order = str(estimate.model.n) if estimate.model else '-'
+    return (str(index), *span, estimate.verdict.grade.name, order, _fits(estimate.fit),
+            _fits(result.next_fit), poles)
+
+
+def _fits(values: Array) -> str:
+    return ' / '.join(percent(v) for v in values) if len(values) else '-'
+
+
+def status_section(results: Sequence[Result]) -> Section:
+    """Return how many windows gave no model, and why."""
+    bad = [r.estimate.status for r in results if not r.estimate.ok]
+    lines = [f'{bad.count(s)} of {len(results)} windows gave no model ({s.name}). {s.value}'
+             for s in Status if s in bad]
+    weak = [r.estimate.verdict.reason for r in results
+            if r.estimate.verdict.grade is Grade.WEAK]
+    if weak:
+        lines.insert(0, f'{len(weak)} of {len(results)} windows gave a WEAK model, such as: '
+                     f'{weak[-1]}')
+    return Section('Windows without a GOOD model', (Bullets(tuple(lines)),) if lines else ())
+
+
+def truth_section(estimate: Estimate, results: Sequence[Result], truth: StateSpace) -> Section:
+    """Return the identified poles beside the true ones, and a closing sentence."""
+    found, true = modes_of(estimate), modes(truth)
+    pairs = match([m.pole for m in true], [m.pole for m in found])
+    every = _nearest_of_all(true, results)
+    rows = []
+    for i, m in enumerate(true):
+        own = found[pairs[i]] if i in pairs else None
+        rows.append((pole_text(m.pole), *_beside(m, own),
+                     *([pole_text(every[i]) if i in every else '-'] if results else [])))
+    head = ('true pole', 'identified', 'its std', 'difference', 'in std',
+            *([f'median of {len(results)} windows'] if results else []))
+    extra = [m for j, m in enumerate(found) if j not in pairs.values()]
+    verdict = _verdict([(m, found[pairs[i]]) for i, m in enumerate(true) if i in pairs], len(true))
+    return Section('Identified beside true poles [rad/s]',
+                   (Table(head, tuple(rows)), *_extra_words(extra), verdict))
+
+
+def _beside(true: Mode, own: Mode | None) -> tuple[str, str, str, str]:
+    if own is None:
+        return ('-',) * 4
+    away = abs(own.pole - true.pole)
+    return pole_text(own.pole), number(own.std, 2), number(away, 2), number(away / own.std, 2) \
+        if own.std > 0 else '-'
+
+
+def _nearest_of_all(true: Sequence[Mode], results: Sequence[Result]) -> dict[int, complex]:
+    """Return the median over all windows of the poles that match each true one."""
+    gathered: dict[int, list[complex]] = {}
+    for result in results:
+        found = modes(result.estimate.model)
+        for i, j in match([m.pole for m in true], [m.pole for m in found]).items():
+            gathered.setdefault(i, []).append(found[j].pole)
+    return {i: complex(np.median(np.real(p)), np.median(np.imag(p)))
+            for i, p in gathered.items()}
+
+
+def _extra_words(extra: Sequence[Mode]) -> list[str]:
+    if not extra:
+        return []
+    listed = join([f'{pole_text(m.pole, 3)} (std {number(m.std, 2)})' for m in extra])
+    return [f'The model has more poles than the truth: {listed}.']
+
+
+def _verdict(pairs: Sequence[tuple[Mode, Mode]], count: int) -> str:
+    known = [abs(own.pole - true.pole) / own.std for true, own in pairs if own.std > 0]
+    if len(pairs) < count or len(known) < count:
+        return f'{len(pairs)} of {count} true poles or pairs have a counterpart in the model.'
+    worst = max(known, default=0.0)
+    if worst <= _NEAR_TRUTH:
+        return (f'All {count} true poles and pairs are found; the farthest is {worst:.1f} of its '
+                'standard deviations from the truth, as chance allows.')
+    return (f'{sum(k <= _NEAR_TRUTH for k in known)} of {count} true poles and pairs are found '
+            f'within {_NEAR_TRUTH:g} standard deviations; the farthest is {worst:.1f} away.')
+
+
+def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Section:
+    """Return what to try next."""
+    lines = tuple(_advice(estimate, test_fit, complaints))
+    return Section('What to try next', (Bullets(lines),) if lines else (), brief=False)
+
+
+def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Iterator[str]:
+    model, settings = estimate.model or estimate.rejected_model, estimate.settings
+    if not estimate.good:
+        yield estimate.verdict.reason
+    if model is None:
+        return
+    unseen = test_fit if np.isfinite(test_fit).any() else estimate.held_out_fit
+    if np.isfinite(unseen).any() and np.nanmax(estimate.fit - unseen) > 15.0:
+        yield ('The model explains its own data far better than unseen data: take a longer '
+               '`window.length` (or interval), or lower `max_order`.')
+    if model.n == settings.max_order:
+        yield f'The order reached `max_order` ({settings.max_order}): raise it.'
+    if any(m.std > abs(m.pole) for m in modes_of(estimate)):
+        yield ('Some poles are hardly determined (std beyond their own size): lower `max_order`, '
+               'or excite the plant around their frequency.')
+    if (model.poles.real > 0).any():
+        yield ('The model is unstable: right for a plant that a controller holds upright; else '
+               'lower `max_order` or take a longer interval.')
+    if not any(model.delay) and model.n > 1:
+        yield ('No dead time was given or found; if commands act late all the same, set the '
+               '`delay` of the input: the model otherwise spends states on it.')
+    if complaints:
+        yield 'Mend what the notes on the data say, or choose an interval without it.'

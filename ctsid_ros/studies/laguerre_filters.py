@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CT-PBSID by Laguerre filters: the older variant, which the projections have replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ctsid_core.bases.records import Joint
+from ctsid_core.settings import Settings
+from ctsid_core.subspace.ct_pbsid import models
+from ctsid_core.subspace.method import Made, Method
+
+
+def by_filtering(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+    """Return the models by Laguerre filters, of every order, pole and past left open."""
+    return models(part, settings, orders, 'back')
+
+
+FILTERS = Method(by_filtering, domain='Laguerre filters')
