@@ -97,19 +97,19 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
     part = join_records(records, known)
     if isinstance(part, Unusable):
         return unusable_estimate(part.status, records[0], settings, part.notes)
+    too_short = unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
     method = METHODS[settings.method]
     try:
         if not method.refines:
             tried = found_by(method, part, settings)
-            return conclude(*tried) if tried else \
-                Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+            return conclude(*tried) if tried else too_short
         if on_samples := of_bursts(part, known):
             told = conclude_on_samples(on_samples)
             unknown = any(settings.unknown_delays(records[0].nu))
             return replace(told, notes=(*told.notes, _NO_SEARCH)) if unknown else told
         found = estimate(part, known, first)
         if found is None:
-            return Estimate(status=Status.TOO_SHORT, settings=settings, notes=part.notes)
+            return too_short
         plain = part, found
         part, found = with_bends(part, found, known)
         clean, found = without_outliers(part, found, known)

@@ -20,7 +20,8 @@ from ctsid_core.likelihood.prediction_errors import (
     spread_gradient,
 )
 from ctsid_core.likelihood.record_equations import record_equations
-from ctsid_core.likelihood.refine import moved, whitened, whitener
+from ctsid_core.likelihood.refine import whitened, whitener
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.resolvent import resolvent
 from ctsid_core.model.storage import load_estimate, save_model
@@ -188,10 +189,11 @@ def test_slopes_of_the_likelihood_of_several_records(halves):
         return innovation_cost(p, model) - p.count * np.linalg.slogdet(covariance)[1]
 
     slope = spread_gradient(p, m, True)
+    entries = FreeEntries.of(m, True, noise=True)
     for place in (0, 4, 7):
         step = np.zeros(len(slope))
         step[place] = 1e-5
-        change = (owed(moved(m, step, True)) - owed(moved(m, -step, True))) / 2e-5
+        change = (owed(entries.moved(m, step)) - owed(entries.moved(m, -step))) / 2e-5
         assert slope[place] == pytest.approx(change, rel=1e-4, abs=1e-4)
 
 

@@ -11,8 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ctsid_core import Record, Settings, Signal, Status, identify
-from ctsid_core.likelihood.refine import moved
 from ctsid_core.likelihood.samples_output_error import poles_in_time, refine_in_time
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.model.mode_responses import derivatives, outputs, responses, stamps_of
 from ctsid_core.model.simulation import respond
@@ -95,9 +95,10 @@ def test_responses_and_their_derivatives_are_exact(hold, poles):
     own = np.concatenate([y[channels][0][rows] for channels, rows in stamps.streams])
     np.testing.assert_allclose(own, simulated(m), rtol=0, atol=1e-9 * np.abs(own).max())
     slopes = derivatives(stamps, m, found, np.ones(2), True)
+    entries = FreeEntries.of(m, True)
     for k, row in enumerate(slopes):
         step = 1e-6 * (np.arange(len(slopes)) == k)
-        wanted = (simulated(moved(m, step, True)) - simulated(moved(m, -step, True))) / 2e-6
+        wanted = (simulated(entries.moved(m, step)) - simulated(entries.moved(m, -step))) / 2e-6
         np.testing.assert_allclose(row, wanted, rtol=0, atol=1e-6 * (1 + np.abs(row).max()))
 
 

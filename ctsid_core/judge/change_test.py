@@ -34,6 +34,7 @@ from ctsid_core.bases.instants import at_instants, instants
 from ctsid_core.bases.projection import Projection, as_real
 from ctsid_core.likelihood.prediction_errors import jacobian, simulate_lines
 from ctsid_core.likelihood.refine import affordable, growth, whitener
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
@@ -184,7 +185,7 @@ def weighed(projection: Projection, m: Matrices, settings: Settings,
     columns /= colour[:, :, np.newaxis]
     flat = columns.reshape(-1, columns.shape[2])
     return (flat, (whiten @ error / colour).ravel(),
-            _plant_entries(m, settings.feedthrough, flat.shape[1]))
+            FreeEntries.of(m, settings.feedthrough).mask('A', 'B', 'C', 'D'))
 
 
 def _colour(error: Array, nmax: int) -> Array:
@@ -231,20 +232,6 @@ def orthonormal(columns: Array) -> tuple[Array, Array]:
     kept = s > _RANK * max(s[0], 1e-300)
     turn = right[kept].T / s[kept]
     return columns @ turn, turn
-
-
-def _plant_entries(m: Matrices, feedthrough: bool, parameters: int) -> NDArray[np.bool_]:
-    """Return which entries, in the order of `jacobian`, are those of A, B, C and D."""
-    n, nu = m.B.shape
-    ny, ones = len(m.C), m.x_trim.shape[1]
-    B = np.zeros((n, nu + m.tail.shape[1] + ones), dtype=bool)
-    B[:, :nu] = True
-    D = np.zeros((ny, nu * feedthrough + ones), dtype=bool)
-    D[:, :nu * feedthrough] = True
-    mask = np.zeros(parameters, dtype=bool)
-    entries = np.concatenate((np.ones(n * n, bool), B.ravel(), np.ones(ny * n, bool), D.ravel()))
-    mask[:len(entries)] = entries
-    return mask
 
 
 def _in_time(rows: Array, nmax: int) -> Array:

@@ -29,11 +29,11 @@ from ctsid_core.likelihood.prediction_errors import (
 from ctsid_core.likelihood.refine import (
     by_parameter,
     growth,
-    moved,
     refine_innovation,
     refine_output_error,
     whitener,
 )
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.resolvent import resolvent
@@ -95,7 +95,8 @@ def climb_jointly(at: Callable[[Array], Projection], start: Matrices, delays: Ar
             part = 0.5 ** halving
             there = np.clip(here.delays + part * step, 0.0, longest)
             beside = at(there)
-            trial = moved(here.matrices, part * along, feedthrough)
+            entries = FreeEntries.of(here.matrices, feedthrough, noise=process_noise)
+            trial = entries.moved(here.matrices, part * along)
             limit = max(growth(here.matrices), 1.0 / (projection.end - projection.start))
             refine = refine_innovation if process_noise else refine_output_error
             m, cost = refine(beside, trial, feedthrough, limit=limit, steps=_CLIMB)

@@ -21,6 +21,7 @@ from ctsid_core.likelihood.delay_columns import delay_columns
 from ctsid_core.likelihood.process_noise import driven
 from ctsid_core.likelihood.refine import whitened, whitener
 from ctsid_core.likelihood.window_ends import line_distance
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
@@ -159,16 +160,11 @@ def entries_of(root: Array, m: Matrices, feedthrough: bool, *, delays: bool) -> 
     delays : bool
         Whether there are any.
     """
-    r, (n, nu), ny = len(root), m.B.shape, len(m.C)
-    width, ones = nu + m.tail.shape[1] + m.x_trim.shape[1], m.y_trim.shape[1]
-    feed = nu * feedthrough
-    sizes = [n * n, n * width, ny * n, ny * (feed + ones)]
-    A, B, C, D = np.split(root, np.cumsum(sizes), axis=1)[:4]
-    direct = np.zeros((r, ny, nu))
-    direct[:, :, :feed] = D.reshape(r, ny, feed + ones)[:, :, :feed]
-    late = root[:, -nu:] if delays else np.zeros((r, nu))
-    return Entries(A.reshape(r, n, n), B.reshape(r, n, width)[:, :, :nu], C.reshape(r, ny, n),
-                   direct, late)
+    entries, nu = FreeEntries.of(m, feedthrough), m.B.shape[1]
+    D = entries.part(root, 'D') if feedthrough else np.zeros((len(root), *m.D.shape))
+    late = root[:, -nu:] if delays else np.zeros((len(root), nu))
+    return Entries(entries.part(root, 'A'), entries.part(root, 'B'), entries.part(root, 'C'),
+                   D, late)
 
 
 def pole_deviation(projection: Projection, m: Matrices, feedthrough: bool, *,

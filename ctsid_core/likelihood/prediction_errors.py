@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.bases.projection import Projection, as_real, real_times
 from ctsid_core.likelihood.window_ends import LEAST_DAMPING, ends_cost, ends_slopes, line_distance
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.resolvent import Resolvent, resolvent
@@ -224,12 +225,11 @@ def spread_gradient(projection: Projection, m: Matrices, feedthrough: bool,
     by_predictor, by_plant = ends_slopes(projection, closed, plant)
     by_predictor = by_predictor - 2.0 * closed.sum(weights)
     by_plant = by_plant + 2.0 * plant.sum(weights)
-    nu, ones = len(projection.u), len(projection.ones)
-    B_size = len(m.A) * (nu + len(projection.tail) + ones)
-    D_size = len(m.C) * (nu * feedthrough + ones)
-    gradient: Array = np.concatenate((
-        (by_predictor + by_plant).T.ravel(), np.zeros(B_size), -(by_predictor @ m.K).T.ravel(),
-        np.zeros(D_size), -(m.C @ by_predictor).T.ravel()))
+    entries = FreeEntries.of(m, feedthrough, noise=True)
+    gradient = np.zeros(entries.count)
+    A, _, C, _, K = entries.split(gradient)     # views
+    A[:], C[:], K[:] = (by_predictor + by_plant).T, -(by_predictor @ m.K).T, \
+        -(m.C @ by_predictor).T
     return gradient
 
 

@@ -21,8 +21,9 @@ from scipy.optimize import nnls
 
 from ctsid_core.bases.projection import Projection, as_real
 from ctsid_core.likelihood.prediction_errors import jacobian, predict, simulate_lines
-from ctsid_core.likelihood.refine import by_parameter, moved
+from ctsid_core.likelihood.refine import by_parameter
 from ctsid_core.likelihood.window_ends import line_distance
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.resolvent import resolvent
@@ -131,21 +132,15 @@ def _shares(shapes: Array, power: Array, lengths: list[int]) -> Array:
 def driven(projection: Projection, m: Matrices, feedthrough: bool, *,
            ends_only: bool = False) -> Matrices:
     """Return the model with the B, D, trim and tail (or tail) that are best at all else."""
-    n, ny = len(m.A), len(m.C)
     prediction = predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s))
     error = as_real(prediction.error)
     size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150
     rows = by_parameter(jacobian(projection, m, feedthrough, with_noise=False,
                                  whiten=np.diag(1.0 / size), prediction=prediction))
-    linear = np.ones(len(rows), dtype=bool)
-    C = n * n + n * (m.B.shape[1] + m.tail.shape[1] + m.x_trim.shape[1])
-    linear[:n * n], linear[C:C + ny * n] = False, False
-    if ends_only:
-        tail = np.zeros((n, (C - n * n) // n), dtype=bool)
-        tail[:, m.B.shape[1]:m.B.shape[1] + m.tail.shape[1]] = True
-        linear[:] = False
-        linear[n * n:C] = tail.ravel()
+    entries = FreeEntries.of(m, feedthrough)
+    linear = entries.mask('tail') if ends_only else \
+        entries.mask('B', 'tail', 'x_trim', 'D', 'y_trim')
     step = np.zeros(len(rows))
     whitened = (error / size[:, np.newaxis]).reshape(1, -1)
     step[linear] = least_norm(rows[linear], whitened, 1e-9)[0]
-    return moved(m, step, feedthrough)
+    return entries.moved(m, step)

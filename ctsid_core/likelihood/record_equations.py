@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ctsid_core.bases.projection import Projection, as_real, of_records
 from ctsid_core.likelihood.levenberg_marquardt import NormalEquations, scaled_equations
 from ctsid_core.likelihood.prediction_errors import Prediction, jacobian
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
 
@@ -43,8 +44,7 @@ def record_equations(projection: Projection, m: Matrices, prediction: Prediction
     free : ndarray, shape (parameters,), optional
         1 for the entries that move, else 0.
     """
-    count = sum(a.size for a in (m.A, m.B, m.tail, m.x_trim, m.C, m.y_trim))
-    count += m.D.size * feedthrough + m.K.size * with_noise
+    count = FreeEntries.of(m, feedthrough, noise=with_noise).count
     gram, pull, first = np.zeros((count, count)), np.zeros(count), 0
     for record, own, places in _records(projection, m, feedthrough, with_noise):
         lines = slice(first, first + len(record.s))
@@ -73,17 +73,9 @@ def equation_work(projection: Projection, n: int) -> float:
 def _records(projection: Projection, m: Matrices, feedthrough: bool, with_noise: bool,
              ) -> Iterator[tuple[Projection, Matrices, _Places]]:
     """Yield each record, its model, and the places of its parameters among all."""
-    n, ny, nu = len(m.A), len(m.C), m.B.shape[1]
-    tails, levels, feed = m.tail.shape[1], m.x_trim.shape[1], nu * feedthrough
-    sizes = [(n, n), (n, nu + tails + levels), (ny, n), (ny, feed + levels), (n, ny * with_noise)]
-    ends = np.cumsum([0] + [a * b for a, b in sizes])
-    A, B, C, D, K = (np.arange(first, last).reshape(size) for first, last, size in
-                     zip(ends[:-1], ends[1:], sizes, strict=True))
+    entries = FreeEntries.of(m, feedthrough, noise=with_noise)
     tail = level = 0
     for record, own in zip(projection.records, of_records(m, projection), strict=True):
         on, to = tail + len(record.tail), level + len(record.ones)
-        driven = np.r_[:nu, nu + tail:nu + on, nu + tails + level:nu + tails + to].astype(int)
-        direct = np.r_[:feed, feed + level:feed + to].astype(int)
-        yield record, own, np.concatenate((A.ravel(), B[:, driven].ravel(), C.ravel(),
-                                           D[:, direct].ravel(), K.ravel()))
+        yield record, own, entries.places(range(tail, on), range(level, to))
         tail, level = on, to

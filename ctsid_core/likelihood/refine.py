@@ -9,7 +9,6 @@ coordinates: McKelvey, Helmersson and Ribarits 2004, Automatica 40).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +33,7 @@ from ctsid_core.likelihood.prediction_errors import (
     spread_gradient,
 )
 from ctsid_core.likelihood.record_equations import equation_work, record_equations
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.resolvent import away, resolvent
@@ -157,8 +157,9 @@ def refine_output_error(projection: Projection, start: Matrices, feedthrough: bo
         return normal_equations(by_parameter(columns), (error / size[:, np.newaxis]).ravel())
 
     still = replace(start, K=np.zeros_like(start.K))
-    return climb(still, lambda m: output_error(projection, m), curvature, _mover(feedthrough),
-                 limit=limit, steps=steps, damping=LEAST_DAMPING, rival=rival)
+    return climb(still, lambda m: output_error(projection, m), curvature,
+                 FreeEntries.of(still, feedthrough).moved, limit=limit, steps=steps,
+                 damping=LEAST_DAMPING, rival=rival)
 
 
 def best_simulation(projection: Projection, start: Matrices, poles: NDArray[np.complex128],
@@ -240,7 +241,8 @@ def refine_innovation(projection: Projection, start: Matrices, feedthrough: bool
     def curvature(m: Matrices, prediction: Prediction) -> NormalEquations | None:
         return _curvature(projection, m, prediction, feedthrough, plant)
 
-    return climb(start, lambda m: innovation(projection, m), curvature, _mover(feedthrough),
+    entries = FreeEntries.of(start, feedthrough, noise=True)
+    return climb(start, lambda m: innovation(projection, m), curvature, entries.moved,
                  limit=limit, steps=steps, damping=_DAMPING, rival=rival)
 
 
@@ -252,36 +254,24 @@ def growth(m: Matrices) -> float:
 def _curvature(projection: Projection, m: Matrices, prediction: Prediction, feedthrough: bool,
                plant: bool) -> NormalEquations | None:
     """Return the equations of an innovation form's step; None at the border of the computable."""
+    free = None if plant else \
+        FreeEntries.of(m, feedthrough, noise=True).mask('K', 'tail').astype(float)
     if projection.members:
-        count = len(m.A) * (len(m.A) + m.B.shape[1] + m.tail.shape[1] + m.x_trim.shape[1])
-        count += m.C.size + m.D.size * feedthrough + m.y_trim.size + m.K.size
         found = record_equations(
             projection, m, prediction,
             whitener_of(projection, as_real(prediction.error)), feedthrough, with_noise=True,
-            free=None if plant else _noise_entries(m, count))
+            free=free)
         if not (np.isfinite(found.gram).all() and np.isfinite(found.pull).all()):
             return None
     else:
         rows, error = _whitened(projection, m, prediction, feedthrough, with_noise=True)
-        if not plant:
-            rows *= _noise_entries(m, len(rows))[:, np.newaxis]
+        if free is not None:
+            rows *= free[:, np.newaxis]
         if not (np.isfinite(rows).all() and np.isfinite(error).all()):
             return None
         found = normal_equations(rows, error)
     gradient = spread_gradient(projection, m, feedthrough, prediction.resolvent)
     return replace(found, pull=found.pull - 0.5 * gradient / found.norm)
-
-
-def _noise_entries(m: Matrices, parameters: int) -> Array:
-    """Return 1 for the entries of K and of the tail in the order of `jacobian`, else 0."""
-    n, nu = m.B.shape
-    width = nu + m.tail.shape[1] + m.x_trim.shape[1]
-    B = np.zeros((n, width))
-    B[:, nu:nu + m.tail.shape[1]] = 1.0
-    mask = np.zeros(parameters)
-    mask[n * n:n * n + n * width] = B.ravel()
-    mask[parameters - m.K.size:] = 1.0
-    return mask
 
 
 def whitened(projection: Projection, m: Matrices, feedthrough: bool, *,
@@ -318,19 +308,3 @@ def whitener_of(projection: Projection, error: Array) -> Array:
     return whiten
 
 
-def _mover(feedthrough: bool) -> Callable[[Matrices, Array], Matrices]:
-    return lambda m, step: moved(m, step, feedthrough)
-
-
-def moved(m: Matrices, step: Array, feedthrough: bool) -> Matrices:
-    """Add a step to the entries of a model, in the order in which `jacobian` lists them."""
-    n, ny, nu = len(m.A), len(m.C), m.B.shape[1]
-    tail, ones, feed = m.tail.shape[1], m.x_trim.shape[1], nu * feedthrough
-    sizes = [n * n, n * (nu + tail + ones), ny * n, ny * (feed + ones)]
-    dA, dB, dC, dD, dK = np.split(step, np.cumsum(sizes))
-    B, D = dB.reshape(n, -1), dD.reshape(ny, -1)
-    return replace(
-        m, A=m.A + dA.reshape(n, n), C=m.C + dC.reshape(ny, n), B=m.B + B[:, :nu],
-        tail=m.tail + B[:, nu:nu + tail], x_trim=m.x_trim + B[:, nu + tail:],
-        D=m.D + D[:, :feed] if feed else m.D, y_trim=m.y_trim + D[:, feed:],
-        K=m.K + dK.reshape(n, ny) if len(dK) else m.K)

@@ -21,7 +21,7 @@ from ctsid_core.likelihood.levenberg_marquardt import (
     climb,
     normal_equations,
 )
-from ctsid_core.likelihood.refine import moved
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
@@ -164,7 +164,8 @@ def climb_in_time(stamps: Stamps, start: Matrices, feedthrough: bool, *, limit: 
     def curvature(m: Matrices, fit: _Fit) -> NormalEquations:
         return normal_equations(*_whitened(stamps, m, fit, feedthrough))
 
-    found, cost = climb(best, likelihood, curvature, lambda m, step: moved(m, step, feedthrough),
+    entries = FreeEntries.of(best, feedthrough)
+    found, cost = climb(best, likelihood, curvature, entries.moved,
                         limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING,
                         rival=rival)
     return (found, cost) if cost < rival else None
@@ -219,18 +220,16 @@ def _whitened(stamps: Stamps, m: Matrices, fit: _Fit, feedthrough: bool) -> tupl
 
 def _linear(stamps: Stamps, m: Matrices, feedthrough: bool) -> Matrices | None:
     """Return the model with the B, D, trims and initial state that are best at its A and C."""
-    n, ny = len(m.A), len(m.C)
-    driven = n * (m.B.shape[1] + 1 + m.x_trim.shape[1])
+    entries = FreeEntries.of(m, feedthrough)
+    linear = entries.mask('B', 'tail', 'x_trim', 'D', 'y_trim')
     for _ in range(_PASSES):
         fit = _fit(stamps, m)
         if fit is None:
             return None
         rows, error = _whitened(stamps, m, fit, feedthrough)
-        linear = np.ones(len(rows), dtype=bool)
-        linear[:n * n], linear[n * n + driven:n * n + driven + ny * n] = False, False
         step = np.zeros(len(rows))
         step[linear] = least_norm(rows[linear], error[np.newaxis], 1e-9)[0]
-        m = moved(m, step, feedthrough)
+        m = entries.moved(m, step)
     return m
 
 

@@ -25,7 +25,8 @@ from ctsid_core.likelihood.prediction_errors import (
     predict,
     unseen,
 )
-from ctsid_core.likelihood.refine import by_parameter, moved
+from ctsid_core.likelihood.refine import by_parameter
+from ctsid_core.linear.free_entries import FreeEntries
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.resolvent import resolvent
@@ -62,7 +63,7 @@ def found_by(method: Method, part: Joint,
     tested : HeldOut
         None of the three if the records are too short.
     """
-    if any(settings.unknown_delays(part.parts[0].whole.nu)):
+    if not method.looks_for_dead_time and any(settings.unknown_delays(part.parts[0].whole.nu)):
         part = replace(part, remarks=(
             *part.remarks, f'{settings.method} does not look for dead times: those not given '
             'count as 0'))
@@ -182,7 +183,7 @@ def with_ends(projection: Projection, m: Matrices, feedthrough: bool) -> Matrice
         Of which A, C and K stay as they are, and B and D unless D is to be zero and is not.
     feedthrough : bool
     """
-    n, ny, nu = len(m.A), len(m.C), m.B.shape[1]
+    n, ny = len(m.A), len(m.C)
     tails, ones = len(projection.tail), len(projection.ones)
     without_D = not feedthrough and bool(np.any(m.D))
     m = replace(m, tail=np.zeros((n, tails)), x_trim=np.zeros((n, ones)),
@@ -192,13 +193,11 @@ def with_ends(projection: Projection, m: Matrices, feedthrough: bool) -> Matrice
     size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150
     rows = by_parameter(jacobian(projection, m, False, with_noise=False,
                                  whiten=np.diag(1.0 / size), prediction=prediction))
-    B = np.ones((n, nu + tails + ones), dtype=bool)
-    B[:, :nu] = without_D
-    free = np.concatenate((np.zeros(n * n, dtype=bool), B.ravel(), np.zeros(ny * n, dtype=bool),
-                           np.ones(ny * ones, dtype=bool)))
+    entries = FreeEntries.of(m, False)
+    free = entries.mask('tail', 'x_trim', 'y_trim', *(['B'] if without_D else []))
     step = np.zeros(len(free))
     step[free] = least_norm(rows[free], (error / size[:, np.newaxis]).reshape(1, -1), _SURE)[0]
-    return moved(m, step, False)
+    return entries.moved(m, step)
 
 
 def _held_out(method: Method, part: Joint, found: Found, given: Settings) -> HeldOut:
