@@ -32,7 +32,7 @@ _FEWEST = 256         # instants
 _SUFFICIENT = 1.0     # power of the response over that of the noise in which a band is excited
 
 
-class Foreseen:
+class LinePrediction:
     """
     What a model foresees of a projection: computed once, for all numbers of a verdict.
 
@@ -79,23 +79,24 @@ def smoothed(power: Array, width: int) -> Array:
     return mean
 
 
-def excitations(foreseen: Foreseen, record: Record, parameters: int) -> tuple[Excitation, ...]:
+def excitations(prediction: LinePrediction, record: Record,
+                parameters: int) -> tuple[Excitation, ...]:
     """
     Return what the data say about the response to each input.
 
     Parameters
     ----------
-    foreseen : Foreseen
+    prediction : LinePrediction
     record : Record
         That was projected.
     parameters : int
         Number of parameters in a column of B and D.
     """
-    p = foreseen.projection
+    p = prediction.projection
     omega, u = tapered(record, float(np.abs(p.s).max()))
     power, partial = _partial(u)
     lines = np.abs(p.s)
-    gain = np.sum(np.abs(foreseen.response) ** 2, axis=1) / foreseen.noise     # (nu, L)
+    gain = np.sum(np.abs(prediction.response) ** 2, axis=1) / prediction.noise     # (nu, L)
     found = []
     for j, name in enumerate(record.input_names):
         # The same power as on the lines, but none has leaked from the ends of the window.
@@ -113,7 +114,7 @@ def excitations(foreseen: Foreseen, record: Record, parameters: int) -> tuple[Ex
     return tuple(found)
 
 
-def together(records: Sequence[tuple[Excitation, ...]]) -> tuple[Excitation, ...]:
+def combined(records: Sequence[tuple[Excitation, ...]]) -> tuple[Excitation, ...]:
     """Return what several records say together of the response to each input."""
     found = []
     for own in zip(*records, strict=True):

@@ -22,7 +22,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.signals.stuck import Stuck
 
-FORETOLD = 10.0         # the same where predictions are judged: by chance it is 1
+PREDICTED = 10.0        # the same where predictions are judged: by chance it is 1
 _DEAD = 10.0            # fit [%] below which nothing of an output is
 _VAGUE = 0.5            # standard deviation over size above which a pole is not known
 _UNKNOWN = 0.05         # the same of the response to an input
@@ -98,7 +98,7 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
         return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason)
     for reason in _weaknesses(evidence):
         return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason)
-    return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_praise(evidence))
+    return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_summary(evidence))
 
 
 def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
@@ -225,7 +225,7 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
     return float(np.max(deviation / np.maximum(np.abs(poles), resolution), initial=0.0))
 
 
-def _praise(e: Evidence) -> str:
+def _summary(e: Evidence) -> str:
     worst, known = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
     return (f'Every test is passed: the response to each input is known to {100 * known:.2g} %, '
             f'every pole to {100 * e.numbers.pole_uncertainty:.2g} %, and unseen data fit to '

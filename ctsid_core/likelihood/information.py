@@ -18,7 +18,7 @@ import numpy as np
 
 from ctsid_core.bases.projection import Projection
 from ctsid_core.likelihood.delay_columns import delay_columns
-from ctsid_core.likelihood.process_noise import driven
+from ctsid_core.likelihood.process_noise import with_linear_entries
 from ctsid_core.likelihood.refine import whitened, whitener
 from ctsid_core.likelihood.window_ends import line_distance
 from ctsid_core.linear.matrices import Matrices
@@ -101,7 +101,7 @@ def without_gain(projection: Projection, m: Matrices, feedthrough: bool) -> Matr
         return m
     m = replace(m, K=np.zeros_like(m.K))    # the tail was that of a predictor
     for _ in range(_PASSES):
-        m = driven(projection, m, feedthrough)
+        m = with_linear_entries(projection, m, feedthrough)
     return m
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctsid_core.bases.projection import Projection
-from ctsid_core.likelihood.process_noise import driven
+from ctsid_core.likelihood.process_noise import with_linear_entries
 from ctsid_core.likelihood.samples_prediction_error import (
     Predictor,
     Samples,
@@ -119,4 +119,4 @@ def to_matrices(projection: Projection, p: Predictor, step: float, *,
         tail=np.zeros((model.n, len(projection.tail))),
         x_trim=np.repeat(model.x_trim[:, np.newaxis], ones, axis=1),
         y_trim=np.repeat(model.y_trim[:, np.newaxis], ones, axis=1))
-    return driven(projection, m, feedthrough=False, ends_only=True)
+    return with_linear_entries(projection, m, feedthrough=False, ends_only=True)

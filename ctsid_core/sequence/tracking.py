@@ -120,7 +120,7 @@ class Tracker:
         """
         past = self._past
         test = _fresh(past, record)
-        estimate = self._doubted(identify(record, self.settings, like=past.model))
+        estimate = self._reject_straddling(identify(record, self.settings, like=past.model))
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
         if estimate.model is None:
@@ -138,7 +138,7 @@ class Tracker:
         self._past = _Past(realisation=self._past.realisation, next_mode=self._past.next_mode)
         self._changed_ns = 0
 
-    def _doubted(self, estimate: Estimate) -> Estimate:
+    def _reject_straddling(self, estimate: Estimate) -> Estimate:
         """
         Return an estimate, rejected if an earlier window has shown a change within its window.
 
