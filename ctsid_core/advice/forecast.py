@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What further data would tell of a model that has been found.
+Information that further data would add on an identified model.
 
 An input of power spectral density Phi(omega) that acts for a time T adds to the information
 
@@ -121,7 +121,7 @@ class Forecast:
 
 
 def forecast(part: Usable, model: StateSpace, estimate: Estimate) -> Forecast:
-    """Return what further data would tell of an estimate's model, from the data it is of."""
+    """Return the information that further data would add, from the data an estimate is of."""
     settings = estimate.settings
     noisy = bool(estimate.statistics.get('process_noise', float(model.K.any())))
     own = settings.replace(delay=tuple(model.delay[j] for j in part.u), parts=settings.parts or 1)
@@ -163,7 +163,7 @@ def _rows(projection: Projection, m: Matrices, feedthrough: bool, x: Lines, *, n
     Parameters
     ----------
     projection : Projection
-        That tells the size of the errors.
+        That gives the size of the errors.
     of : Projection, optional
         Whose lines count instead.
     """

@@ -2,7 +2,7 @@
 """
 The same plant all the time: did it change within a record, or between records.
 
-Within: the test of `steadiness.py` on each record by itself. Between: the same score test, each
+Within: the test of `change_test.py` on each record alone. Between: the same score test, each
 record on one side and all others on the other. Records have nothing in common but the plant, so
 that their sides need no instants: lines will do.
 """

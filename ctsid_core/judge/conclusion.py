@@ -123,7 +123,7 @@ def _changed(part: Joint, differing: ChangedRecord) -> tuple[str, str]:
             f'record {numbers[place]} shows another plant than the other records'
         cure = 'each' if len(numbers) == 2 else 'it'
         note = (f'{who}: the responses to the inputs differ by {100 * change.size:.0f} %; '
-                f'identify {cure} by itself')
+                f'identify {cure} separately')
         return f'{note[0].upper()}{note[1:]}.', note
     share = _share(part, differing)
     at = f'{share * part.parts[place].whole.duration:.2g} s after'
@@ -131,7 +131,7 @@ def _changed(part: Joint, differing: ChangedRecord) -> tuple[str, str]:
     prefix = f'{where}: ' if part.several else ''
     return (f'The plant, or the offset of a signal, changed about {at} the start of {where}; take '
             'a window before or after that, or wait until it has left the window.',
-            f'{prefix}the likeliest time of the change is {share * 100:.0f} % of the '
+            f'{prefix}the most likely time of the change is {share * 100:.0f} % of the '
             f'window, {at} its start')
 
 

@@ -23,8 +23,8 @@ from ctsid_core.search.solution import Solution
 from ctsid_core.settings import Settings
 from ctsid_core.signals.stuck import stuck_outputs
 
-_UNEXAMINED = ('Samples that come in bursts do not tell whether the model misses some of the '
-               'response; test it on other data before using it.')
+_UNEXAMINED = ('With samples that come in bursts, whether part of the response is not modelled '
+               'cannot be tested; test the model on other data before using it.')
 
 
 def conclude_on_samples(found: OnSamples) -> Estimate:
@@ -59,9 +59,9 @@ def _choices(solution: SamplesSolution, order: int, why: str) -> tuple[Choice, .
     choices = [Choice('domain', 'time', f'{why}; the model was made from the samples themselves')]
     if solution.table:
         table = ', '.join(f'{one.order}: {one.criterion:.0f}' for one in solution.table)
-        choices.append(Choice('order', order, "Schwarz's criterion, above its smallest value, "
-                              f'by order: {table}'))
-    return (*choices, Choice('noise', 'measurement', 'the only kind that is looked for in samples '
+        choices.append(Choice('order', order, "Schwarz's criterion (BIC), above its smallest "
+                              f'value, by order: {table}'))
+    return (*choices, Choice('noise', 'measurement', 'process noise is not estimated from samples '
                              'that cannot be interpolated'))
 
 
@@ -99,7 +99,7 @@ def _evidence(part: Usable, solution: SamplesSolution, model: StateSpace, deviat
 
 
 def _numbers(part: Usable, found: Solution) -> Verdict:
-    """Return what the lines of interpolated outputs tell of their model."""
+    """Return the numbers of a verdict from the lines of interpolated outputs."""
     nothing = np.full(len(found.matrices.C), np.nan)
     return examine(found.projection, found.matrices, [part.record], nothing,
                    feedthrough=found.settings.feedthrough)

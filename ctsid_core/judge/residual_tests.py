@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What prediction errors still contain, asked of their lines.
+Tests of the prediction errors on their spectral lines: unmodelled response, and whiteness.
 
-Of the past of the inputs: errors of a right model know nothing of it, open loop or closed. They
-are regressed on the inputs, delayed by 0, h, 2 h, ...: what that explains beyond chance is what
-the model misses of its response (a model error model: Ljung 1999, System Identification, 16.6;
-delays of 0 and more only, so that feedback does not count). Of themselves: Bartlett's test of the
-cumulative periodogram (Bartlett 1954, Publ. Inst. Statist. Univ. Paris 3); gusts colour them,
-which is no fault.
+Unmodelled response: prediction errors of a right model do not depend on past inputs, open loop
+or closed. They are regressed on the inputs, delayed by 0, h, 2 h, ...: what that explains beyond
+chance is the part of the response that is not modelled (a model error model: Ljung 1999, System
+Identification, 16.6; delays of 0 and more only, so that feedback does not count). Whiteness:
+Bartlett's test of the cumulative periodogram (Bartlett 1954, Publ. Inst. Statist. Univ. Paris 3);
+with gusts they are coloured, which is no fault.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ _RANK = 1e-5          # eigenvalue, over the largest, of delays that say somethi
 @dataclass(frozen=True)
 class PredictionErrorTest:
     """
-    What the prediction errors of each output still contain.
+    Tests of the prediction errors of each output.
 
     Parameters
     ----------
     whiteness : ndarray, shape (ny,)
         P-value of 'the errors of this output are white'.
     missing : ndarray, shape (ny,)
-        What the errors know of the inputs' past, over the response to the inputs, rms.
+        Unmodelled response: what past inputs explain of the errors, over the response to the
+        inputs, rms.
     p_value : ndarray, shape (ny,)
-        Of 'they know nothing of it'.
+        P-value of 'the errors do not depend on past inputs'.
     """
 
     whiteness: Array
@@ -49,7 +50,7 @@ class PredictionErrorTest:
 def prediction_error_test(prediction: LinePrediction, highest: float,
                           parameters: int) -> PredictionErrorTest:
     """
-    Return what the errors still contain.
+    Test the prediction errors of a model.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def prediction_error_test(prediction: LinePrediction, highest: float,
     highest : float
         Frequency up to which inputs excite [rad/s]: the delays are half of its period apart.
     parameters : int
-        What the model has of them, in all.
+        Number of parameters of the model.
     """
     p = prediction.projection
     weight = 1.0 / np.sqrt(prediction.noise)

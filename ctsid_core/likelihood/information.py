@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What the data tell of a model's entries: the root of their covariance.
+Information of the data on a model's entries: the root of their covariance.
 
 Errors of an innovation form are white if the model is right, and the covariance is the
 Cramer-Rao bound. Residuals of a simulation need not be: whatever gusts leave is coloured. Their
@@ -63,7 +63,7 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
 @dataclass(frozen=True)
 class Information:
     """
-    What the data tell of a model's parameters, in the order of `jacobian`.
+    Information of the data on a model's parameters, in the order of `jacobian`.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def without_gain(projection: Projection, m: Matrices, feedthrough: bool) -> Matr
 def information(projection: Projection, m: Matrices, feedthrough: bool,
                 noisy: bool) -> Information:
     """
-    Return what the data tell of the parameters of an innovation form, or of a simulation.
+    Return the information on the parameters of an innovation form, or of a simulation.
 
     A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
     narrower than lines can tell, the lines in it would seem to say more than they do.

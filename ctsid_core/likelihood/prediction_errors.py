@@ -27,13 +27,13 @@ from ctsid_core.linear.resolvent import Resolvent, resolvent
 from ctsid_core.linear.types import Array, Lines
 
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
-OWN = 1e-12           # share of each output's error power that no other output can foretell
+OWN = 1e-12           # share of each output's error power that no other output can predict
 
 
 @dataclass(frozen=True)
 class Prediction:
     """
-    What a model foresees of the lines, and what the derivatives of that need.
+    A model's predictions of the lines, and what their derivatives need.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def simulate_lines(projection: Projection, m: Matrices) -> Lines:
 
 
 def simulation(projection: Projection, m: Matrices) -> Prediction:
-    """Return what a model foresees if its K counts as zero."""
+    """Return what a model predicts if its K counts as zero."""
     drive = real_times(np.hstack((m.B, m.tail, m.x_trim)),
                        projection.signals[:len(projection.signals) - len(m.C)])
     return _prediction(projection, m, resolvent(m.A, projection.s), drive)
@@ -89,7 +89,7 @@ def prediction_errors(projection: Projection, m: Matrices) -> Lines:
 
 
 def predict(projection: Projection, m: Matrices, closed: Resolvent) -> Prediction:
-    """Return what a model foresees with its K; `closed` is the resolvent of A - K C."""
+    """Return what a model predicts with its K; `closed` is the resolvent of A - K C."""
     drive = real_times(np.hstack((m.B - m.K @ m.D, m.tail, m.x_trim - m.K @ m.y_trim, m.K)),
                        projection.signals)
     return _prediction(projection, m, closed, drive)

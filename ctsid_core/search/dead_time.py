@@ -85,10 +85,10 @@ class DeadTimeFit:
     gain: float = 0.0
 
     def why(self, order: int) -> str:
-        """Return why it is believed, beside a model of another order without dead time."""
+        """Return why it is accepted, beside a model of another order without dead time."""
         return (f"with {len(self.poles)} states and dead time, Schwarz's criterion is "
-                f'{self.gain:.0f} less than with {order} and none'
-                + ('' if self.direct else '; D is not needed beside it'))
+                f'{self.gain:.0f} less than with {order} states and no dead time'
+                + ('' if self.direct else '; D is not needed then'))
 
 
 class DeadTimeSearch:

@@ -71,8 +71,8 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
         matrices, order = predictor, len(predictor.A)
         pair, chosen = search.pair(order) or pair, None
         choices[:] = [c for c in choices if c.name != 'order']
-        choices.append(Choice('order', order, 'the plant is unstable, with process noise: told by '
-                              'one-step predictions of the samples'))
+        choices.append(Choice('order', order, 'the plant is unstable, with process noise: chosen '
+                              'by one-step predictions of the samples'))
     tuning = pair.best.subspace.tuning
     if pair.tried > 1:
         choices.append(Choice('pbsid', f'beta {tuning.beta:.3g} rad/s, p {tuning.past}',
@@ -83,7 +83,7 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
     elif settings.refine:
         choices.append(Choice(
             'noise', 'process' if process_noise else 'measurement',
-            'the likelier of process noise (innovation form) and measurement noise alone'))
+            'the more likely of process noise (innovation form) and measurement noise alone'))
     used = settings.replace(nmax=nmax, parts=parts, order=order, beta=tuning.beta,
                             gamma=tuning.gamma, past=tuning.past, future=tuning.future)
     subspace = pair.best.subspace
@@ -96,7 +96,7 @@ def _estimate_on(layout: Layout, part: Joint, settings: Settings,
 def without_outliers(part: Joint, solution: Solution,
                      settings: Settings) -> tuple[Joint, Solution]:
     """
-    Return record and model without the corrupt samples that only a model can tell.
+    Return record and model without the corrupt samples that only a model can show.
 
     Those that were taken out without one are put back if the model explains them. What was chosen
     from the data stays as it is, unless the samples made a large difference.
@@ -132,18 +132,18 @@ def _best_order(search: Search, choices: list[Choice], first: int) -> OrderChoic
         return None
     chosen = choose_order(search, trials)
     table = ', '.join(f'{one.order}: {one.criterion:.0f}' for one in chosen.tried)
-    choices.append(Choice('order', chosen.trial.order, "Schwarz's criterion, above its smallest "
-                          f'value, by order: {table}'))
+    choices.append(Choice('order', chosen.trial.order, "Schwarz's criterion (BIC), above its "
+                          f'smallest value, by order: {table}'))
     return chosen
 
 
 def choose_noise_model(part: Joint, solution: Solution, settings: Settings,
                        first: int) -> Solution:
     """
-    Return the model without process noise, if there is doubt about that and next data are for it.
+    Return the model without process noise, if that is uncertain and held-out data prefer it.
 
     Strong gusts make simulations with the right poles worse than those with others, and so do
-    dynamics that K has taken up instead of the plant. Data held out tell the two apart: gusts
+    dynamics that K has taken up instead of the plant. Held-out data distinguish the two: gusts
     that some poles happened to explain do not come again.
     """
     if not solution.noise_model_uncertain:
@@ -160,11 +160,11 @@ def choose_noise_model(part: Joint, solution: Solution, settings: Settings,
 def confirm_order(part: Joint, solution: Solution,
                   settings: Settings) -> tuple[Solution, HeldOut]:
     """
-    Return the model that next data confirm, and how it does on them.
+    Return the model that held-out data confirm, and its fit there.
 
     Where errors of simulations are white, the criterion is sure. Where they are coloured by
-    process noise, or what seems to be such, the runner-up is asked to foretell the data held out,
-    too, if it is close.
+    process noise, or what seems to be such, the runner-up is tested on held-out data, too,
+    if it is close.
     """
     tested = held_out(part, solution)
     rows = [one for one in solution.orders if one.order != solution.settings.order
@@ -183,6 +183,6 @@ def confirm_order(part: Joint, solution: Solution,
         return replace(solution, orders=orders), tested
     before = [c for c in solution.choices if c.name in ('hermite.nmax', 'weights')]
     return replace(other, orders=orders, choices=(*before, Choice(
-        'order', order, f'it foretells the data held out better than order '
-        f"{solution.settings.order}, which is about as likely by Schwarz's criterion"),
+        'order', order, f'it fits held-out data better than order '
+        f"{solution.settings.order}, whose Schwarz's criterion is about the same"),
         *other.choices)), rival

@@ -109,8 +109,8 @@ def _likeliest(search: Search, offered: Sequence[MethodModel], feedthrough: bool
     choices = []
     if len(rows) > 1:
         table = ', '.join(f'{row.order}: {row.criterion:.0f}' for row in rows)
-        choices.append(Choice('order', least.order, "Schwarz's criterion of simulations, above "
-                              f'its smallest value, by order: {table}'))
+        choices.append(Choice('order', least.order, "Schwarz's criterion (BIC) of simulations, "
+                              f'above its smallest value, by order: {table}'))
     return best, choices + _differences(offered, best), rows if len(rows) > 1 else ()
 
 

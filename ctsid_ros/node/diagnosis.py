@@ -78,7 +78,7 @@ class IngestDiagnosis:
                        f'{topic} lost': state.numbers.lost}
         values |= {'largest batch': feed.largest_batch, **_sample_values(feed, self._config)}
         troubles = [*([f'a fault of ctsid: {failure}'] if failure else []), *faults, *silent]
-        # What never came is told as silent already.
+        # What never came is reported as silent already.
         troubles += [line for line in feed.report() if 'no message has come' not in line]
         self.troubles = troubles
         level = (Level.ERROR if failure else Level.STALE if len(silent) == len(feed.topics)
@@ -127,7 +127,7 @@ def diagnose_identification(progress: Progress) -> Health:
     verdict = estimate.verdict
     troubles = [] if estimate.good else [f'{verdict.grade.name}: {verdict.reason}']
     if progress.failures:
-        troubles.append(f'{progress.failures} windows broke off: {progress.failure}')
+        troubles.append(f'{progress.failures} windows failed: {progress.failure}')
     if progress.skipped:
         troubles.append(f'{progress.skipped} windows were skipped because identification takes '
                         'longer than `window.stride`; raise it, or set `order`')
@@ -149,11 +149,11 @@ def _estimate_values(estimate: Estimate) -> dict[str, object]:
 def _verdict_values(verdict: Verdict) -> dict[str, object]:
     values: dict[str, object] = {}
     for one in verdict.excitation:
-        values |= {f'{one.name} excites [rad/s]': f'{one.low:.3g} to {one.high:.3g}',
-                   f'{one.name} response known to [%]': 100 * one.uncertainty}
+        values |= {f'{one.name} excited band [rad/s]': f'{one.low:.3g} to {one.high:.3g}',
+                   f'{one.name} response std [%]': 100 * one.uncertainty}
     if verdict.excitation:
-        values |= {'poles known to [%]': 100 * verdict.pole_uncertainty,
-                   'missing of the response [%]': _numbers(100 * verdict.missing)}
+        values |= {'largest pole std [%]': 100 * verdict.pole_uncertainty,
+                   'unmodelled response [%]': _numbers(100 * verdict.missing)}
     if verdict.agreement is not None:
         values['cross-check'] = verdict.agreement.words
     return values
