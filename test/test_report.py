@@ -334,7 +334,7 @@ def test_truth_section_counts_deviations():
     text = to_text([truth_section(far, results, TRUTH)])
     assert 'median of 3 windows' in text
     assert '-1.400 ± 3.000j' in text
-    assert '0 of 1 true poles and pairs are found within 3' in text
+    assert '0 of 1 true poles and pairs are identified within 3' in text
     more = StateSpace(np.diag([-3.0, -7.0]), np.ones((2, 1)), np.ones((1, 2)))
     text = to_text([truth_section(estimate(more), [], TRUTH)])
     # Of -3 and -7 the first is nearer to the true pair.

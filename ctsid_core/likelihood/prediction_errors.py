@@ -359,7 +359,7 @@ def predicted_fit(projection: Projection, m: Matrices) -> Array:
     100 (1 - |E| / |E if inputs do nothing|). For an unstable plant with process noise: a
     simulation of it means nothing.
     """
-    error, blind = _with_andwithout_level(projection, m)
+    error, blind = _with_and_without_level(projection, m)
     return _nrmse(error, blind)
 
 
@@ -371,7 +371,7 @@ def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
     """
     m = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
     closed = resolvent(m.A - m.K @ m.C, projection.s)
-    error, blind = _with_andwithout_level(projection, m)
+    error, blind = _with_and_without_level(projection, m)
     unit = np.maximum(np.linalg.norm(blind, axis=1, keepdims=True), 1e-300)
     modes = []
     for tail in projection.tail:
@@ -381,7 +381,7 @@ def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
     return _nrmse(_beyond(error / unit, modes), _beyond(blind / unit, modes))
 
 
-def _with_andwithout_level(projection: Projection, m: Matrices) -> tuple[Array, Array]:
+def _with_and_without_level(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     """Return the prediction errors of a model, and of the same without effect of inputs."""
     silent = replace(m, B=np.zeros_like(m.B), D=np.zeros_like(m.D))
     return (as_real(prediction_errors(projection, m)),

@@ -132,7 +132,7 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     columns = (100 * verdict.missing, verdict.whiteness, verdict.next_ratio, verdict.fresh_ratio)
     outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
                     for i, name in enumerate(model.output_names))
-    tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'frequencies',
+    tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
                      'uncorrelated [%]', 'response std [%]'), inputs, ('input',))]
     tables.append(Table(('output', 'unmodelled response [%]', 'whiteness p-value',
                          'held-out error ratio', 'fresh error ratio'), outputs, ('output',)))

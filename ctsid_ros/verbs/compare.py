@@ -40,8 +40,8 @@ from ctsid_ros.verbs.arguments import (
 
 HELP = 'identify one interval of a bag by all methods, side by side'
 EPILOG = ('example: ctsid compare flight.mcap --params params.yaml --duration 20\n'
-          '         (with the same wrong setting all methods err alike; a large standard deviation\n'
-          '         hides any difference, so look at the percentage;\n'
+          '         (with the same wrong setting all methods err alike; a large standard\n'
+          '         deviation hides any difference, so look at the percentage;\n'
           '         `validation.cross_check` lets one of them take part in every verdict)')
 
 
