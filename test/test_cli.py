@@ -171,7 +171,7 @@ def test_replay_identifies_every_window_and_tests_it_on_unseen_data(ctsid, share
     assert (table['realisation'] == 1).all()
     with np.load('res/estimates.npz') as arrays:
         np.testing.assert_array_equal(arrays['fresh_fit_rate [%]'], table['fresh_fit_rate_'])
-    assert 'All 1 true poles and pairs are found' in out
+    assert 'All 1 true poles and pairs are identified' in out
     assert '-1.500 ± 3.000j' in out
     assert sorted(p.name for p in Path('res').iterdir()) == FILES
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ROS is told of each parameter: its meaning, unit, range and choices, and when to set it."""
+"""What ROS shows of each parameter: its meaning, unit, range and choices, and when to set it."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def compare(record: Record, settings: Settings, advance: Advance = silent) -> li
         Dead times that HD-PBSID finds are given to the others, which do not look for any. The
         order, if it is not given, each method chooses for itself.
     advance : callable, optional
-        Told how far it is.
+        Called with the progress.
     """
     settings = settings.replace(cross_check=UNCHECKED)
     found: list[Contender] = []
