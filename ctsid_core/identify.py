@@ -15,12 +15,12 @@ from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.rules import failed_estimate, unusable_estimate
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.search.bends_passes import as_likely, bends, with_bends
-from ctsid_core.search.dead_time_choice import likelier_dead_time
-from ctsid_core.search.lines import confirmed, estimate, undoubted, without_outliers
+from ctsid_core.search.bends_passes import bends, explains_as_well, with_bends
+from ctsid_core.search.dead_time_choice import choose_dead_time
+from ctsid_core.search.lines import choose_noise_model, confirm_order, estimate, without_outliers
 from ctsid_core.search.order import FIRST
-from ctsid_core.search.other_methods import found_by
-from ctsid_core.search.samples import of_bursts, undistorted
+from ctsid_core.search.other_methods import identify_by
+from ctsid_core.search.samples import solve_bursty_samples, solve_if_distorted
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.subspace.methods import METHODS
@@ -86,10 +86,10 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     records = (record,) if isinstance(record, Record) else tuple(record)
     check_alike(records)
     settings = settings or Settings()
-    found = _identify(records, settings, like.n if like else FIRST)
-    found = replace(found, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
-                    end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
-    return cross_checked(found, settings, lambda other: _identify(records, other, FIRST))
+    result = _identify(records, settings, like.n if like else FIRST)
+    result = replace(result, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+                     end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
+    return cross_checked(result, settings, lambda other: _identify(records, other, FIRST))
 
 
 def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Estimate:
@@ -101,28 +101,28 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
     method = METHODS[settings.method]
     try:
         if not method.refines:
-            tried = found_by(method, part, settings)
+            tried = identify_by(method, part, settings)
             return conclude(*tried) if tried else too_short
-        if on_samples := of_bursts(part, known):
-            told = conclude_on_samples(on_samples)
+        if on_samples := solve_bursty_samples(part, known):
+            result = conclude_on_samples(on_samples)
             unknown = any(settings.unknown_delays(records[0].nu))
-            return replace(told, notes=(*told.notes, _NO_SEARCH)) if unknown else told
-        found = estimate(part, known, first)
-        if found is None:
+            return replace(result, notes=(*result.notes, _NO_SEARCH)) if unknown else result
+        solution = estimate(part, known, first)
+        if solution is None:
             return too_short
-        plain = part, found
-        part, found = with_bends(part, found, known)
-        clean, found = without_outliers(part, found, known)
+        plain = part, solution
+        part, solution = with_bends(part, solution, known)
+        clean, solution = without_outliers(part, solution, known)
         if clean is not part:
-            part, found = with_bends(clean, found, known)
-        if bends(part) and (on_samples := undistorted(*plain)):
-            told = conclude_on_samples(on_samples)
-            if as_likely(told, part, found):
-                return told
-        found = undoubted(part, found, known, first)
-        part, found = likelier_dead_time(records, plain, (part, found), settings)
-        if on_samples := undistorted(part, found):
+            part, solution = with_bends(clean, solution, known)
+        if bends(part) and (on_samples := solve_if_distorted(*plain)):
+            result = conclude_on_samples(on_samples)
+            if explains_as_well(result, part, solution):
+                return result
+        solution = choose_noise_model(part, solution, known, first)
+        part, solution = choose_dead_time(records, plain, (part, solution), settings)
+        if on_samples := solve_if_distorted(part, solution):
             return conclude_on_samples(on_samples)
-        return conclude(part, *confirmed(part, found, settings))
+        return conclude(part, *confirm_order(part, solution, settings))
     except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
         return failed_estimate(error, settings, part.notes)

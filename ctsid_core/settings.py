@@ -71,7 +71,7 @@ def parameter_name(declared: Field[Any]) -> str:
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """
-    All that an identification can be told; the defaults find everything from the data.
+    Settings of an identification; with the defaults everything is chosen from the data.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class Settings:
 
     method: str = parameter(
         'hd-pbsid', 'Identification method; all but hd-pbsid give their plain subspace estimate, '
-        'and do not look for dead times.', structural=True,
+        'and do not estimate dead times.', structural=True,
         choices=METHODS)
     order: int = parameter(
         0, 'Number of states of the model.', low=0, high=50, auto='chosen from the data',
@@ -96,9 +96,9 @@ class Settings:
         True, 'Whether constant offsets of states and outputs are estimated with the model.',
         when='Set it to false only if all signals are deviations from an equilibrium.')
     delay: float | str | tuple[float | str, ...] = parameter(
-        'auto', 'Dead time of the inputs: one for all, or one per input; auto is found from the '
-        'data.', unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
-        when='Set it to 0.0 where commands act at once, or to what is known.')
+        'auto', 'Dead time of the inputs: one for all, or one per input; auto: estimated from '
+        'the data.', unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
+        when='Set it to 0.0 where commands act at once, or to a known value.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
         when='Set it to false to see the plain subspace estimate.')
@@ -109,7 +109,7 @@ class Settings:
     nmax: int = parameter(
         0, 'Highest order of the Hermite functions: the time-bandwidth product of the window.',
         name='hermite.nmax', low=0, high=5000, auto='from the bandwidth of the data',
-        when='Raise it if fast dynamics are missed, lower it if noise dominates.')
+        when='Raise it if fast dynamics are not modelled, lower it if noise dominates.')
     parts: int = parameter(
         0, 'Parts of equal length that a long record is divided into, each projected on a basis '
         'of its own; one model explains them all.', name='hermite.parts', low=0, high=50,
@@ -134,7 +134,7 @@ class Settings:
         name='pbsid.rank_tolerance', low=1e-15, high=1e-2)
     tm_real: float | str | tuple[float | str, ...] = parameter(
         'auto', 'Real parts of the pole sequence of the filters (method: gobf), in their order; '
-        'auto: spread evenly over the band that suits the data best.', unit='rad/s',
+        'auto: spread evenly over the band that fits the data best.', unit='rad/s',
         name='takenaka_malmquist.poles_real', low=1e-9, high=1e9, words=('auto',))
     tm_imag: float | str | tuple[float | str, ...] = parameter(
         'auto', 'Imaginary parts of the pole sequence, as many as real parts, conjugates beside '
@@ -143,21 +143,22 @@ class Settings:
     tm_functions: int = parameter(
         0, 'Number of filters in the chain, where their poles are not given.',
         name='takenaka_malmquist.functions', low=0, high=100,
-        auto='8, or twice what the order needs')
+        auto='8, or twice as many as the order needs')
     laguerre_pole: float = parameter(
         0.0, 'Pole of the Laguerre functions (method: ct-pbsid).',
         name='laguerre.pole', unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',
         when='A few times the fastest pole of interest, in steps of two if the model is poor.')
     held_out: float = parameter(
-        0.3, 'Last part of every window on which a model of the rest is tested; 0: no test.',
+        0.3, 'Share of every window, at its end, that is held out: a model of the rest is '
+        'tested on it; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,
         when='Set it to 0 to halve the computing time, if models are tested elsewhere.')
     cross_check: str = parameter(
         UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
         'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',
         choices=(UNCHECKED, *METHODS),
-        when='Set it to hd-pbsid where another method is used and there is time for it; it finds '
-        'dead times, too.')
+        when='Set it to hd-pbsid where another method is used and there is time for it; it '
+        'estimates dead times, too.')
     window_length: float = parameter(
         10.0, 'Length of the sliding window.', name='window.length', unit='s', low=1e-3,
         high=1e5, structural=True,

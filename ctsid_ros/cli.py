@@ -4,7 +4,7 @@ The command `ctsid`.
 
 stdout carries the result, stderr everything else. Exit codes: 0 a model was accepted (or there
 was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is acceptable,
-130 interrupted (what was found until then is written).
+130 interrupted (the results so far are written).
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ _EPILOG = """first steps:
   ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
   ctsid identify BAG --params params.yaml     one model of the whole bag
   ctsid replay BAG --params params.yaml       models in sliding windows along it
-  ctsid simulate MODEL OTHER_BAG              how well a model explains another bag
-  ctsid advise BAG --params params.yaml       which excitation is missing for a better model
-  ctsid compare BAG --params params.yaml      what other methods make of the same data
+  ctsid simulate MODEL OTHER_BAG              how well a model simulates another bag
+  ctsid advise BAG --params params.yaml       which excitation a better model needs
+  ctsid compare BAG --params params.yaml      the models of all methods, side by side
   ctsid study hd-vs-ct                        the published Monte Carlo study, repeated
 
-exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted"""
+exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted
+
+The words of the reports (fit, verdict, response std, ...) are explained in docs/glossary.md."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,8 +73,9 @@ def _parser() -> argparse.ArgumentParser:
         study,
     )
     parser = argparse.ArgumentParser(
-        prog='ctsid', description='Continuous-time models from bags: own stamps per topic, no '
-        'resampling.', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
+        prog='ctsid', description='Identifies continuous-time state-space models from bags; '
+        'each topic keeps its own time stamps, nothing is resampled.', epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--version', action='version', version=f'ctsid {package_version()}')
     verbs = parser.add_subparsers(metavar='VERB', required=True)
     for name, verb in (('info', info), ('init', init), ('identify', identify),

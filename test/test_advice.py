@@ -61,8 +61,8 @@ def scatter(case, parts, seeds: int, pole: complex) -> float:
     return float(np.sqrt(np.mean(np.abs(errors) ** 2)))
 
 
-def foretold(case, seeds: int):
-    """Return the median of what the first experiment of several runs foretells of its first pole.
+def forecast_of(case, seeds: int):
+    """Return the median of what the first experiment of several runs forecasts of its first pole.
 
     The pole, the most helpful band, what that leaves of the deviation, and what twice the
     amplitude leaves.
@@ -121,7 +121,7 @@ def test_what_is_enough_gives_what_is_wanted():
     words = advise(estimate, record, wanted=0.01).sentences
     assert f'Pole {one.pole.real:.3g}' in words[0]
     assert 'would divide it by' in words[0]
-    assert 'nothing is missing' in advise(estimate, record, wanted=0.9).sentences[0]
+    assert 'no further data are needed' in advise(estimate, record, wanted=0.9).sentences[0]
 
 
 def test_rejected_models_are_good_enough_for_advice_and_none_gets_a_word():
@@ -155,8 +155,8 @@ def test_numbers_and_channels_have_to_fit():
     pytest.param(CASES['measurement noise'], 16, id='few'),
     *(pytest.param(case, 80, id=name, marks=pytest.mark.slow) for name, case in CASES.items())])
 def test_deviations_fall_as_foretold(case, seeds):
-    """What is foretold of further excitation in a band, and of more amplitude, is what comes."""
-    pole, band, ratio, larger = foretold(case, 10)
+    """What is forecast of further excitation in a band, and of more amplitude, is what comes."""
+    pole, band, ratio, larger = forecast_of(case, 10)
     now = scatter(case, [(1.0, FAST)], seeds, pole)
     chance = np.exp(2.6 * np.sqrt(1.0 / seeds))   # of a ratio of two deviations, 1 in 100 beyond
     allowed = max(1.3, chance)
@@ -165,7 +165,7 @@ def test_deviations_fall_as_foretold(case, seeds):
             ('twice as long', [(1.0, FAST), (1.0, FAST)], np.sqrt(0.5)),
             (f'{larger:.3g} times as large', [(larger, FAST)], 0.5)):
         measured = scatter(case, parts, seeds, pole) / now
-        print(f'{what}: foretold {expected:.3f}, measured {measured:.3f}')
-        least = 0.5 if what == 'twice as long' else 1.0 / allowed  # foretold as of two windows
+        print(f'{what}: forecast {expected:.3f}, measured {measured:.3f}')
+        least = 0.5 if what == 'twice as long' else 1.0 / allowed  # forecast as of two windows
         assert expected * least < measured < expected * allowed
     assert ratio < 0.6

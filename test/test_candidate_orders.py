@@ -11,7 +11,7 @@ from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.records import join_records
 from ctsid_core.model.estimate import OrderTried, with_fit
 from ctsid_core.model.model_json import from_json, to_json
-from ctsid_core.search.lines import confirmed, estimate
+from ctsid_core.search.lines import confirm_order, estimate
 
 QUICK = Settings(held_out=0.0)
 
@@ -87,7 +87,7 @@ def test_next_data_decide_between_orders_about_as_likely(data_folder):
     joint = join_records((record,), settings)
     first = estimate(joint, settings, 2)
     assert len(first.matrices.A) == 3
-    found, tested = confirmed(joint, first, settings)
+    found, tested = confirm_order(joint, first, settings)
     assert len(found.matrices.A) == 4
     table = {o.order: o for o in found.orders}
     assert table[3].criterion == 0.0 < table[4].criterion < 20.0

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from ctsid_core.bases.kinks import integrated, missed_between
+from ctsid_core.bases.kinks import integrated, interpolation_errors
 from ctsid_core.bases.takenaka_malmquist import chain
 from ctsid_core.errors import SettingsError
 from ctsid_core.identify import identify
@@ -138,7 +138,7 @@ def test_what_is_missed_is_what_interpolation_misses():
     y = integrated(parts, knots)[0]
     stamps = knots[::7]
     sampled = Signal(stamps, y[::7], 'smooth')
-    missed = missed_between(parts, knots, (sampled,), input_polynomials, 1)
+    missed = interpolation_errors(parts, knots, (sampled,), input_polynomials, 1)
     curve = input_polynomials((sampled,), (0.0,), knots)
     inside = knots < stamps[-1]
     np.testing.assert_allclose(missed[0, inside, 0], (y - curve[0])[inside, 0], atol=1e-12)

@@ -221,7 +221,7 @@ def test_trim_is_estimated_not_averaged_away():
                    0.0, 20.0)
     found = identify(moved.between(0.0, 6.0))
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=1e-3)
-    # The trim belongs to the model: it foretells another part of the record as it stands.
+    # The trim belongs to the model: it predicts another part of the record as it stands.
     assert simulation(found.model, moved.between(8.0, 20.0)).fit.min() > 99.9
     naive = identify(moved.between(0.0, 6.0), Settings(trim=False, order=2))
     assert np.abs(match(either(naive).poles, p.poles) - p.poles).max() > 0.05

@@ -12,13 +12,13 @@ from ctsid_core.bases.hermite import project_record
 from ctsid_core.bases.records import join_records
 from ctsid_core.likelihood.information import pole_deviation
 from ctsid_core.likelihood.prediction_errors import innovation_cost, prediction_errors
-from ctsid_core.likelihood.process_noise import driven, with_process_noise
+from ctsid_core.likelihood.process_noise import with_linear_entries, with_process_noise
 from ctsid_core.likelihood.refine import realise_poles, refine_innovation, refine_output_error
 from ctsid_core.search.bends_passes import with_bends
 from ctsid_core.search.lines import estimate as by_order
 from ctsid_core.search.lines import without_outliers
 from ctsid_core.search.order import Search
-from ctsid_core.search.selection import likeliest_simulation
+from ctsid_core.search.selection import most_likely_simulation
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 
@@ -38,7 +38,7 @@ def gusty(seed: int, start: float, *, payload=0.5, duration=8.0) -> Record:
 
 def simulated(lines, n):
     pair = Search(lines, NOISY).pair(n)
-    return pair, likeliest_simulation(lines, pair, NOISY)[0]
+    return pair, most_likely_simulation(lines, pair, NOISY)[0]
 
 
 @pytest.mark.parametrize('seed', range(300, 304))
@@ -78,8 +78,8 @@ def test_driven_finds_what_is_linear(feedthrough):
     lines = replace(lines, y=lines.y[:1])
     pair = Search(lines, Settings(feedthrough=feedthrough)).pair(3)
     m = replace(pair.predicting.matrices, K=0.0 * pair.predicting.matrices.K)
-    once = driven(lines, m, feedthrough)
-    other = driven(lines, replace(m, B=3.0 * m.B + 1.0, tail=-m.tail), feedthrough)
+    once = with_linear_entries(lines, m, feedthrough)
+    other = with_linear_entries(lines, replace(m, B=3.0 * m.B + 1.0, tail=-m.tail), feedthrough)
     error, same = (prediction_errors(lines, found) for found in (once, other))
     np.testing.assert_allclose(same, error, rtol=0.0, atol=1e-5 * np.abs(error).max())
     assert innovation_cost(lines, once) < innovation_cost(lines, m)

@@ -328,13 +328,13 @@ def test_truth_section_counts_deviations():
     near, far = estimate(shifted(TRUTH, 0.2), 0.1), estimate(shifted(TRUTH, 0.5), 0.1)
     text = to_text([truth_section(near, [], TRUTH)])
     assert re.search(r'-1\.500 ± 3\.000j\s+-1\.300 ± 3\.000j\s+0\.10\s+0\.20\s+2\.0\n', text)
-    assert 'All 1 true poles and pairs are found; the farthest is 2.0' in text
+    assert 'All 1 true poles and pairs are identified; the largest error is 2.0' in text
     results = [Result(Tracked(estimate(shifted(TRUTH, by))), np.array([90.0]))
                for by in (0, 0.1, 0.9)]
     text = to_text([truth_section(far, results, TRUTH)])
     assert 'median of 3 windows' in text
     assert '-1.400 ± 3.000j' in text
-    assert '0 of 1 true poles and pairs are found within 3' in text
+    assert '0 of 1 true poles and pairs are identified within 3' in text
     more = StateSpace(np.diag([-3.0, -7.0]), np.ones((2, 1)), np.ones((1, 2)))
     text = to_text([truth_section(estimate(more), [], TRUTH)])
     # Of -3 and -7 the first is nearer to the true pair.
@@ -359,7 +359,8 @@ def test_a_rejected_model_is_shown_as_such():
     text = to_text([model_section(rejected, 'Model')])
     assert 'REJECT. No linear model explains' in text
     assert 'NOT ACCEPTED (UNEXPLAINED)' in text
-    assert 'response known to [%]' in text
+    assert 'response std [%]' in text
+    assert 'docs/glossary.md' in text
     assert '-1.500 ± 3.000j' in text
     assert '12.0' in text
     text = to_text([model_section(estimate(None, status=Status.TOO_SHORT), 'Model')])

@@ -13,7 +13,7 @@ def white(rng, ny, count):
 def test_white_errors_alarm_as_rarely_as_they_should(ny, count):
     rng = np.random.default_rng(ny * count)
     scale = 10.0 ** np.arange(ny)[:, np.newaxis]                # outputs of any unit
-    chances = [highest_peak(scale * white(rng, ny, count)).chance for _ in range(2000)]
+    chances = [highest_peak(scale * white(rng, ny, count)).p_value for _ in range(2000)]
     assert np.mean(np.array(chances) < 0.1) < 0.12              # a bound, and three deviations
     assert np.mean(np.array(chances) < 0.01) < 0.017
 
@@ -23,10 +23,10 @@ def test_a_mode_shows_whether_narrow_or_broad():
     for pole in (-0.3 + 20.0j, -8.0 + 30.0j):
         shape = 1.0 + 40.0 / np.abs((1j * w - pole) / pole.real)
         peak = highest_peak(shape * white(rng, 2, 400))
-        assert peak.chance < 1e-12
+        assert peak.p_value < 1e-12
         assert peak.ratio > 1.5
 
 
 def test_few_lines_and_no_errors_are_no_fault():
-    assert highest_peak(np.zeros((2, 5), dtype=complex)).chance > 0.1
-    assert 0.0 < highest_peak(white(np.random.default_rng(1), 1, 3)).chance <= 1.0
+    assert highest_peak(np.zeros((2, 5), dtype=complex)).p_value > 0.1
+    assert 0.0 < highest_peak(white(np.random.default_rng(1), 1, 3)).p_value <= 1.0

@@ -25,8 +25,8 @@ _SMALL = 0.97         # of the deviation: a band that leaves more than this does
 
 _NO_FORECAST = ('There is no forecast for models that were made from the raw samples, or from '
                 'several records; identify one record of densely sampled outputs.')
-_AS_KNOWN = ('The dead time that was found is taken as known here; as it is not, it takes some '
-             'more data.')
+_AS_KNOWN = ('The estimated dead time counts as known here; as it is not, somewhat more data are '
+             'needed.')
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PoleAdvice:
     bands : tuple of Band
         What further excitation in one band would do, the most helpful first.
     enough : float
-        How long it has to be in the most helpful one [s]; infinite if that is not the way.
+        How long it has to last in the most helpful one [s]; infinite if that is not the way.
     """
 
     pole: complex
@@ -64,7 +64,7 @@ class PoleAdvice:
 @dataclass(frozen=True)
 class Advice:
     """
-    Which experiment is missing.
+    Which further experiment would help.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Advice:
 def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
            seconds: float = 10.0) -> Advice:
     """
-    Tell which duration, amplitude or band of excitation is missing for a wanted accuracy.
+    Return which duration, amplitude or band of excitation a wanted accuracy needs.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
 
     Notes
     -----
-    A forecast from the model found: as good as that, and blind to dynamics that it does not have.
+    A forecast from the model: as good as that, and without dynamics that it does not have.
     In closed loop the excitation is that of the input itself, not of the reference.
     """
     for name, value in (('wanted', wanted), ('seconds', seconds)):
@@ -166,12 +166,12 @@ def _without_model(estimate: Estimate, record: Record) -> Iterator[str]:
 
 
 def _sentences(poles: Sequence[PoleAdvice], wanted: float, seconds: float) -> Iterator[str]:
-    """Return the advice in words, the poles that miss the wanted accuracy only."""
-    missing = [p for p in poles if p.std > p.wanted]
-    if not missing:
-        yield (f'All poles are known to {100 * wanted:.3g} % of their size or better: nothing is '
-               'missing.')
-    for p in missing:
+    """Return the advice in words, of the poles less accurate than wanted."""
+    inaccurate = [p for p in poles if p.std > p.wanted]
+    if not inaccurate:
+        yield (f'The standard deviation of every pole is at most {100 * wanted:.3g} % of its '
+               'size: no further data are needed.')
+    for p in inaccurate:
         yield (f'{_named(p.pole)}: standard deviation {p.std:.2g} rad/s, wanted {p.wanted:.2g}. '
                f'With the same excitation the data would have to be {p.longer:.2g} times as long'
                + (f', or the input {p.larger:.2g} times as large' if p.larger < np.inf else '')

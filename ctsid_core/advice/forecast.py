@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What further data would tell of a model that has been found.
+Information that further data would add on an identified model.
 
 An input of power spectral density Phi(omega) that acts for a time T adds to the information
 
@@ -24,7 +24,7 @@ from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.projection import Projection, real_times
 from ctsid_core.likelihood.information import Information, information, trust, without_gain
 from ctsid_core.likelihood.prediction_errors import Prediction, jacobian, simulation
-from ctsid_core.likelihood.process_noise import driven
+from ctsid_core.likelihood.process_noise import with_linear_entries
 from ctsid_core.likelihood.refine import by_parameter, whitener
 from ctsid_core.likelihood.window_ends import line_distance
 from ctsid_core.linear.matrices import Matrices
@@ -87,7 +87,7 @@ class Forecast:
         Derivatives of the poles.
     H, V : ndarray, shape (r, r)
         Information, and variance of the slope of the likelihood.
-    caused, shaken : ndarray, shape (r, r)
+    by_inputs, by_noise : ndarray, shape (r, r)
         The parts of H that inputs and noise cause alone.
     white : float
         V over H, for an innovation form; NaN for a simulation, whose V is of the inputs' making.
@@ -98,8 +98,8 @@ class Forecast:
     slopes: ComplexArray
     H: Array
     V: Array
-    caused: Array
-    shaken: Array
+    by_inputs: Array
+    by_noise: Array
     white: float
     added: tuple[Added, ...]
 
@@ -114,35 +114,35 @@ class Forecast:
 
     def with_size(self, k: int, factor: float) -> float:
         """Return the same with so many times the input."""
-        H = factor ** 2 * self.caused + self.shaken \
-            + factor * (self.H - self.caused - self.shaken)
+        H = factor ** 2 * self.by_inputs + self.by_noise \
+            + factor * (self.H - self.by_inputs - self.by_noise)
         return self.deviation(k, H, factor ** 2 * self.V if np.isnan(self.white) else
                               self.white * H)
 
 
 def forecast(part: Usable, model: StateSpace, estimate: Estimate) -> Forecast:
-    """Return what further data would tell of an estimate's model, from the data it is of."""
+    """Return the information that further data would add, from the data an estimate is of."""
     settings = estimate.settings
     noisy = bool(estimate.statistics.get('process_noise', float(model.K.any())))
     own = settings.replace(delay=tuple(model.delay[j] for j in part.u), parts=settings.parts or 1)
     projection = project_record(part.record, own, settings.nmax)
-    m = driven(projection, _matrices(part, projection, model), settings.feedthrough)
+    m = with_linear_entries(projection, _matrices(part, projection, model), settings.feedthrough)
     m = m if noisy else without_gain(projection, m, settings.feedthrough)
     known = information(projection, m, settings.feedthrough, noisy)
     basis = known.s[:, np.newaxis] * known.basis.T
     H, V = basis @ basis.T, (basis * known.size) @ (basis * known.size).T
-    caused, shaken = H, np.zeros_like(H)
+    by_inputs, by_noise = H, np.zeros_like(H)
     if noisy:
         quiet = _reduced(_rows(projection, m, settings.feedthrough, simulation(projection, m).x,
                                noisy=True, s=projection.s), known)
-        caused, shaken = quiet @ quiet.T, (basis - quiet) @ (basis - quiet).T
+        by_inputs, by_noise = quiet @ quiet.T, (basis - quiet) @ (basis - quiet).T
     values, right = np.linalg.eig(m.A)
     order = np.lexsort((values.imag, np.abs(values)))
     left, right, n2 = np.linalg.inv(right)[order], right[:, order], m.A.size
     gradient = np.einsum('ia,bi->iab', left, right).reshape(len(values), -1)
     return Forecast(
         values[order].astype(complex), gradient @ (known.right[:, :n2] / known.norm[:n2]).T, H, V,
-        caused, shaken, float(known.size[0]) ** 2 if noisy else np.nan,
+        by_inputs, by_noise, float(known.size[0]) ** 2 if noisy else np.nan,
         tuple(_added(part, projection, m, known, settings, noisy=noisy)))
 
 
@@ -163,7 +163,7 @@ def _rows(projection: Projection, m: Matrices, feedthrough: bool, x: Lines, *, n
     Parameters
     ----------
     projection : Projection
-        That tells the size of the errors.
+        That gives the size of the errors.
     of : Projection, optional
         Whose lines count instead.
     """

@@ -55,7 +55,7 @@ def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int, str]:
     reach = 2.0 * nmax * parts / tau
     why = (f'the outputs rise above their noise up to {band / (2 * np.pi):.3g} Hz, the slowest '
            f'sampling allows {highest / (2 * np.pi):.3g} Hz, the record is {2 * tau:.3g} s long: '
-           f'what is used reaches {reach / (2 * np.pi):.3g} Hz'
+           f'the basis reaches {reach / (2 * np.pi):.3g} Hz'
            + (f' in {parts} parts' if parts > 1 else ''))
     if product > _MOST * _MOST_PARTS:
         why += ', for so long a record no more; take a shorter --duration, or replay windows'

@@ -46,7 +46,7 @@ def integrated(derivatives: Array, knots: Array) -> Array:
     return np.concatenate([value[np.newaxis], derivatives])
 
 
-def missed_between(u: Array, knots: Array, outputs: Sequence[Signal],
+def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal],
                    interpolate: Callable[[Sequence[Signal], Sequence[float], Array], Array],
                    count: int, first: int = 1) -> Array:
     """
@@ -78,13 +78,13 @@ def missed_between(u: Array, knots: Array, outputs: Sequence[Signal],
         integral = integrated(integral, knots) if power else integral
         if power >= first:
             found += [x for signal in outputs
-                      for x in _missed(integral, knots, signal, interpolate)]
+                      for x in _interpolation_error(integral, knots, signal, interpolate)]
     degree = max(map(len, found), default=1)
     columns = [np.concatenate((x, np.zeros((degree - len(x), len(knots))))) for x in found]
     return np.stack(columns, axis=2) if columns else np.zeros((1, len(knots), 0))
 
 
-def _missed(signal: Array, knots: Array, output: Signal,
+def _interpolation_error(signal: Array, knots: Array, output: Signal,
             interpolate: Callable[[Sequence[Signal], Sequence[float], Array], Array],
             ) -> list[Array]:
     inside = np.isin(output.time, knots)

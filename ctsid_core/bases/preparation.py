@@ -73,7 +73,7 @@ class Usable:
     held: tuple[Array | None, ...]
     bends: Bends | None = None
 
-    def doubtful(self, density: Array) -> bool:
+    def may_hide_outliers(self, density: Array) -> bool:
         """
         Return whether a model may show corrupt samples that neighbours do not.
 

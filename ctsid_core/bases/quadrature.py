@@ -11,7 +11,7 @@ A held signal's derivative is a sum of impulses at its stamps, so that g is one 
 samples and c is exact. A signal of straight lines has a held derivative: the same step twice. A
 smooth signal is a spline, integrated by the trapezoid rule where stamps are uniform (spectrally
 accurate, the basis having decayed at the ends) and else by Gauss-Legendre points in every
-interval. The degree of the spline, 1, 3 or 5, is the one that foretells every second sample from
+interval. The degree of the spline, 1, 3 or 5, is the one that predicts every second sample from
 the others best: straight lines where noise dominates, the fifth where the signal is clean and
 its sampling coarse.
 """
@@ -224,7 +224,7 @@ def _divided(nodes: Array, longest: float) -> Array:
 
 def spline_degree(t: Array, values: Array) -> int:
     """
-    Return the degree of the spline that foretells every second sample from the others best.
+    Return the degree of the spline that predicts every second sample from the others best.
 
     Parameters
     ----------

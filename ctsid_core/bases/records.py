@@ -119,9 +119,9 @@ class Joint:
                 counts[name] = counts.get(name, 0.0) + count
         return list(self.numbered([notes for notes, _ in found])), counts
 
-    def doubtful(self, densities: Sequence[Array]) -> bool:
-        """Return whether a model may show corrupt samples; see `Usable.doubtful`."""
-        return any(p.doubtful(d) for p, d in zip(self.parts, densities, strict=True))
+    def may_hide_outliers(self, densities: Sequence[Array]) -> bool:
+        """Return whether a model may show corrupt samples; see `Usable.may_hide_outliers`."""
+        return any(p.may_hide_outliers(d) for p, d in zip(self.parts, densities, strict=True))
 
     def cleaned(self, models: Sequence[StateSpace]) -> tuple[Joint, float]:
         """

@@ -2,7 +2,7 @@
 """
 The same plant all the time: did it change within a record, or between records.
 
-Within: the test of `steadiness.py` on each record by itself. Between: the same score test, each
+Within: the test of `change_test.py` on each record alone. Between: the same score test, each
 record on one side and all others on the other. Records have nothing in common but the plant, so
 that their sides need no instants: lines will do.
 """
@@ -20,7 +20,7 @@ from ctsid_core.judge.change_test import (
     Change,
     Side,
     compared,
-    likeliest_change,
+    most_likely_change,
     orthonormal,
     response_to_inputs,
     weighed,
@@ -32,7 +32,7 @@ from ctsid_core.settings import Settings
 
 
 @dataclass(frozen=True)
-class Differing:
+class ChangedRecord:
     """
     The record that speaks most for a change of the plant.
 
@@ -51,8 +51,8 @@ class Differing:
     change: Change = Change()
 
 
-def likeliest_difference(projection: Projection, m: Matrices, settings: Settings,
-                         layout: Layout) -> Differing:
+def most_likely_changed_record(projection: Projection, m: Matrices, settings: Settings,
+                               layout: Layout) -> ChangedRecord:
     """
     Return what speaks most for a change of the plant within a record or between records.
 
@@ -69,11 +69,11 @@ def likeliest_difference(projection: Projection, m: Matrices, settings: Settings
     """
     count, sizes = len(layout.sizes), layout.sizes
     if count == 1:
-        return Differing(0, True, likeliest_change(projection, m, settings))
-    within = [Differing(i, True, likeliest_change(record, own, settings.replace(nmax=nmax)))
+        return ChangedRecord(0, True, most_likely_change(projection, m, settings))
+    within = [ChangedRecord(i, True, most_likely_change(record, own, settings.replace(nmax=nmax)))
               for i, (record, own, (nmax, _)) in enumerate(zip(
                   projection.records, of_records(m, projection), sizes, strict=True))]
-    between = [Differing(i, False, change) for i, change in enumerate(
+    between = [ChangedRecord(i, False, change) for i, change in enumerate(
         _differences(projection, m, settings, layout))]
     # A record of another plant is a change of all: that it is, and which, goes first.
     both = [[replace(f, change=replace(f.change, p_value=min(count * f.change.p_value, 1.0)))

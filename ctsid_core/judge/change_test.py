@@ -109,7 +109,7 @@ class Side:
     spare: int
 
 
-def likeliest_change(projection: Projection, m: Matrices, settings: Settings) -> Change:
+def most_likely_change(projection: Projection, m: Matrices, settings: Settings) -> Change:
     """
     Return the instant at which a change of the plant is likeliest.
 
@@ -180,15 +180,15 @@ def weighed(projection: Projection, m: Matrices, settings: Settings,
     nmax : int
     """
     whiten, error = whitener(projection, m)
-    colour = _colour(whiten @ error, nmax)
+    amplitude = _noise_amplitude(whiten @ error, nmax)
     columns = np.tensordot(whiten, _sensitivity(projection, m, settings.feedthrough), axes=1)
-    columns /= colour[:, :, np.newaxis]
+    columns /= amplitude[:, :, np.newaxis]
     flat = columns.reshape(-1, columns.shape[2])
-    return (flat, (whiten @ error / colour).ravel(),
+    return (flat, (whiten @ error / amplitude).ravel(),
             FreeEntries.of(m, settings.feedthrough).mask('A', 'B', 'C', 'D'))
 
 
-def _colour(error: Array, nmax: int) -> Array:
+def _noise_amplitude(error: Array, nmax: int) -> Array:
     """
     Return the amplitude of the errors, smoothed over neighbouring lines (ny, 2 L).
 
@@ -201,8 +201,8 @@ def _colour(error: Array, nmax: int) -> Array:
     sums = np.cumsum(np.pad(power, ((0, 0), (0, 0), (1, 0))), axis=2)
     first = np.clip(np.arange(count) - width // 2, 0, count - width)
     mean = (sums[:, :, first + width] - sums[:, :, first]) / width
-    colour: Array = np.sqrt(mean.reshape(error.shape)) + 1e-150
-    return colour
+    amplitude: Array = np.sqrt(mean.reshape(error.shape)) + 1e-150
+    return amplitude
 
 
 def _sensitivity(projection: Projection, m: Matrices, feedthrough: bool) -> Array:
@@ -305,16 +305,16 @@ def _side(triangle: Array, free: int, count: int) -> Side:
 def response_to_inputs(projection: Projection, m: Matrices, nmax: int) -> float:
     """Return the norm of what the predictor makes of the inputs, in units of the errors."""
     whiten, error = whitener(projection, m)
-    colour = _colour(whiten @ error, nmax)
-    return float(np.linalg.norm(whiten @ _response(projection, m) / colour))
+    amplitude = _noise_amplitude(whiten @ error, nmax)
+    return float(np.linalg.norm(whiten @ _response(projection, m) / amplitude))
 
 
 def _response(projection: Projection, m: Matrices) -> Array:
     """Return what the predictor makes of the inputs, as it moves (ny, 2 L)."""
     nothing = np.zeros_like
-    driven = Matrices(A=m.A - m.K @ m.C, B=m.B - m.K @ m.D, C=m.C, D=m.D, K=nothing(m.K),
+    predictor = Matrices(A=m.A - m.K @ m.C, B=m.B - m.K @ m.D, C=m.C, D=m.D, K=nothing(m.K),
                       tail=nothing(m.tail), x_trim=nothing(m.x_trim), y_trim=nothing(m.y_trim))
-    y, ones = as_real(simulate_lines(projection, driven)), as_real(projection.ones)
+    y, ones = as_real(simulate_lines(projection, predictor)), as_real(projection.ones)
     still: Array = (y @ ones.T) / np.sum(ones ** 2, axis=1) @ ones if len(ones) else 0.0 * y
     return y - still
 

@@ -18,25 +18,26 @@ from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.search.samples import OnSamples, density
-from ctsid_core.search.samples_model import Told
-from ctsid_core.search.solution import Found
+from ctsid_core.search.samples_model import SamplesSolution
+from ctsid_core.search.solution import Solution
 from ctsid_core.settings import Settings
 from ctsid_core.signals.stuck import stuck_outputs
 
-_UNEXAMINED = ('Samples that come in bursts do not tell whether the model misses some of the '
-               'response; test it on other data before using it.')
+_UNEXAMINED = ('With samples that come in bursts, whether part of the response is not modelled '
+               'cannot be tested; test the model on other data before using it.')
 
 
 def conclude_on_samples(found: OnSamples) -> Estimate:
     """Return the estimate; the numbers behind its verdict are those of a projection, if any."""
-    part, told, settings, why = found.part, found.told, found.settings, found.why
+    part, solution, settings, why = found.part, found.solution, found.settings, found.why
     numbers = None if found.lines is None else _numbers(part, found.lines)
-    m = told.fit.matrices
-    model = whole_model(part, m, settings.delays(part.whole.nu), np.diag(density(part, told)))
-    covariance = _covariance(part, told, settings, model)
+    m = solution.fit.matrices
+    model = whole_model(part, m, settings.delays(part.whole.nu),
+                        np.diag(density(part, solution)))
+    covariance = _covariance(part, solution, settings, model)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
-    evidence = _evidence(part, told, model, deviation, numbers)
+    evidence = _evidence(part, solution, model, deviation, numbers)
     status, verdict = judge(evidence)
     if numbers is None and status is Status.OK:
         verdict = replace(verdict, grade=Grade.WEAK, reason=_UNEXAMINED)
@@ -48,31 +49,32 @@ def conclude_on_samples(found: OnSamples) -> Estimate:
         status=status, settings=settings.replace(order=model.n), model=model if ok else None,
         rejected_model=None if ok else model, pole_std=deviation, covariance=covariance,
         verdict=verdict, fit=evidence.fit, held_out_fit=evidence.held_out,
-        choices=_choices(told, model.n, why), orders=told.table,
+        choices=_choices(solution, model.n, why), orders=solution.table,
         notes=(*(n.replace(': bridged by straight lines', '') for n in part.notes), *corrupt,
                *notes),
         statistics={**counts, 'process_noise': 0.0})
 
 
-def _choices(told: Told, order: int, why: str) -> tuple[Choice, ...]:
+def _choices(solution: SamplesSolution, order: int, why: str) -> tuple[Choice, ...]:
     choices = [Choice('domain', 'time', f'{why}; the model was made from the samples themselves')]
-    if told.table:
-        table = ', '.join(f'{one.order}: {one.criterion:.0f}' for one in told.table)
-        choices.append(Choice('order', order, "Schwarz's criterion, above its smallest value, "
-                              f'by order: {table}'))
-    return (*choices, Choice('noise', 'measurement', 'the only kind that is looked for in samples '
+    if solution.table:
+        table = ', '.join(f'{one.order}: {one.criterion:.0f}' for one in solution.table)
+        choices.append(Choice('order', order, "Schwarz's criterion (BIC), above its smallest "
+                              f'value, by order: {table}'))
+    return (*choices, Choice('noise', 'measurement', 'process noise is not estimated from samples '
                              'that cannot be interpolated'))
 
 
-def _covariance(part: Usable, told: Told, settings: Settings,
+def _covariance(part: Usable, solution: SamplesSolution, settings: Settings,
                 model: StateSpace) -> Covariance | None:
-    changes = entries_of(told.fit.root, told.fit.matrices, settings.feedthrough, delays=False)
+    changes = entries_of(solution.fit.root, solution.fit.matrices, settings.feedthrough,
+                         delays=False)
     if not all(np.isfinite(block).all() for block in changes):
         return None
     return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model)
 
 
-def _evidence(part: Usable, told: Told, model: StateSpace, deviation: Array,
+def _evidence(part: Usable, solution: SamplesSolution, model: StateSpace, deviation: Array,
               numbers: Verdict | None) -> Evidence:
     whole, resolution = part.whole, 2.0 * np.pi / part.record.duration
     unknown = np.full(len(part.y), np.nan)
@@ -86,8 +88,8 @@ def _evidence(part: Usable, told: Told, model: StateSpace, deviation: Array,
         input_names=whole.input_names, output_names=whole.output_names,
         fixed_inputs=tuple(j for j in range(whole.nu) if j not in part.u),
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in part.y),
-        stuck=stuck_outputs(whole), fit=everywhere(told.simulated),
-        held_out=everywhere(told.unseen), poles=model.poles, deviation=deviation,
+        stuck=stuck_outputs(whole), fit=everywhere(solution.simulated),
+        held_out=everywhere(solution.unseen), poles=model.poles, deviation=deviation,
         resolution=resolution, change='', process_noise=False,
         numbers=replace(
             known, missing=everywhere(known.missing),
@@ -96,8 +98,8 @@ def _evidence(part: Usable, told: Told, model: StateSpace, deviation: Array,
             pole_uncertainty=pole_uncertainty(model.poles, deviation, resolution)))
 
 
-def _numbers(part: Usable, found: Found) -> Verdict:
-    """Return what the lines of interpolated outputs tell of their model."""
+def _numbers(part: Usable, found: Solution) -> Verdict:
+    """Return the numbers of a verdict from the lines of interpolated outputs."""
     nothing = np.full(len(found.matrices.C), np.nan)
     return examine(found.projection, found.matrices, [part.record], nothing,
                    feedthrough=found.settings.feedthrough)

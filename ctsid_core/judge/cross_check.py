@@ -7,8 +7,8 @@ if that looks for them.
 
 Two methods that treat the same data differently agree where the model is right, to within what
 noise does; where it cannot be right (a dead time not allowed for, an order too low), each errs in
-its own way. That they agree does not prove that they are right: what they are told in common
-(order, dead time, holds, stamps) is wrong for both.
+its own way. That they agree does not prove that they are right: a wrong order,
+dead time, hold or stamp that is given to both is wrong for both.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ def cross_checked(found: Estimate, settings: Settings,
     """
     if settings.cross_check == UNCHECKED or found.model is None:
         return found
-    other = identify(_told(settings, found.model))
+    other = identify(_second_settings(settings, found.model))
     verdict = replace(found.verdict, agreement=agreement(found, other, settings.cross_check))
     return replace(found, verdict=verdict.weakened)
 
 
-def _told(settings: Settings, model: StateSpace) -> Settings:
+def _second_settings(settings: Settings, model: StateSpace) -> Settings:
     """Return the settings of the second method."""
     other = settings.replace(method=settings.cross_check, cross_check=UNCHECKED)
     if METHODS[other.method].looks_for_dead_time and any(settings.unknown_delays(model.nu)):

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.projection import Projection, as_real, of_records
-from ctsid_core.judge.excitation import Foreseen, excitations, together
-from ctsid_core.judge.residual_tests import leftover
+from ctsid_core.judge.excitation import LinePrediction, combined, excitations
+from ctsid_core.judge.residual_tests import prediction_error_test
 from ctsid_core.likelihood.prediction_errors import simulate_lines
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
@@ -42,16 +42,17 @@ def examine(projection: Projection, m: Matrices, records: Sequence[Record], unse
 def _examine(projection: Projection, m: Matrices, records: Sequence[Record],
              unseen: Array, feedthrough: bool) -> Verdict:
     n, nu, ny = len(m.A), len(projection.u), len(projection.y)
-    foreseen = Foreseen(projection, m)
-    excitation = together([
-        excitations(Foreseen(p, own), record, n + ny * feedthrough) for p, own, record in
+    prediction = LinePrediction(projection, m)
+    excitation = combined([
+        excitations(LinePrediction(p, own), record, n + ny * feedthrough) for p, own, record in
         zip(projection.records, of_records(m, projection), records, strict=True)])
     highest = max((x.high for x in excitation if x.high > 0.0), default=0.0)
-    found = leftover(foreseen, highest or float(np.abs(projection.s).max()), n * (nu + 2 * ny)
-                     + ny * nu * feedthrough)
+    test = prediction_error_test(
+        prediction, highest or float(np.abs(projection.s).max()),
+        n * (nu + 2 * ny) + ny * nu * feedthrough)
     error = as_real(projection.y - simulate_lines(projection, m))
     spare = max(projection.count - n * (nu / ny + 1) - nu * feedthrough, 1.0)
     density = projection.unit * np.sum(error ** 2, axis=1) / spare
-    return replace(UNJUDGED, excitation=excitation, missing=found.missing,
-                   missing_p_value=found.p_value, whiteness=found.whiteness,
+    return replace(UNJUDGED, excitation=excitation, missing=test.missing,
+                   missing_p_value=test.p_value, whiteness=test.whiteness,
                    next_ratio=unseen / np.maximum(density, 1e-300))

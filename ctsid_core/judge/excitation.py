@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Which input says how much about its column of the model, and in which band.
+How much each input excites the plant, in which band, and how well its response is determined.
 
-An input that moves together with others tells nothing that these do not: what counts is the part
+An input that is correlated with others adds no information beyond theirs: what counts is the part
 of its lines that no other input explains (partial spectrum; Bendat and Piersol 2010, Random
-Data, ch. 7). What the model makes of that part is compared with the noise as the predictor sees
-it, line by line; the sum over lines of that ratio is what the data say about the column's size.
+Data, ch. 7). The predictor's response to that part is compared with the noise, line by line; the
+sum over lines of that ratio is the information on the size of the response.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _FEWEST = 256         # instants
 _SUFFICIENT = 1.0     # power of the response over that of the noise in which a band is excited
 
 
-class Foreseen:
+class LinePrediction:
     """
-    What a model foresees of a projection: computed once, for all numbers of a verdict.
+    One-step predictions of a projection's lines: computed once, for all numbers of a verdict.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Foreseen:
     error : ndarray, shape (ny, L)
         Prediction errors, of unit covariance over outputs.
     response : ndarray, shape (nu, ny, L)
-        What the predictor makes of each input's lines of size one, in the same coordinates.
+        The predictor's response to each input's lines of size one, in the same coordinates.
     noise : ndarray, shape (L,)
         Power of the errors per real number, smoothed over lines; 1 on average.
     own : ndarray, shape (ny, L)
@@ -79,23 +79,24 @@ def smoothed(power: Array, width: int) -> Array:
     return mean
 
 
-def excitations(foreseen: Foreseen, record: Record, parameters: int) -> tuple[Excitation, ...]:
+def excitations(prediction: LinePrediction, record: Record,
+                parameters: int) -> tuple[Excitation, ...]:
     """
-    Return what the data say about the response to each input.
+    Return how each input excites the plant, and how well the response to it is determined.
 
     Parameters
     ----------
-    foreseen : Foreseen
+    prediction : LinePrediction
     record : Record
         That was projected.
     parameters : int
         Number of parameters in a column of B and D.
     """
-    p = foreseen.projection
+    p = prediction.projection
     omega, u = tapered(record, float(np.abs(p.s).max()))
     power, partial = _partial(u)
     lines = np.abs(p.s)
-    gain = np.sum(np.abs(foreseen.response) ** 2, axis=1) / foreseen.noise     # (nu, L)
+    gain = np.sum(np.abs(prediction.response) ** 2, axis=1) / prediction.noise     # (nu, L)
     found = []
     for j, name in enumerate(record.input_names):
         # The same power as on the lines, but none has leaked from the ends of the window.
@@ -113,8 +114,8 @@ def excitations(foreseen: Foreseen, record: Record, parameters: int) -> tuple[Ex
     return tuple(found)
 
 
-def together(records: Sequence[tuple[Excitation, ...]]) -> tuple[Excitation, ...]:
-    """Return what several records say together of the response to each input."""
+def combined(records: Sequence[tuple[Excitation, ...]]) -> tuple[Excitation, ...]:
+    """Return the excitation by each input in several records together."""
     found = []
     for own in zip(*records, strict=True):
         known = 1.0 / float(np.linalg.norm([1.0 / max(x.uncertainty, 1e-150) for x in own])
@@ -154,7 +155,7 @@ def _taper(count: int) -> Array:
 
 
 def _breadth(u: Lines) -> float:
-    """Return over how many frequencies a spectrum is spread, small amplitudes counting less."""
+    """Return the effective number of frequencies, small amplitudes counting less."""
     size = np.abs(u)
     return float(size.sum() ** 2 / max(float(size @ size), 1e-300))
 

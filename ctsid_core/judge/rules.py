@@ -22,25 +22,25 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.signals.stuck import Stuck
 
-FORETOLD = 10.0         # the same where predictions are judged: by chance it is 1
-_DEAD = 10.0            # fit [%] below which nothing of an output is
-_VAGUE = 0.5            # standard deviation over size above which a pole is not known
-_UNKNOWN = 0.05         # the same of the response to an input
-_TOGETHER = 0.1         # part of its power that is its own, below which it moves with others
-_ONE_SINE = 1.5         # frequencies of an input
-_MISSING = 0.02         # of the response
-_SURE = 1e-5            # p-value of it
-_COLOURED = 1e-6        # p-value of whiteness
-_LIKELY = 0.01          # p-value that is enough where errors are coloured
-_CLEAR = 80.0           # fit [%] of a model that explains its own data beyond doubt
-_NEXT = 4.0             # power of the errors on data not seen over that on the model's own
-_FRESH = 1.5            # the same of the model before, rms
-_MATTERS = 90.0         # fresh fit [%] above which that does not matter
+PREDICTED = 10.0        # the same for one-step predictions: by chance it is 1
+_UNRELATED = 10.0       # fit [%] below which nothing of an output is
+_POLE_STD = 0.5         # standard deviation of a pole over its size: beyond, it is not known
+_RESPONSE_STD = 0.05    # the same of the response to an input
+_UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
+_ONE_SINE = 1.5         # effective number of frequencies of an input
+_UNMODELLED = 0.02      # of the response
+_SIGNIFICANT = 1e-5     # p-value of it ...
+_NOT_WHITE = 1e-6       # p-value of whiteness
+_ENOUGH = 0.01          # ... and what is enough where errors are not white
+_CLEAR = 80.0           # fit [%] of a model that clearly explains its own data
+_HELD_OUT_RATIO = 4.0   # power of the errors on held-out data over that on the model's own
+_FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
+_FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations
 
-UNTESTED = ('The model has not been tested on data that it has not seen: `validation.held_out` is '
-            '0, or the inputs move in one part of the window only; wait for the next window, or '
-            'test it on other data.')
+UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
+            'inputs move in one part of the window only; wait for the next window, or test it on '
+            'other data.')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
         return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason)
     for reason in _weaknesses(evidence):
         return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason)
-    return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_praise(evidence))
+    return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_summary(evidence))
 
 
 def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
@@ -112,17 +112,18 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             'topic and field, or leave it out.')
     for one in e.stuck:
         yield Status.NO_RESPONSE, (
-            f'Output {e.output_names[one.output]} does not change by a bit from {one.start:.3g} '
-            f'to {one.end:.3g} s after the start of the window, although inputs move; the sensor '
-            'is stuck or its last value is repeated: check it, or leave it out.')
+            f'Output {e.output_names[one.output]} keeps exactly the same value from '
+            f'{one.start:.3g} to {one.end:.3g} s after the start of the window, although inputs '
+            'move; the sensor is stuck or its last value is repeated: check it, or leave it '
+            'out.')
     yield from _unexplained(e)
     ratio = _pole_ratio(e)
-    if np.min(ratio) > _VAGUE:
+    if np.min(ratio) > _POLE_STD:
         best = int(np.argmin(ratio))
         yield Status.UNRELIABLE, (
-            f'Even the best known pole, {_number(e.poles[best])} rad/s, has a standard deviation '
-            f'of {e.deviation[best]:.2g} rad/s; excite more frequencies, take a longer window, or '
-            'lower the order.')
+            f'No pole is well determined: even {_number(e.poles[best])} rad/s has a standard '
+            f'deviation of {e.deviation[best]:.2g} rad/s; excite more frequencies, take a '
+            'longer window, or lower the order.')
 
 
 def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
@@ -138,8 +139,8 @@ def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'{what}; check that these are the right signals, that nothing else drives the plant '
             'and that it is linear over the window, or take a longer window with more excitation.')
     # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
-    erring = (e.fit < e.enough) | (e.numbers.next_ratio > _NEXT)
-    dead = np.flatnonzero((e.worst < _DEAD) & erring)
+    erring = (e.fit < e.enough) | (e.numbers.next_ratio > _HELD_OUT_RATIO)
+    dead = np.flatnonzero((e.worst < _UNRELATED) & erring)
     if len(dead):
         least = int(dead[np.argmin(e.worst[dead])])
         yield Status.UNEXPLAINED, (
@@ -150,50 +151,52 @@ def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
 
 def _right_but_slow(e: Evidence) -> bool:
     """
-    Return whether the part held out is badly told for want of motion only.
+    Return whether the held-out fit is low only because little moves in that part.
 
-    After a step little moves: a right model leaves of that little what noise there is, no more.
-    Of noise that drives the plant that proves nothing: it may be all that moves.
+    After a step little moves: the residuals of a right model are then noise, and no smaller than
+    the motion. With process noise that proves nothing: it may be all that moves.
     """
     erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
-    known = all(x.uncertainty < _UNKNOWN for x in e.numbers.excitation)  # else nothing tells it
-    settles = np.max(e.poles.real) < -0.5 * e.resolution         # a vibration goes on by itself
+    # Where the response is uncertain, little motion is no excuse.
+    known = all(x.uncertainty < _RESPONSE_STD for x in e.numbers.excitation)
+    settles = np.max(e.poles.real) < -0.5 * e.resolution         # a vibration lasts
     clear = np.nanmin(e.fit) > _CLEAR and not e.process_noise
-    return bool(known and settles and clear and np.all(erring < _NEXT))
+    return bool(known and settles and clear and np.all(erring < _HELD_OUT_RATIO))
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:
     yield from _of_inputs(e)
     for i in np.flatnonzero(e.worst < e.enough):
-        yield (f'Output {e.output_names[i]} is hardly explained, fit {e.worst[i]:.0f} %; check '
-               'its sensor, reduce its noise, or leave it out.')
+        yield (f'The inputs explain little of output {e.output_names[i]} (fit '
+               f'{e.worst[i]:.0f} %); check its sensor, reduce its noise, or leave it out.')
     numbers, names = e.numbers, e.output_names
-    certain = (numbers.missing_p_value < _SURE) & (numbers.missing > _MISSING)
-    if not e.process_noise:  # then errors that are coloured, and know the inputs, are dynamics
-        certain |= (numbers.missing_p_value < _LIKELY) & (numbers.whiteness < _COLOURED)
+    certain = (numbers.missing_p_value < _SIGNIFICANT) & (numbers.missing > _UNMODELLED)
+    if not e.process_noise:  # then errors not white and correlated with inputs are dynamics
+        certain |= (numbers.missing_p_value < _ENOUGH) & (numbers.whiteness < _NOT_WHITE)
     for i in np.flatnonzero(certain):
-        yield (f'The model misses {100 * numbers.missing[i]:.2g} % of the response of output '
-               f'{names[i]} to the inputs; raise `order` or `max_order`, check the dead time and '
-               'the hold of the inputs, or the plant is not linear.')
-    if numbers.pole_uncertainty > _VAGUE:
+        yield (f'About {100 * numbers.missing[i]:.2g} % of the response of output {names[i]} to '
+               'the inputs is not modelled (its prediction errors depend on past inputs); raise '
+               '`order` or `max_order`, check the dead time and the hold of the inputs; or the '
+               'plant is not linear.')
+    if numbers.pole_uncertainty > _POLE_STD:
         worst = int(np.argmax(_pole_ratio(e)))
         yield (f'The pole {_number(e.poles[worst])} rad/s has a standard deviation of '
                f'{e.deviation[worst]:.2g} rad/s; excite the plant around '
                f'{max(abs(e.poles[worst]), e.resolution):.2g} rad/s, take a longer window, or '
                'lower the order.')
-    for i in np.flatnonzero(numbers.next_ratio > _NEXT):
-        yield (f'A model of the first part of the window errs on the rest of output {names[i]} '
-               f'with {numbers.next_ratio[i]:.2g} times the power of the noise; take a longer '
-               'window, or lower the order.')
+    for i in np.flatnonzero(numbers.next_ratio > _HELD_OUT_RATIO):
+        yield (f'On held-out data the error of output {names[i]} has '
+               f'{numbers.next_ratio[i]:.2g} times the power of the noise; take a longer window, '
+               'or lower the order.')
     if e.process_noise:
-        for i in np.flatnonzero(numbers.whiteness < _COLOURED):
-            yield (f'The noise of output {names[i]} is not as the model has it, so that the '
-                   'standard deviations cannot be trusted; raise `order`, or measure what else '
-                   'acts on the plant.')
+        for i in np.flatnonzero(numbers.whiteness < _NOT_WHITE):
+            yield (f'The prediction errors of output {names[i]} are not white, although the '
+                   'model has process noise, so that the standard deviations cannot be trusted; '
+                   'raise `order`, or measure what else acts on the plant.')
     known = np.append(np.delete(numbers.missing, e.fixed_outputs), numbers.pole_uncertainty)
     if not np.isfinite(known).all():
-        yield ('How sure the model is could not be computed; check the signals, their sizes and '
-               'units.')
+        yield ('The uncertainty of the model could not be computed; check the signals, their '
+               'sizes and units.')
     if not np.isfinite(e.held_out).any():
         yield UNTESTED
 
@@ -204,16 +207,16 @@ def _of_inputs(e: Evidence) -> Iterator[str]:
                'B and D is not measured; move it, or leave it out.')
     for one in e.numbers.excitation:
         if one.frequencies < _ONE_SINE:
-            yield (f'Input {one.name} moves at a single frequency, which cannot tell one model '
-                   'from another; excite more frequencies (a sweep, steps, or noise).')
-        if one.uncertainty > _UNKNOWN:
-            how = 'not known at all' if one.uncertainty > 1.0 else \
-                f'known to {100 * one.uncertainty:.2g} % only'
-            together = f'move it without the other inputs ({100 * one.own:.2g} % of its ' \
-                'power is its own)'
-            cure = together if one.own < _TOGETHER else \
+            yield (f'Input {one.name} moves at a single frequency only, which fits many '
+                   'models; excite more frequencies (a sweep, steps, or noise).')
+        if one.uncertainty > _RESPONSE_STD:
+            std = f'a standard deviation of {100 * one.uncertainty:.2g} %' \
+                if one.uncertainty <= 1.0 else 'a standard deviation above 100 %'
+            alone = 'move it independently of the other inputs (only ' \
+                f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
+            cure = alone if one.own < _UNCORRELATED else \
                 'move it more, or for longer, or leave it out'
-            yield f'The response to input {one.name} is {how}; {cure}.'
+            yield f'The response to input {one.name} has {std}; {cure}.'
 
 
 def _pole_ratio(e: Evidence) -> Array:
@@ -225,11 +228,11 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
     return float(np.max(deviation / np.maximum(np.abs(poles), resolution), initial=0.0))
 
 
-def _praise(e: Evidence) -> str:
-    worst, known = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
-    return (f'Every test is passed: the response to each input is known to {100 * known:.2g} %, '
-            f'every pole to {100 * e.numbers.pole_uncertainty:.2g} %, and unseen data fit to '
-            f'{worst:.0f} %.')
+def _summary(e: Evidence) -> str:
+    worst, std = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
+    return (f'Every test is passed: the standard deviation is at most {100 * std:.2g} % of the '
+            f'response to each input and {100 * e.numbers.pole_uncertainty:.2g} % of each pole; '
+            f'the fit, also on held-out data, is at least {worst:.0f} %.')
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -274,13 +277,13 @@ def _why_unusable(status: Status, record: Record) -> str:
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
                 before: int = 0) -> Estimate:
     """
-    Return an estimate whose verdict knows the model before it.
+    Return an estimate whose verdict takes the previous model into account.
 
     Parameters
     ----------
     estimate : Estimate
     fresh_fit, fresh_ratio : ndarray, shape (ny,)
-        How the model before does on the data that are new; NaN if not known.
+        Of the previous model on the data that are new; NaN if not known.
     moved : float
         See `Verdict.moved`.
     before : int
@@ -291,8 +294,8 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     if model is None:
         return replace(estimate, verdict=verdict)
     if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
-        verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the model '
-                          'before this one foretold the data that are new in it.').weakened
+        verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the previous '
+                          'model simulates the new data of this window well.').weakened
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
                    *_moves(model.n, before, moved)]
@@ -302,18 +305,18 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
 
 
 def _collapses(names: tuple[str, ...], fit: Array, ratio: Array) -> Iterator[str]:
-    collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH) & (fit < _MATTERS),
+    collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH_RATIO) & (fit < _FRESH_FIT),
                          fit < EXPLAINED)
     for i in np.flatnonzero(collapsed):
-        yield (f'The model before this one foretells the newest data of output {names[i]} badly '
-               f'(fit {max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
-               'models agree again.')
+        yield (f'The previous model simulates the new data of output {names[i]} badly (fresh fit '
+               f'{max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
+               'successive models agree again.')
 
 
 def _moves(order: int, before: int, moved: float) -> Iterator[str]:
     if before not in (0, order):
         yield (f'The order has changed from {before} to {order} since the last accepted model; '
-               'wait until models agree again, or set `order`.')
+               'wait until successive models agree again, or set `order`.')
     if moved > _MOVED:
-        yield (f'A pole has moved by {moved:.2g} standard deviations since the window before; '
-               'wait until models agree again, or set `order`.')
+        yield (f'A pole has moved by {moved:.2g} standard deviations since the previous model; '
+               'wait until successive models agree again, or set `order`.')

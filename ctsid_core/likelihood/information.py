@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What the data tell of a model's entries: the root of their covariance.
+Information of the data on a model's entries: the root of their covariance.
 
 Errors of an innovation form are white if the model is right, and the covariance is the
 Cramer-Rao bound. Residuals of a simulation need not be: whatever gusts leave is coloured. Their
@@ -18,7 +18,7 @@ import numpy as np
 
 from ctsid_core.bases.projection import Projection
 from ctsid_core.likelihood.delay_columns import delay_columns
-from ctsid_core.likelihood.process_noise import driven
+from ctsid_core.likelihood.process_noise import with_linear_entries
 from ctsid_core.likelihood.refine import whitened, whitener
 from ctsid_core.likelihood.window_ends import line_distance
 from ctsid_core.linear.free_entries import FreeEntries
@@ -64,7 +64,7 @@ def entry_changes(projection: Projection, m: Matrices, feedthrough: bool, *,
 @dataclass(frozen=True)
 class Information:
     """
-    What the data tell of a model's parameters, in the order of `jacobian`.
+    Information of the data on a model's parameters, in the order of `jacobian`.
 
     Parameters
     ----------
@@ -102,14 +102,14 @@ def without_gain(projection: Projection, m: Matrices, feedthrough: bool) -> Matr
         return m
     m = replace(m, K=np.zeros_like(m.K))    # the tail was that of a predictor
     for _ in range(_PASSES):
-        m = driven(projection, m, feedthrough)
+        m = with_linear_entries(projection, m, feedthrough)
     return m
 
 
 def information(projection: Projection, m: Matrices, feedthrough: bool,
                 noisy: bool) -> Information:
     """
-    Return what the data tell of the parameters of an innovation form, or of a simulation.
+    Return the information on the parameters of an innovation form, or of a simulation.
 
     A slow pole of the predictor is a notch in the spectrum of the noise, and where it is found
     narrower than lines can tell, the lines in it would seem to say more than they do.

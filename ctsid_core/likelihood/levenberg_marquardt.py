@@ -30,10 +30,10 @@ _BEYOND = 1e150         # numbers whose squares are near the end of the range
 _TRIES = 8              # of a step, with ten times the damping each
 
 P = TypeVar('P')
-Found = TypeVar('Found', covariant=True)
+Predicted = TypeVar('Predicted', covariant=True)
 
 
-class Likelihood(Protocol[Found]):
+class Likelihood(Protocol[Predicted]):
     """What a model is worth, and what was found on the way (None: not admissible)."""
 
     @property
@@ -41,7 +41,7 @@ class Likelihood(Protocol[Found]):
         """-2 log likelihood."""
 
     @property
-    def prediction(self) -> Found | None:
+    def prediction(self) -> Predicted | None:
         """What the equations of a step need."""
 
     @property

@@ -28,13 +28,13 @@ from ctsid_core.linear.resolvent import Resolvent, resolvent
 from ctsid_core.linear.types import Array, Lines
 
 _FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
-OWN = 1e-12           # share of each output's error power that no other output can foretell
+OWN = 1e-12           # share of each output's error power that no other output can predict
 
 
 @dataclass(frozen=True)
 class Prediction:
     """
-    What a model foresees of the lines, and what the derivatives of that need.
+    A model's predictions of the lines, and what their derivatives need.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def simulate_lines(projection: Projection, m: Matrices) -> Lines:
 
 
 def simulation(projection: Projection, m: Matrices) -> Prediction:
-    """Return what a model foresees if its K counts as zero."""
+    """Return what a model predicts if its K counts as zero."""
     drive = real_times(np.hstack((m.B, m.tail, m.x_trim)),
                        projection.signals[:len(projection.signals) - len(m.C)])
     return _prediction(projection, m, resolvent(m.A, projection.s), drive)
@@ -90,7 +90,7 @@ def prediction_errors(projection: Projection, m: Matrices) -> Lines:
 
 
 def predict(projection: Projection, m: Matrices, closed: Resolvent) -> Prediction:
-    """Return what a model foresees with its K; `closed` is the resolvent of A - K C."""
+    """Return what a model predicts with its K; `closed` is the resolvent of A - K C."""
     drive = real_times(np.hstack((m.B - m.K @ m.D, m.tail, m.x_trim - m.K @ m.y_trim, m.K)),
                        projection.signals)
     return _prediction(projection, m, closed, drive)
@@ -359,7 +359,7 @@ def predicted_fit(projection: Projection, m: Matrices) -> Array:
     100 (1 - |E| / |E if inputs do nothing|). For an unstable plant with process noise: a
     simulation of it means nothing.
     """
-    error, blind = _with_andwithout_level(projection, m)
+    error, blind = _with_and_without_level(projection, m)
     return _nrmse(error, blind)
 
 
@@ -371,7 +371,7 @@ def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
     """
     m = replace(m, tail=np.zeros((len(m.A), len(projection.tail))))
     closed = resolvent(m.A - m.K @ m.C, projection.s)
-    error, blind = _with_andwithout_level(projection, m)
+    error, blind = _with_and_without_level(projection, m)
     unit = np.maximum(np.linalg.norm(blind, axis=1, keepdims=True), 1e-300)
     modes = []
     for tail in projection.tail:
@@ -381,7 +381,7 @@ def unseen_predicted_fit(projection: Projection, m: Matrices) -> Array:
     return _nrmse(_beyond(error / unit, modes), _beyond(blind / unit, modes))
 
 
-def _with_andwithout_level(projection: Projection, m: Matrices) -> tuple[Array, Array]:
+def _with_and_without_level(projection: Projection, m: Matrices) -> tuple[Array, Array]:
     """Return the prediction errors of a model, and of the same without effect of inputs."""
     silent = replace(m, B=np.zeros_like(m.B), D=np.zeros_like(m.D))
     return (as_real(prediction_errors(projection, m)),

@@ -79,7 +79,7 @@ def with_process_noise(projection: Projection, m: Matrices,
     except (np.linalg.LinAlgError, ValueError):
         return None
     K = np.linalg.solve(R, C @ P).T / size
-    return driven(projection, replace(m, K=K), feedthrough)
+    return with_linear_entries(projection, replace(m, K=K), feedthrough)
 
 
 def _surplus(power: Array, level: Array, weights: Array) -> float:
@@ -129,7 +129,7 @@ def _shares(shapes: Array, power: Array, lengths: list[int]) -> Array:
     return np.asarray(found / scale)
 
 
-def driven(projection: Projection, m: Matrices, feedthrough: bool, *,
+def with_linear_entries(projection: Projection, m: Matrices, feedthrough: bool, *,
            ends_only: bool = False) -> Matrices:
     """Return the model with the B, D, trim and tail (or tail) that are best at all else."""
     prediction = predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s))

@@ -97,7 +97,7 @@ class OutputError:
     def __init__(self, projection: Projection, feedthrough: bool) -> None:
         self.projection, self.feedthrough = projection, feedthrough
         self._top = max(float(np.abs(p.s[-1])) for p in projection.records)
-        self._driven = len(projection.u) + len(projection.tail)  # ones: the same as y's trim
+        self._drives = len(projection.u) + len(projection.tail)  # ones: the same as y's trim
         self._s = projection.s / self._top
         self._slow = _SLOW / projection.length / self._top
         self._ones = _unit_rows(projection.ones)
@@ -135,7 +135,7 @@ class OutputError:
             factors = self._climb(factors, steps, limit)
         cost, squares = self._cost(self._regressors(factors))
         n, ny, lines = len(poles), len(self._y), self._count
-        count = ny * (n * self._driven + len(self._direct)) + n
+        count = ny * (n * self._drives + len(self._direct)) + n
         offset = lines * float(np.log(self._power).sum())
         return OutputErrorFit(cost + offset, _roots(factors) * self._top, count,
                               float(np.max(squares / self._moving)))

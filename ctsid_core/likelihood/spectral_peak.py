@@ -23,12 +23,12 @@ class Peak:
     ----------
     ratio : float
         Power there over the mean power.
-    chance : float
+    p_value : float
         Bonferroni's bound of the chance that white errors show as much anywhere.
     """
 
     ratio: float
-    chance: float
+    p_value: float
 
 
 def highest_peak(error: Lines) -> Peak:
@@ -44,7 +44,7 @@ def highest_peak(error: Lines) -> Peak:
     power = (power / (power.mean(axis=1, keepdims=True) + 1e-300)).mean(axis=0)
     widths = {min(_NARROW, len(power)), max(len(power) // _BROAD, 1)}
     found = [_peak(power, width, len(error), len(power) * len(widths)) for width in widths]
-    return min(found, key=lambda peak: (peak.chance, -peak.ratio))
+    return min(found, key=lambda peak: (peak.p_value, -peak.ratio))
 
 
 def _peak(power: Array, width: int, ny: int, places: int) -> Peak:

@@ -236,7 +236,7 @@ def _radial(covariance: Covariance, model: StateSpace) -> ComplexArray:
 
 
 def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
-    """Return the standard deviation of the steady gain, (ny, nu); infinite for a pole at 0."""
+    """Return the standard deviation of the DC gain, (ny, nu); infinite for a pole at 0."""
     try:
         return _deviation(covariance.response_changes(model, np.zeros(1))[:, 0].real)
     except np.linalg.LinAlgError:

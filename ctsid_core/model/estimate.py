@@ -61,7 +61,7 @@ class Choice:
 @dataclass(frozen=True)
 class RecordShare:
     """
-    What one of several records told that is its own.
+    What belongs to one of several records alone.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ class OrderTried:
     ----------
     order : int
     criterion : float
-        Schwarz's criterion, above that of the likeliest order.
+        Schwarz's criterion, above that of the most likely order.
     fit : float
-        Simulation fit of the output that is explained least, on the window itself [%].
+        Simulation fit of the worst output, on the window itself [%].
     held_out_fit : float
         The same on the part kept from a second model, if it was needed to decide [%]; else NaN.
     """
@@ -118,7 +118,7 @@ def with_fit(orders: tuple[OrderTried, ...], fits: Mapping[int, Array]) -> tuple
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """
-    What one window of data told.
+    The result of identifying one window of data.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ class Estimate:
 
     @property
     def dc_gain_std(self) -> Array:
-        """Standard deviation of the steady gain, (ny, nu)."""
+        """Standard deviation of the DC gain, (ny, nu)."""
         return self._derived(gain_deviation, 'ny', 'nu')
 
     @property

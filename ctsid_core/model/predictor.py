@@ -8,13 +8,13 @@ D u - y_trim what remains of the samples. Then the state is p + xi with
     dxi/dt = A xi + K e,     e = r - C xi.                                                    (1)
 
 Between the samples of a channel its innovation is taken to run linearly, from what the filter left
-at one sample to what the model could not foresee at the next one. With h the time between the
+at one sample to what the model could not predict at the next one. With h the time between the
 two, xi^- and e^- = r - C xi^- before the sample, this changes the state by
 
     xi = xi^- + h phi_2(Abar h) K e^-  +  h (phi_1 - phi_2)(Abar h) K e_before,  Abar = A - K C (2)
 
 per channel, which is causal, stays bounded however large K is (then C xi meets the sample), and
-does nothing to a model that foresees its data, however sparse they are.
+does nothing to a model that predicts its data, however sparse they are.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ _TURNS = 2            # of fitting B and C; a third changes no digit of the fits
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class ResidueFit:
     """
     B, C and D whose simulations are near the samples.
 
@@ -66,7 +66,7 @@ class _Output:
 
 
 def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, trim: bool,
-              feedthrough: bool, tolerance: float) -> Driven | None:
+              feedthrough: bool, tolerance: float) -> ResidueFit | None:
     """
     Return the model of given A whose simulations are near the samples of the outputs.
 
@@ -101,7 +101,7 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
         b = _fit_b(outputs, c, tolerance)
         c, direct = _fit_c(outputs, b, tolerance)
     D = direct[:, :nu] if feedthrough else np.zeros((len(outputs), nu))
-    return Driven((found.right @ b[:, :nu]).real, sizes * (c @ found.left).real, sizes * D)
+    return ResidueFit((found.right @ b[:, :nu]).real, sizes * (c @ found.left).real, sizes * D)
 
 
 def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], trim: bool,

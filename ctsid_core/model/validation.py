@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Is the model any good: simulation, prediction, and what its residuals still contain.
+Validation of a model: simulation, prediction, and tests of the residuals.
 
 Everything here compares at the outputs' own stamps; nothing is resampled.
 """

@@ -2,8 +2,8 @@
 """
 Whether an estimate may be used: one word, one sentence, and the numbers behind them.
 
-The word follows from the numbers by the rules of `judgement.py`; `docs/verdict.md` says what each
-number means and where each threshold was measured.
+The word follows from the numbers by the rules of `judge/rules.py`; `docs/glossary.md` says what
+each number means, `docs/verdict.md` where each threshold was measured.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ class Excitation:
     name : str
         Of the input.
     low, high : float
-        Ends of the band in which the response to this input, as far as it moves by itself,
-        exceeds the noise [rad/s]; NaN if it does nowhere.
+        Excited band [rad/s]: its ends. In it the response to the part of this input that is not
+        correlated with other inputs exceeds the noise; NaN if it does nowhere.
     frequencies : float
-        Of how many frequencies that the window can tell apart it consists; one sine is 1.
+        Effective number of frequencies, as far as the window resolves them; one sine is 1.
     own : float
-        Part of its power that the other inputs do not explain, 0 to 1.
+        Uncorrelated part: share of its power that is not correlated with other inputs, 0 to 1.
     uncertainty : float
-        Standard deviation of its response, over the response, rms; above 1 nothing is known.
+        Standard deviation of the response to it, over the response, rms; above 1 nothing is
+        known.
     """
 
     name: str
@@ -68,24 +69,24 @@ class Verdict:
     excitation : tuple of Excitation
         Of each input.
     pole_uncertainty : float
-        Standard deviation of the least known pole over its size, or over the frequency that the
+        Largest standard deviation of a pole over its size, or over the frequency that the
         window resolves if that is larger.
     missing : ndarray, shape (ny,)
-        How much of each output's response to the inputs the model misses, rms, as far as the
-        prediction errors tell.
+        Unmodelled response: the part of the prediction errors of each output that past inputs
+        explain, over the response to the inputs, rms.
     missing_p_value : ndarray, shape (ny,)
-        Of 'the prediction errors know nothing of the inputs' past'.
+        P-value of 'the prediction errors do not depend on past inputs'.
     whiteness : ndarray, shape (ny,)
         P-value of 'the prediction errors are white'.
     next_ratio : ndarray, shape (ny,)
-        Power of the errors of a model of the first part of the window on the part held out, over
-        the power of the model's own errors.
+        Held-out error ratio: power of the errors of a model of the first part of the window on
+        the held-out part, over the power of the model's own errors.
     fresh_ratio : ndarray, shape (ny,)
-        Root mean square error of the model before this one on the data that are new in this
+        Fresh error ratio: rms error of the previous model on the data that are new in this
         window, over that on the older data of this window.
     moved : float
-        Distance of the pole that has moved most since the model before, in the standard
-        deviation of both together; NaN if the orders differ or there was none.
+        Largest movement of a pole since the previous model, in standard deviations of both
+        together; NaN if the orders differ or there was none.
     agreement : Agreement or None
         With a second method; None if none was asked for.
     """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Do residuals still contain something: of their own past, or of the inputs.
+Residual tests: whiteness, and independence of past inputs.
 
 Both tests hold their level at any stamps. P-values are uniform between 0 and 1 where there is
 nothing left to explain; a small one (below 0.01, say) speaks against the model.
@@ -55,7 +55,7 @@ def whiteness(e: Array) -> float:
 def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
                  memory: float) -> Array:
     """
-    Return the p-value, per input, of 'these residuals know nothing of the input's past'.
+    Return the p-value, per input, of 'these residuals are independent of the input's past'.
 
     The statistic is the sum of the squared cross-correlations at lags from 0 to about `memory`.
     It is ranked among the values it takes when the input is shifted against the residuals in

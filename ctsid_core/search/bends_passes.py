@@ -26,7 +26,7 @@ from ctsid_core.model.estimate import Choice, Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
 from ctsid_core.search.lines import estimate
-from ctsid_core.search.solution import Found, own_delays
+from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
@@ -45,14 +45,14 @@ _MARGIN = 10.0        # and the edge margin with which they do not
 _WHY = 'held inputs bend the outputs between their samples, by more than the noise hides'
 
 
-def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Found]:
+def with_bends(part: Joint, found: Solution, settings: Settings) -> tuple[Joint, Solution]:
     """
     Return records whose outputs bend as their model has it between the samples, and that model.
 
     Parameters
     ----------
     part : Joint
-    found : Found
+    found : Solution
         The model of these records.
     settings : Settings
         That it was made with.
@@ -60,7 +60,7 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     Returns
     -------
     part : Joint
-    found : Found
+    found : Solution
         Both as they are if it makes no difference, or none for the better.
     """
     if settings.edges != 'exact' or not any(map(_bending, part.parts)) \
@@ -70,7 +70,7 @@ def with_bends(part: Joint, found: Found, settings: Settings) -> tuple[Joint, Fo
     for _ in range(_PASSES):
         bent = _bent(own, last)
         differ, change = _differ(bent, last)
-        narrow = not first and settings.edge_margin < _MARGIN and _quiet(last)
+        narrow = not first and settings.edge_margin < _MARGIN and _low_noise(last)
         if narrow:
             settings = settings.replace(edge_margin=_MARGIN)
         elif not first and ((differ < _STAYS) | (change > _SHRINKS * before)).all():
@@ -92,9 +92,9 @@ def bends(part: Joint) -> bool:
     return any(p.bends is not None for p in part.parts)
 
 
-def as_likely(told: Estimate, part: Joint, found: Found) -> bool:
+def explains_as_well(other: Estimate, part: Joint, found: Solution) -> bool:
     """Return whether bent lines do not explain the samples far better than another estimate."""
-    model, p = told.model, part.parts[0]
+    model, p = other.model, part.parts[0]
     if model is None or (model.nu, model.ny) != (p.record.nu, p.record.ny):
         return False                           # rejected, or channels that rest
     free = model.n * (model.nu + model.ny) + model.D.size * bool(np.any(model.D))
@@ -102,7 +102,7 @@ def as_likely(told: Estimate, part: Joint, found: Found) -> bool:
     return _criterion(part, power - _FAR_BETTER, free) < on_samples(part, found)
 
 
-def on_samples(part: Joint, found: Found) -> float:
+def on_samples(part: Joint, found: Solution) -> float:
     """Return Schwarz's criterion of a simulation on the samples themselves, as if uniform."""
     m = found.matrices
     free = len(m.A) * (m.B.shape[1] + len(m.C)) + m.D.size * found.settings.feedthrough
@@ -114,7 +114,7 @@ def _criterion(part: Joint, power: float, free: int) -> float:
     return float(count * power + free * np.log(count))
 
 
-def bent_further(part: Joint, found: Found) -> tuple[Joint, Projection] | None:
+def bent_further(part: Joint, found: Solution) -> tuple[Joint, Projection] | None:
     """Return records that bend as another model has it; None if they do not bend, or alike."""
     if not bends(part):
         return None
@@ -129,7 +129,7 @@ def _bending(p: Usable) -> bool:
         any(s.hold == 'smooth' for s in p.record.outputs)
 
 
-def _matters(part: Joint, found: Found) -> bool:
+def _matters(part: Joint, found: Solution) -> bool:
     """Return whether bends show beside the noise: of a model's own response unless it explodes."""
     parts = []
     for p, m in zip(part.parts, of_records(found.matrices, found.projection), strict=True):
@@ -157,7 +157,7 @@ def _explained(part: Joint) -> bool:
     return True
 
 
-def _bent(part: Joint, found: Found) -> Joint:
+def _bent(part: Joint, found: Solution) -> Joint:
     """Return records whose outputs bend as responses of a model's modes do."""
     trim, feed = found.settings.trim, found.settings.feedthrough
     return replace(part, parts=tuple(p.bent(nearest_bends(
@@ -176,12 +176,12 @@ def _modes(m: Matrices, p: Usable) -> ComplexArray:
     return np.concatenate((own[np.argsort(np.abs(own), kind='stable')], spare))
 
 
-def _projected(found: Found) -> Settings:
+def _projected(found: Solution) -> Settings:
     """Return the settings that the records of a model were projected with."""
     return found.search.settings
 
 
-def _differ(part: Joint, found: Found) -> tuple[Array, Array]:
+def _differ(part: Joint, found: Solution) -> tuple[Array, Array]:
     """Return by how much each output's lines differ: in variances of the noise; of the power."""
     old = found.projection
     new = part.project(_projected(found), found.layout)
@@ -192,19 +192,19 @@ def _differ(part: Joint, found: Found) -> tuple[Array, Array]:
     return np.asarray(change / noise), np.asarray(change / power)
 
 
-def _quiet(found: Found) -> bool:
+def _low_noise(found: Solution) -> bool:
     """Return whether a model leaves so little that the ends of the basis show."""
     error, y = prediction_errors(found.projection, found.matrices), found.projection.y
     return bool((np.linalg.norm(error, axis=1) < _QUIET * np.linalg.norm(y, axis=1)).all())
 
 
-def _again(part: Joint, found: Found) -> Found | None:
+def _again(part: Joint, found: Solution) -> Solution | None:
     """Return the model of other lines of the same order and tuning."""
     again = estimate(part, found.settings, found.settings.order, found.layout)
     return again and replace(again, choices=found.choices, orders=found.orders)
 
 
-def _left(part: Joint, found: Found) -> float:
+def _left(part: Joint, found: Solution) -> float:
     """Return what simulations leave of the samples: mean logarithm of power over the outputs."""
     return float(np.mean([
         _powers(moving_model(m, own_delays(p, found.settings).delays(p.record.nu)), p.record)

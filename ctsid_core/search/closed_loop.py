@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Unstable plants with process noise: told by predictions of the raw samples.
+Unstable plants with process noise: identified by predictions of the raw samples.
 
 An unstable plant is flown under a controller, and process noise comes round the loop in its
 inputs. The likelihood of lines is then that of a loop whose controller it does not know, and may
 prefer the controller's inverse to the plant. One-step predictions of the samples
-(`time_prediction.py`) are free of that: they choose the order and place the poles.
+(`likelihood/samples_prediction_error.py`) are free of that: they choose the
+order and place the poles.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctsid_core.bases.projection import Projection
-from ctsid_core.likelihood.process_noise import driven
+from ctsid_core.likelihood.process_noise import with_linear_entries
 from ctsid_core.likelihood.samples_prediction_error import (
     Predictor,
     Samples,
@@ -33,7 +34,7 @@ _LARGEST = 3e7        # samples times outputs times parameters squared: more tak
 
 def by_prediction(record: Record, search: Search, found: Matrices) -> Matrices | None:
     """
-    Return the model that foretells the samples of an unstable plant best.
+    Return the model with the best one-step predictions of the samples of an unstable plant.
 
     Parameters
     ----------
@@ -119,4 +120,4 @@ def to_matrices(projection: Projection, p: Predictor, step: float, *,
         tail=np.zeros((model.n, len(projection.tail))),
         x_trim=np.repeat(model.x_trim[:, np.newaxis], ones, axis=1),
         y_trim=np.repeat(model.y_trim[:, np.newaxis], ones, axis=1))
-    return driven(projection, m, feedthrough=False, ends_only=True)
+    return with_linear_entries(projection, m, feedthrough=False, ends_only=True)

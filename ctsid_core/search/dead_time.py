@@ -51,7 +51,7 @@ _Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class LateFit:
+class DeadTimeFit:
     """
     Poles and dead times, and what they are worth.
 
@@ -85,10 +85,10 @@ class LateFit:
     gain: float = 0.0
 
     def why(self, order: int) -> str:
-        """Return why it is believed, beside a model of another order without dead time."""
+        """Return why it is accepted, beside a model of another order without dead time."""
         return (f"with {len(self.poles)} states and dead time, Schwarz's criterion is "
-                f'{self.gain:.0f} less than with {order} and none'
-                + ('' if self.direct else '; D is not needed beside it'))
+                f'{self.gain:.0f} less than with {order} states and no dead time'
+                + ('' if self.direct else '; D is not needed then'))
 
 
 class DeadTimeSearch:
@@ -119,7 +119,7 @@ class DeadTimeSearch:
         self._plain = search.output_error if not search.settings.feedthrough else \
             OutputError(search.projection, feedthrough=False)
 
-    def best(self, n0: int, alone: bool, poles: _Poles) -> LateFit | None:
+    def best(self, n0: int, alone: bool, poles: _Poles) -> DeadTimeFit | None:
         """
         Return the best poles and dead times, or None if there is no dead time.
 
@@ -158,13 +158,13 @@ class DeadTimeSearch:
         gain = first.criterion - found.criterion
         return replace(found, gain=gain) if gain > margin else None
 
-    def _from_above(self, still: LateFit, n0: int) -> list[LateFit]:
+    def _from_above(self, still: DeadTimeFit, n0: int) -> list[DeadTimeFit]:
         """Return climbs of a given order from the poles of higher ones."""
         trials = [self._search.trial(n) for n in range(n0 + 1, n0 + 1 + _ORDERS)]
         return [self._climbed(replace(still, poles=_slowest(trial.refined.poles, n0)), self._late)
                 for trial in trials if trial is not None]
 
-    def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> LateFit:
+    def _still(self, n: int, alone: bool, poles: _Poles, direct: bool) -> DeadTimeFit:
         """Return the best fit of an order without dead time."""
         trial = None if alone else self._search.trial(n)
         start = trial.refined if trial else self._search.output_error.fit(poles, _GLANCE)
@@ -172,13 +172,13 @@ class DeadTimeSearch:
             start = self._plain.fit(start.poles, _GLANCE)
         return self._rated(start, self._known, np.zeros_like(self._late), direct)
 
-    def _rated(self, fit: OutputErrorFit, delays: Array, late: _Mask, direct: bool) -> LateFit:
+    def _rated(self, fit: OutputErrorFit, delays: Array, late: _Mask, direct: bool) -> DeadTimeFit:
         count = fit.parameters + int(late.sum())
         value = fit.cost + count * self._search.charge + ends_cost_of_simulation(
             self._search.projection, fit.poles)
-        return LateFit(value, fit.poles, delays, late, direct, fit.cost, count)
+        return DeadTimeFit(value, fit.poles, delays, late, direct, fit.cost, count)
 
-    def _at(self, fit: LateFit) -> OutputError:
+    def _at(self, fit: DeadTimeFit) -> OutputError:
         """Return the likelihood with the dead times of a fit, as a function of the poles."""
         if np.array_equal(fit.delays, self._known):
             return self._search.output_error if fit.direct else self._plain
@@ -189,8 +189,8 @@ class DeadTimeSearch:
         return delayed(self._part, self._layout, self._search.settings, self._search.projection,
                        delays)
 
-    def _climbed(self, start: LateFit, late: _Mask, steps: int = _STEPS,
-                 rival: float = np.inf) -> LateFit:
+    def _climbed(self, start: DeadTimeFit, late: _Mask, steps: int = _STEPS,
+                 rival: float = np.inf) -> DeadTimeFit:
         """Return the joint maximum reached from a start; given up if it will not beat a rival."""
         at = self._at(start)
         here = self._rated(at.fit(start.poles), start.delays, late, start.direct)
@@ -204,8 +204,8 @@ class DeadTimeSearch:
                 break
         return here
 
-    def _stepped(self, here: LateFit, move: Callable[[float], _Poles],
-                 delays: Array) -> tuple[LateFit, OutputError] | None:
+    def _stepped(self, here: DeadTimeFit, move: Callable[[float], _Poles],
+                 delays: Array) -> tuple[DeadTimeFit, OutputError] | None:
         """Return the first better point on the way back from a step."""
         limit = max(np.max(here.poles.real), 1.0 / self._part.length)
         for halving in range(_HALVINGS):
@@ -221,8 +221,8 @@ class DeadTimeSearch:
                 return self._rated(fit, there, here.late, here.direct), at
         return None
 
-    def _thorough(self, without: dict[int, LateFit], with_direct: dict[int, LateFit],
-                  looked: list[LateFit]) -> LateFit:
+    def _thorough(self, without: dict[int, DeadTimeFit], with_direct: dict[int, DeadTimeFit],
+                  looked: list[DeadTimeFit]) -> DeadTimeFit:
         """Return the best fit of all orders and starts."""
         best = last = min(looked, key=_criterion)
         for n in sorted(without, reverse=True):
@@ -241,7 +241,7 @@ class DeadTimeSearch:
                        key=_criterion)
         return best if best.direct else self._with_direct(best)
 
-    def _with_direct(self, fit: LateFit) -> LateFit:
+    def _with_direct(self, fit: DeadTimeFit) -> DeadTimeFit:
         """Return a fit with D free if that is clearly better, of the same order or one less."""
         if not self._search.settings.feedthrough:
             return fit
@@ -251,7 +251,7 @@ class DeadTimeSearch:
                      for m in range(max(n - 1, 1), n + 1)), key=_criterion)
         return found if found.criterion < fit.criterion - MARGIN else fit
 
-    def _from_grid(self, still: LateFit) -> list[LateFit]:
+    def _from_grid(self, still: DeadTimeFit) -> list[DeadTimeFit]:
         """Return the two likeliest of several starts with these poles, after two steps each."""
         apart = self._reach(still.poles)
         count = min(int(self._longest / apart), _STARTS)
@@ -276,7 +276,7 @@ class DeadTimeSearch:
             np.abs(p.s - poles[:, np.newaxis]) ** -2.0, axis=0)
         return float(1.0 / np.sqrt(np.sum(np.abs(p.s) ** 2 * power) / np.sum(power)))
 
-    def _pruned(self, fit: LateFit) -> LateFit | None:
+    def _pruned(self, fit: DeadTimeFit) -> DeadTimeFit | None:
         """Return the fit without dead times that are too short, or that nothing asks for."""
         least = np.max([[_FEIGNED * max(own, *(s.period for s in p.record.outputs))
                          for own in intervals(p.record)] for p in self._part.parts], axis=0)
@@ -292,7 +292,7 @@ class DeadTimeSearch:
             fit = fewer
         return None
 
-    def _without(self, fit: LateFit, j: int) -> LateFit:
+    def _without(self, fit: DeadTimeFit, j: int) -> DeadTimeFit:
         """Return the fit in which one input has no dead time to be found."""
         others = fit.late & (np.arange(len(fit.late)) != j)
         delays = np.array(fit.delays)
@@ -314,7 +314,7 @@ def _slowest(poles: _Poles, n: int) -> _Poles:
     return np.array(kept, dtype=complex)
 
 
-def _criterion(fit: LateFit) -> float:
+def _criterion(fit: DeadTimeFit) -> float:
     return fit.criterion
 
 

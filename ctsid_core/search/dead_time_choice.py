@@ -16,19 +16,20 @@ from ctsid_core.likelihood.refine import affordable, refine_innovation
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.bends_passes import bends, bent_further, on_samples, with_bends
-from ctsid_core.search.dead_time import LONGEST, DeadTimeSearch, LateFit, delayed
+from ctsid_core.search.dead_time import LONGEST, DeadTimeFit, DeadTimeSearch, delayed
 from ctsid_core.search.lines import estimate, without_outliers
 from ctsid_core.search.order import Search
 from ctsid_core.search.selection import model_criterion, most_likely
-from ctsid_core.search.solution import Found, own_delays
+from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
 _ROUNDS = 4           # of climbing with outputs that bend as late inputs have it
 
 
-def likelier_dead_time(records: Sequence[Record], plain: tuple[Joint, Found],
-                       bent: tuple[Joint, Found], settings: Settings) -> tuple[Joint, Found]:
+def choose_dead_time(records: Sequence[Record], plain: tuple[Joint, Solution],
+                     bent: tuple[Joint, Solution],
+                     settings: Settings) -> tuple[Joint, Solution]:
     """
     Return records and their model with the dead times that they show.
 
@@ -36,9 +37,9 @@ def likelier_dead_time(records: Sequence[Record], plain: tuple[Joint, Found],
     ----------
     records : sequence of Record
         As they were given.
-    plain : (Joint, Found)
+    plain : (Joint, Solution)
         What can be used of them without dead time, and the model of interpolated outputs.
-    bent : (Joint, Found)
+    bent : (Joint, Solution)
         The same of outputs that bend, if they do: a model without dead time bends them at the
         wrong times if there is one, and the other one knows the dead time better then.
     settings : Settings
@@ -51,8 +52,8 @@ def likelier_dead_time(records: Sequence[Record], plain: tuple[Joint, Found],
     return with_dead_time(records, *bent, settings)
 
 
-def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
-                   settings: Settings) -> tuple[Joint, Found]:
+def with_dead_time(records: Sequence[Record], part: Joint, found: Solution,
+                   settings: Settings) -> tuple[Joint, Solution]:
     """
     Return what can be used of records, and the model with the dead times that they show.
 
@@ -62,7 +63,7 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
         As they were given.
     part : Joint
         What can be used of them without dead time.
-    found : Found
+    found : Solution
         The model without.
     settings : Settings
         Of which the unknown dead times are looked for.
@@ -70,7 +71,7 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     Returns
     -------
     part : Joint
-    found : Found
+    found : Solution
         Both as they are if there is no dead time.
     """
     late = np.array(settings.unknown_delays(records[0].nu))[list(part.parts[0].u)]
@@ -81,7 +82,7 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     hunt = DeadTimeSearch(part, found.layout, found.search, late)
     rough = hunt.best(order, alone=bool(settings.order),
                       poles=np.linalg.eigvals(found.matrices.A).astype(complex))
-    if rough is None or not _likelier(hunt, rough, found):
+    if rough is None or not _more_likely(hunt, rough, found):
         return part, found
     known = _known(part, settings, rough.delays).replace(feedthrough=rough.direct)
     if not found.process_noise:         # else some states may stand for that
@@ -105,7 +106,7 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Found,
     return shorter, climbed
 
 
-def _likelier(hunt: DeadTimeSearch, rough: LateFit, found: Found) -> bool:
+def _more_likely(hunt: DeadTimeSearch, rough: DeadTimeFit, found: Solution) -> bool:
     """Return whether dead times are likelier than none if the errors are not white, too."""
     if not found.process_noise:
         return True
@@ -131,7 +132,7 @@ def _known(part: Joint, settings: Settings, delays: Array) -> Settings:
     return settings.replace(delay=each[0] if len(each) == 1 else tuple(each))
 
 
-def _climbed(part: Joint, found: Found, late: NDArray[np.bool_], why: str) -> Found:
+def _climbed(part: Joint, found: Solution, late: NDArray[np.bool_], why: str) -> Solution:
     """Return a model at the joint maximum over its entries and its dead times."""
     own, feed = own_delays(part.parts[0], found.settings), found.settings.feedthrough
     start = np.array(own.delays(part.parts[0].record.nu))

@@ -13,8 +13,8 @@ from ctsid_core.likelihood.prediction_errors import unseen, unseen_predicted_fit
 from ctsid_core.linear.types import Array
 from ctsid_core.search.closed_loop import by_prediction
 from ctsid_core.search.order import Search
-from ctsid_core.search.selection import likeliest_simulation, most_likely
-from ctsid_core.search.solution import Found, own_delays
+from ctsid_core.search.selection import most_likely, most_likely_simulation
+from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
@@ -43,36 +43,37 @@ class HeldOut:
         return float(np.exp(np.mean(np.log(np.maximum(100.0 - self.fit, 1e-9)))))
 
 
-def held_out(part: Joint, found: Found) -> HeldOut:
+def held_out(part: Joint, solution: Solution) -> HeldOut:
     """
     Return how a model of the first part of every record does on the last part.
 
     Parameters
     ----------
     part : Joint
-    found : Found
+    solution : Solution
         Of the whole records: its order and tuning are used.
     """
-    nothing = nothing_held_out(len(found.matrices.C))
-    if found.settings.held_out == 0.0 or found.settings.edges == 'paper':  # parts are not at rest
+    nothing = nothing_held_out(len(solution.matrices.C))
+    given = solution.settings
+    if given.held_out == 0.0 or given.edges == 'paper':  # parts are not at rest
         return nothing
-    own = own_delays(part.parts[0], found.settings)
-    first, last = part.divided(own, found.layout)
-    if not _moving(first, found.projection):
+    own = own_delays(part.parts[0], solution.settings)
+    first, last = part.divided(own, solution.layout)
+    if not _moving(first, solution.projection):
         return nothing
-    search = Search(first, own, lenient=found.search.lenient)
+    search = Search(first, own, lenient=solution.search.lenient)
     pair = search.pair(own.order)
     if pair is None:
         return nothing
-    if found.by_prediction:
+    if solution.by_prediction:
         model = most_likely(first, pair, own)[0]
         early = _first_part(part.parts[0].record, own)
-        told = by_prediction(early, search, model)
-        return HeldOut(unseen_predicted_fit(last, model if told is None else told),
+        predictor = by_prediction(early, search, model)
+        return HeldOut(unseen_predicted_fit(last, model if predictor is None else predictor),
                        nothing.density)
     # Simulation judges: without process noise the gain of the first part's model is of no use.
-    model = most_likely(first, pair, own)[0] if found.process_noise else \
-        likeliest_simulation(first, pair, own)[0]
+    model = most_likely(first, pair, own)[0] if solution.process_noise else \
+        most_likely_simulation(first, pair, own)[0]
     return HeldOut(*unseen(last, model, trimmed=not part.many))
 
 

@@ -181,8 +181,8 @@ class Search:
             peaks.append(highest_peak(prediction_errors(p, start)))
         return OrderTrial(
             n, pair, refined, start, simulation, cost + self.price(n), residual,
-            white=peaks[0].chance > _WHITE,
-            lacking=all(peak.chance < _COLOURED and peak.ratio > _LOUD for peak in peaks))
+            white=peaks[0].p_value > _WHITE,
+            lacking=all(peak.p_value < _COLOURED and peak.ratio > _LOUD for peak in peaks))
 
     def _innovation_start(self, pair: Pair, simulating: Matrices) -> tuple[Matrices | None, float]:
         found = pair.predicting.matrices, pair.predicting.innovation

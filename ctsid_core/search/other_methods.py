@@ -33,18 +33,18 @@ from ctsid_core.linear.resolvent import resolvent
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.held_out import HeldOut, nothing_held_out
 from ctsid_core.search.order import NOTHING_LEFT, Search
-from ctsid_core.search.selection import quiet_gain
-from ctsid_core.search.solution import Found, own_delays
+from ctsid_core.search.selection import measurement_noise_gain
+from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.starts import UNSTABLE, several, worth
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.method import Made, Method
+from ctsid_core.subspace.method import Method, MethodModel
 
 _SURE = 1e-9          # relative singular value of what the ends and the trim can do
 _LOOKED_AT = 3        # models of an order, those with the best poles
 
 
-def found_by(method: Method, part: Joint,
-             settings: Settings) -> tuple[Joint, Found, HeldOut] | None:
+def identify_by(method: Method, part: Joint,
+                settings: Settings) -> tuple[Joint, Solution, HeldOut] | None:
     """
     Return records, their model by one method, and how it does on data held out.
 
@@ -59,7 +59,7 @@ def found_by(method: Method, part: Joint,
     -------
     part : Joint
         With remarks on the method.
-    found : Found
+    found : Solution
     tested : HeldOut
         None of the three if the records are too short.
     """
@@ -85,15 +85,15 @@ def found_by(method: Method, part: Joint,
     if why:
         choices.append(Choice('hermite.nmax', max(layout.sizes)[0],
                               f'only to judge the model: {why}'))
-    found = Found(
+    found = Solution(
         used.replace(nmax=max(layout.sizes)[0], parts=max(layout.sizes)[1]), projection, search,
         matrices, made.singular_values, made.condition, process_noise, tuple(choices), layout,
         tried)
     return part, found, _held_out(method, part, found, settings)
 
 
-def _likeliest(search: Search, offered: Sequence[Made], feedthrough: bool,
-               ) -> tuple[Made, list[Choice], tuple[OrderTried, ...]]:
+def _likeliest(search: Search, offered: Sequence[MethodModel], feedthrough: bool,
+               ) -> tuple[MethodModel, list[Choice], tuple[OrderTried, ...]]:
     """
     Return the best by Schwarz's criterion of simulations.
 
@@ -110,15 +110,15 @@ def _likeliest(search: Search, offered: Sequence[Made], feedthrough: bool,
     choices = []
     if len(rows) > 1:
         table = ', '.join(f'{row.order}: {row.criterion:.0f}' for row in rows)
-        choices.append(Choice('order', least.order, "Schwarz's criterion of simulations, above "
-                              f'its smallest value, by order: {table}'))
+        choices.append(Choice('order', least.order, "Schwarz's criterion (BIC) of simulations, "
+                              f'above its smallest value, by order: {table}'))
     return best, choices + _differences(offered, best), rows if len(rows) > 1 else ()
 
 
-def _looked_at(search: Search, offered: Sequence[Made],
-               feedthrough: bool) -> list[tuple[Made, OrderTried]]:
+def _looked_at(search: Search, offered: Sequence[MethodModel],
+               feedthrough: bool) -> list[tuple[MethodModel, OrderTried]]:
     """Return the most promising models of each order, with their criteria."""
-    found: list[tuple[Made, OrderTried]] = []
+    found: list[tuple[MethodModel, OrderTried]] = []
     for n in sorted({len(one.matrices.A) for one in offered}):
         group = [one for one in offered if len(one.matrices.A) == n]
         costs = search.output_error.costs(
@@ -147,7 +147,7 @@ def _tried(search: Search, m: Matrices, feedthrough: bool) -> OrderTried:
     return OrderTried(n, cost + count * search.charge + worth(p, UNSTABLE) * grows, fit)
 
 
-def _differences(offered: Sequence[Made], best: Made) -> list[Choice]:
+def _differences(offered: Sequence[MethodModel], best: MethodModel) -> list[Choice]:
     """Return a choice for each parameter in which the models that were offered differ."""
     shown = {name: value for name, value in best.settings.to_dict().items() if name != 'order'}
     others = [one.settings.to_dict() for one in offered]
@@ -164,7 +164,7 @@ def _on_lines(projection: Projection, m: Matrices, feedthrough: bool) -> tuple[M
         m = with_ends(projection, m, feedthrough)
         if innovation_cost(projection, m) + price < output_error_cost(projection, simulated):
             return m, True
-    return replace(simulated, K=quiet_gain(projection, simulated)), False
+    return replace(simulated, K=measurement_noise_gain(projection, simulated)), False
 
 
 def still(projection: Projection, m: Matrices, feedthrough: bool) -> Matrices:
@@ -200,7 +200,7 @@ def with_ends(projection: Projection, m: Matrices, feedthrough: bool) -> Matrice
     return entries.moved(m, step)
 
 
-def _held_out(method: Method, part: Joint, found: Found, given: Settings) -> HeldOut:
+def _held_out(method: Method, part: Joint, found: Solution, given: Settings) -> HeldOut:
     """Return how a model of the first parts does on the last parts; likewise made if it can be."""
     settings = found.settings
     if settings.held_out == 0.0 or settings.edges == 'paper':
@@ -217,7 +217,7 @@ def _held_out(method: Method, part: Joint, found: Found, given: Settings) -> Hel
     return HeldOut(*unseen(last, model, trimmed=not part.many))
 
 
-def _finite(offered: Sequence[Made]) -> list[Made]:
+def _finite(offered: Sequence[MethodModel]) -> list[MethodModel]:
     """Return the models that are finite in all entries that matter to a simulation."""
     return [one for one in offered if all(
         np.isfinite(entries).all() for entries in

@@ -41,9 +41,9 @@ _GROWTH = 5.0         # time constants for which an unstable pole may grow over 
 
 
 @dataclass(frozen=True)
-class Told:
+class SamplesSolution:
     """
-    What the raw samples told.
+    A model made of the raw samples, and how it fits.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Told:
 
 
 def in_bursts(record: Record) -> str:
-    """Return why the outputs cannot be interpolated, as the stamps tell; '' if they can."""
+    """Return why the outputs cannot be interpolated, judged by the stamps; '' if they can."""
     for signal in record.outputs:
         if signal.hold != 'smooth':
             continue
@@ -76,7 +76,7 @@ def in_bursts(record: Record) -> str:
 
 def distorted(record: Record, model: StateSpace, process_noise: bool) -> tuple[str, Array]:
     """
-    Return why the outputs should not have been interpolated, as their model tells.
+    Return why the outputs should not have been interpolated, judged by their model.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def _distortion(record: Record, model: StateSpace, signal: Signal, channels: sli
     return found
 
 
-def tell(record: Record, delay: tuple[float, ...], settings: Settings,
-         start: Matrices | None = None) -> Told | None:
+def solve_samples(record: Record, delay: tuple[float, ...], settings: Settings,
+                  start: Matrices | None = None) -> SamplesSolution | None:
     """
     Estimate on the raw samples; None if no model can be made of them.
 
@@ -167,20 +167,22 @@ def tell(record: Record, delay: tuple[float, ...], settings: Settings,
     """
     found = search_in_time(record, delay, settings)
     if found is not None:
-        return Told(found.fit, found.table, *_fits(record, delay, settings, found.fit))
+        return SamplesSolution(found.fit, found.table, *_fits(record, delay, settings, found.fit))
     return None if start is None else _from(record, delay, settings, start, ())
 
 
-def again(record: Record, delay: tuple[float, ...], settings: Settings, told: Told) -> Told | None:
+def refit_samples(record: Record, delay: tuple[float, ...], settings: Settings,
+                  solution: SamplesSolution) -> SamplesSolution | None:
     """Return the same for other samples (without corrupt ones), from the model that was found."""
-    return _from(record, delay, settings, told.fit.matrices, told.table)
+    return _from(record, delay, settings, solution.fit.matrices, solution.table)
 
 
 def _from(record: Record, delay: tuple[float, ...], settings: Settings, start: Matrices,
-          table: tuple[OrderTried, ...]) -> Told | None:
+          table: tuple[OrderTried, ...]) -> SamplesSolution | None:
     fit = refine_in_time(record, start, delay, feedthrough=settings.feedthrough,
                          limit=1.0 / record.duration)
-    return None if fit is None else Told(fit, table, *_fits(record, delay, settings, fit))
+    return None if fit is None else \
+        SamplesSolution(fit, table, *_fits(record, delay, settings, fit))
 
 
 def _fits(record: Record, delay: tuple[float, ...], settings: Settings,

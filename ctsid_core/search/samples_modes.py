@@ -42,7 +42,7 @@ _NYQUIST = 0.8        # part of the Nyquist frequency within bursts that is look
 
 
 @dataclass(frozen=True)
-class Searched:
+class ModeSearch:
     """
     The model that was chosen, and the table of criteria that decided.
 
@@ -58,7 +58,7 @@ class Searched:
 
 
 def search_in_time(record: Record, delay: tuple[float, ...],
-                   settings: Settings) -> Searched | None:
+                   settings: Settings) -> ModeSearch | None:
     """
     Find the order and a model on the raw samples; None if none can be made of them, or too many.
 
@@ -99,7 +99,7 @@ def search_in_time(record: Record, delay: tuple[float, ...],
         return None
     found = climb_in_time(stamps, best[chosen][0], feed, limit=1.0 / stamps.since[-1])
     fit = with_covariance(stamps, *(found or best[chosen]), feed)
-    return None if fit is None else Searched(fit, table)
+    return None if fit is None else ModeSearch(fit, table)
 
 
 def _price(m: Matrices, stamps: Stamps, feedthrough: bool) -> float:

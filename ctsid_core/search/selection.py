@@ -30,7 +30,7 @@ _STEPS = 6            # of that refinement: enough to compare
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class OrderChoice:
     """
     The order that was chosen, and why.
 
@@ -47,7 +47,7 @@ class Chosen:
     noisy: Matrices | None
 
 
-def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
+def choose_order(search: Search, trials: list[OrderTrial]) -> OrderChoice:
     """
     Choose among the orders that were tried.
 
@@ -60,7 +60,8 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
     Notes
     -----
     Simulations come at their maximum already. The most promising innovation forms are taken to
-    theirs, and taken if they are likelier than any simulation and believed (`Pair.believes`).
+    theirs, and taken if they are likelier than any simulation and accepted
+    (`Pair.accepts_process_noise`).
     """
     chosen, least = min(trials, key=by_simulation), min(t.simulation for t in trials)
     criterion, noisy = {t.order: t.simulation for t in trials}, None
@@ -69,10 +70,11 @@ def choose_order(search: Search, trials: list[OrderTrial]) -> Chosen:
         if found is None:
             continue
         value, model = found
-        if value < least and trial.pair.believes(model, trial.simulation - value, trial.refined):
+        if value < least and trial.pair.accepts_process_noise(
+                model, trial.simulation - value, trial.refined):
             chosen, least, noisy = trial, value, model
             criterion[trial.order] = value
-    return Chosen(chosen, tuple(OrderTried(
+    return OrderChoice(chosen, tuple(OrderTried(
         t.order, criterion[t.order] - least, 100.0 * (1.0 - float(np.sqrt(t.residual))))
         for t in trials), noisy)
 
@@ -119,29 +121,30 @@ def most_likely(projection: Projection, pair: Pair, settings: Settings,
     if not (settings.refine and affordable(projection, len(pair.simulating.poles))):
         return pair.best.matrices, pair.process_noise
     feed, limit = settings.feedthrough, pair.limit
-    model, cost, top = likeliest_simulation(projection, pair, settings)
+    model, cost, top = most_likely_simulation(projection, pair, settings)
     price = model.K.size * np.log(2.0 * len(projection.s) * len(projection.y))
     start = noisy or with_process_noise(projection, model, feed)
     if start is None:
-        return replace(model, K=quiet_gain(projection, model)), False
+        return replace(model, K=measurement_noise_gain(projection, model)), False
     noisy, noisy_cost = refine_innovation(projection, start, feed, limit=limit,
                                           rival=cost - price)
     other = refine_innovation(projection, pair.predicting.matrices, feed, limit=limit,
                               rival=min(noisy_cost, cost - price))
     noisy, noisy_cost = min((noisy, noisy_cost), other, key=lambda found: found[1])
     gain = cost - noisy_cost - price
-    if pair.believes(noisy, gain, top):
+    if pair.accepts_process_noise(noisy, gain, top):
         return noisy, True
-    damped = replace(model, K=quiet_gain(projection, model, 1.5 * line_distance(projection)))
+    shifted = measurement_noise_gain(projection, model, 1.5 * line_distance(projection))
+    damped = replace(model, K=shifted)
     held, held_cost = refine_innovation(projection, damped, feed, plant=False, steps=8,
                                         rival=cost - price)
     if held_cost + price < cost:
         return held, False
-    return replace(model, K=quiet_gain(projection, model)), False
+    return replace(model, K=measurement_noise_gain(projection, model)), False
 
 
-def likeliest_simulation(projection: Projection, pair: Pair,
-                         settings: Settings) -> tuple[Matrices, float, OutputErrorFit]:
+def most_likely_simulation(projection: Projection, pair: Pair,
+                           settings: Settings) -> tuple[Matrices, float, OutputErrorFit]:
     """
     Return the model at the maximum of the output-error likelihood, and what it costs.
 
@@ -167,7 +170,7 @@ def likeliest_simulation(projection: Projection, pair: Pair,
     return (*pair.simulation, pair.refined)
 
 
-def quiet_gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:
+def measurement_noise_gain(projection: Projection, m: Matrices, shift: float = 0.0) -> Array:
     """
     Return the stationary Kalman gain where there is no process noise.
 

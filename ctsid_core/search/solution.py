@@ -16,7 +16,7 @@ from ctsid_core.settings import Settings
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Solution:
     """
     A model of the moving channels, and how it was found.
 
@@ -40,7 +40,7 @@ class Found:
         How the records were projected.
     by_prediction : bool
         Whether the plant is unstable, with process noise: simulations mean nothing.
-    doubtful : bool
+    noise_model_uncertain : bool
         Whether process noise is believed for want of a better explanation only.
     orders : tuple of OrderTried
         Empty if the order was given.
@@ -57,7 +57,7 @@ class Found:
     layout: Layout
     orders: tuple[OrderTried, ...] = ()
     by_prediction: bool = False
-    doubtful: bool = False
+    noise_model_uncertain: bool = False
 
 
 def own_delays(part: Usable, settings: Settings) -> Settings:

@@ -149,7 +149,7 @@ class Pair:
         """The one to be believed."""
         return self.predicting if self.process_noise else self.simulating
 
-    def believes(self, m: Matrices, gain: float, simulated: OutputErrorFit) -> bool:
+    def accepts_process_noise(self, m: Matrices, gain: float, simulated: OutputErrorFit) -> bool:
         """
         Return whether process noise is to be believed.
 
@@ -189,9 +189,9 @@ class Pair:
                    for start in (poles, simulated.poles))
         return weighted.fit(poles).cost - best < allowed
 
-    def doubts(self, m: Matrices) -> bool:
+    def noise_model_uncertain(self, m: Matrices) -> bool:
         """Return whether process noise is believed for want of a better explanation only."""
-        return not replace(self, lenient=False).believes(m, np.inf, self.refined)
+        return not replace(self, lenient=False).accepts_process_noise(m, np.inf, self.refined)
 
     @cached_property
     def refined(self) -> OutputErrorFit:
@@ -247,7 +247,7 @@ def best_pair(found: Sequence[Candidate], limit: float, *, lenient: bool = True)
         group = stable
     second = min(group, key=_by_innovation)
     both = Pair(first, second, limit, process_noise=False, tried=len(found), lenient=lenient)
-    return replace(both, process_noise=both.believes(
+    return replace(both, process_noise=both.accepts_process_noise(
         second.matrices, first.simulated.cost - second.innovation, first.simulated))
 
 

@@ -2,9 +2,9 @@
 """
 The models of consecutive windows as one moving model.
 
-Each window is identified by itself. A controller that takes the models one after the other wants
+Each window is identified separately. A controller that takes the models one after the other wants
 entries of A, B, C and K that move as the plant does, eigenvalues that keep their rows, and a word
-on how well the last model foretold what has been measured since. That is added here; and once a
+on how well the last model simulates what has been measured since. That is added here; and once a
 window has shown that the plant changed, no model of data from both sides of it is accepted. All
 else is as `identify` gives it, up to the choice of states.
 """
@@ -37,7 +37,7 @@ _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 @dataclass(frozen=True, eq=False)
 class Tracked:
     """
-    What one window told, beside the windows before it.
+    The estimate of one window, in sequence with the windows before it.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Tracker:
         """
         past = self._past
         test = _fresh(past, record)
-        estimate = self._doubted(identify(record, self.settings, like=past.model))
+        estimate = self._reject_straddling(identify(record, self.settings, like=past.model))
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
         if estimate.model is None:
@@ -138,7 +138,7 @@ class Tracker:
         self._past = _Past(realisation=self._past.realisation, next_mode=self._past.next_mode)
         self._changed_ns = 0
 
-    def _doubted(self, estimate: Estimate) -> Estimate:
+    def _reject_straddling(self, estimate: Estimate) -> Estimate:
         """
         Return an estimate, rejected if an earlier window has shown a change within its window.
 
@@ -147,7 +147,7 @@ class Tracker:
         """
         straddles = _straddled(estimate, self._changed_ns)
         if estimate.status is Status.CHANGED:
-            # The first window to show it tells the time best: later ones take it for later.
+            # The first window to show it dates it best: later ones take it for later.
             found_ns = _time(estimate, estimate.statistics['change_share'])
             self._changed_ns = min(found_ns, self._changed_ns) if straddles else found_ns
         elif estimate.model is not None and straddles:
@@ -217,7 +217,7 @@ def _moved(past: _Past, estimate: Estimate) -> float:
 
 @dataclass(frozen=True)
 class _Test:
-    """What the last model makes of data that it has not seen, and how that compares with older."""
+    """Fit of the last model on unseen data, and its error there over that on older data."""
 
     fit: Array
     ratio: Array

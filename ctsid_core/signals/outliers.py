@@ -44,7 +44,7 @@ class Spikes:
     instead : ndarray, shape (N, m)
         The values, with those of corrupt samples bridged from their neighbours.
     scale : ndarray, shape (m,)
-        Robust deviation from what neighbours foretell, as the white noise that would show it.
+        Robust deviation from what neighbours predict, as the white noise that would show it.
     suspects : bool
         Whether any sample was suspected.
     too_many : tuple of int

@@ -64,7 +64,7 @@ class Group:
 @dataclass(frozen=True)
 class GroupCounts:
     """
-    What became of the samples of one group since the beginning.
+    Counts of the samples of one group since the beginning.
 
     Parameters
     ----------

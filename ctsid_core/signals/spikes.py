@@ -2,7 +2,7 @@
 """
 Spikes in one channel: single samples or short bursts that are far off, and no honest motion.
 
-A sample is compared with what its neighbours foretell (a cubic through two on either side, over
+A sample is compared with what its neighbours predict (a cubic through two on either side, over
 their own stamps) or, where that scatters less, with the median. Whatever lies beyond some robust
 standard deviations is a suspect. Runs of suspects are judged by a polynomial through the good
 samples on both sides: it must pass these much closer than the suspects, the run must stand out at
@@ -34,7 +34,7 @@ _DEGREES = (1, 3, 5)    # of the curve through them: the one that passes them be
 _APART = (2, 6)         # suspects so near belong to one run; at first, and then
 _EDGE = 4               # samples of a run that may be the edge of a burst of about twice as many
 _BLOCK = 64             # samples over which the local scale is taken
-_WHITE = 1.15           # the median foretells if it scatters less than this times the cubic
+_WHITE = 1.15           # the median predicts if it scatters less than this times the cubic
 _ROUNDS = 4             # smaller spikes come to light when the larger ones are gone
 _SHARP = 0.3            # of how far off a run is, that its edges show
 _REST = 0.3             # of what stands out before, that may do so without the run
@@ -71,7 +71,8 @@ class Channel:
             return False
         weights = self.weights[:, first:last - 4]
         gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
-        before, after = (_foretold(values[first:last], weights) for values in (x, without))
+        before, after = (_prediction_residual(values[first:last], weights)
+                         for values in (x, without))
         return bool(np.max(np.abs(before)) > _SHARP * np.max(np.abs(x[run] - without[run]))
                     and np.max(np.abs(after / gain)) < max(
                         _SUSPECT * local, _REST * np.max(np.abs(before / gain))))
@@ -95,19 +96,19 @@ def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
             local = _local(off, scale)
             suspect = (np.abs(off) > _PERHAPS * channel.sure / SURE * local) & ~bad
             # What still stands out beside corrupt samples: were they the wrong ones?
-            doubted = bad if apart == _APART[-1] else np.zeros_like(bad)
+            rechecked = bad if apart == _APART[-1] else np.zeros_like(bad)
             good = ~(suspect | bad)
-            for first, last in _runs(suspect | doubted, apart):
+            for first, last in _runs(suspect | rechecked, apart):
                 if not suspect[first:last + 1].any():
                     continue
                 wide = slice(first, last + 1)
                 given = np.concatenate((filled[:first], np.where(
-                    doubted[wide], x[wide], filled[wide]), filled[last + 1:]))
+                    rechecked[wide], x[wide], filled[wide]), filled[last + 1:]))
                 verdicts = [v for run in _hypotheses(first, last, len(x)) if (
                     v := _judge(channel, given, run, good, local, white)) is not None]
                 if verdicts:
                     best = min(verdicts, key=lambda v: v.spread)
-                    bad[wide] &= ~doubted[wide]
+                    bad[wide] &= ~rechecked[wide]
                     filled[wide] = given[wide]
                     bad[best.run] |= best.far
                     filled[best.run] = np.where(best.far, best.without, filled[best.run])
@@ -117,7 +118,7 @@ def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
 
 
 def weights_of(t: Array) -> Array:
-    """Return what foretells sample i from i-2, i-1, i+1, i+2: Lagrange's cubic (4, N - 4)."""
+    """Return what predicts sample i from i-2, i-1, i+1, i+2: Lagrange's cubic (4, N - 4)."""
     nodes = np.array([t[:-4], t[1:-3], t[3:-1], t[4:]]) - t[2:-2]
     a, b, c, d = nodes
     ab, ac, ad, bc, bd, cd = b - a, c - a, d - a, c - b, d - b, d - c
@@ -126,8 +127,8 @@ def weights_of(t: Array) -> Array:
     return weights
 
 
-def _foretold(x: Array, weights: Array) -> Array:
-    """Return how far samples are from what their neighbours foretell; without two at each end."""
+def _prediction_residual(x: Array, weights: Array) -> Array:
+    """Return how far samples are from what their neighbours predict; without two at each end."""
     w = weights
     off: Array = x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:])
     return off
@@ -140,7 +141,8 @@ def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
     In units of the white noise that would show the same.
     """
     off = np.zeros_like(x)
-    off[2:-2] = _foretold(x, weights) / np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
+    off[2:-2] = _prediction_residual(x, weights) / np.sqrt(
+        1.0 + np.einsum('ki,ki->i', weights, weights))
     plain = x - np.median(x)
     scale, white = _scale(off[2:-2]), _scale(plain)
     if white < _WHITE * scale:
@@ -177,8 +179,8 @@ def followed(x: Array, inputs: Array, weights: Array) -> Array:
     Their gain is found from the jumps by Huber's estimator: spikes have little say.
     """
     gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
-    columns = np.array([_foretold(u, weights) / gain for u in inputs.T]).T
-    off = _foretold(x, weights) / gain
+    columns = np.array([_prediction_residual(u, weights) / gain for u in inputs.T]).T
+    off = _prediction_residual(x, weights) / gain
     weight = np.ones(len(off))
     for _ in range(_REWEIGHTED):
         root = np.sqrt(weight)

@@ -43,7 +43,7 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.subspace.method import Made, plain_matrices
+from ctsid_core.subspace.method import MethodModel, plain_matrices
 from ctsid_core.subspace.pbsid import Levels, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
@@ -53,13 +53,13 @@ _SLOW = 10.0              # least pole tried, over the length of the record
 _MOST = 20000             # instants of a record
 
 
-def by_projection(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+def by_projection(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
     """Return the models by Laguerre projections, of every order, pole and past left open."""
     return models(part, settings, orders, 'ahead')
 
 
 def models(part: Joint, settings: Settings, orders: Sequence[int],
-           direction: Direction) -> list[Made]:
+           direction: Direction) -> list[MethodModel]:
     """
     Return the models of every order, pole and past left open.
 
@@ -85,7 +85,7 @@ def models(part: Joint, settings: Settings, orders: Sequence[int],
 
 
 def _realised(levels: Levels, settings: Settings, orders: Sequence[int],
-              direction: Direction) -> list[Made]:
+              direction: Direction) -> list[MethodModel]:
     """Return the models of one pole and one p; none if there are too few instants."""
     p, a = settings.past, settings.laguerre_pole
     nz, ny = len(levels.scale), levels.counts[3]
@@ -93,8 +93,9 @@ def _realised(levels: Levels, settings: Settings, orders: Sequence[int],
         return []
     subspace = regress(levels, Tuning(0.0, 1.0, p, settings.future), feedthrough=True,
                        rank_tolerance=settings.rank_tolerance)
-    return [Made(to_continuous(realise(subspace, n), a, direction), settings.replace(order=n),
-                 subspace.singular_values, subspace.condition)
+    return [MethodModel(to_continuous(realise(subspace, n), a, direction),
+                        settings.replace(order=n), subspace.singular_values,
+                        subspace.condition)
             for n in orders if n < min(p * ny, settings.future * ny + 1)]
 
 

@@ -21,7 +21,7 @@ from ctsid_core.linear.types import ComplexArray
 from ctsid_core.model.residue_fit import simulated
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.gobf_subspace import filter_records, observe, realise, sample_times
-from ctsid_core.subspace.method import Made, plain_matrices
+from ctsid_core.subspace.method import MethodModel, plain_matrices
 
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
 _SLOWEST = 10.0                 # times the inverse of the record's length: the least largest pole
@@ -29,7 +29,7 @@ _FUNCTIONS = 8
 _SHARE = 0.8                    # of the fewest samples, that rows of the equations may be
 
 
-def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
     """
     Return models of all orders that the chain can hold, for each pole sequence that comes in.
 
@@ -59,11 +59,11 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Mad
             if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
                 continue
             m = realise(seen, n, feedthrough=settings.feedthrough)
-            driven = simulated(
+            fitted = simulated(
                 records, m.A, delay, trim=settings.trim, feedthrough=settings.feedthrough,
                 tolerance=settings.rank_tolerance)
-            best = driven or m
-            found.append(Made(
+            best = fitted or m
+            found.append(MethodModel(
                 plain_matrices(m.A, best.B, best.C, best.D), _used(settings, own, n),
                 seen.singular_values, seen.condition))
     return found

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.bases.kinks import missed_between
+from ctsid_core.bases.kinks import interpolation_errors
 from ctsid_core.bases.takenaka_malmquist import Chain, respond
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrix_functions import svd
@@ -175,7 +175,7 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     y = pieces(record.outputs, none, knots)
     uneven = np.repeat([s.hold != 'smooth' for s in record.inputs],
                        [s.width for s in record.inputs]).astype(bool)
-    missed = missed_between(u[:, :, uneven], knots, record.outputs, pieces, kinks,
+    missed = interpolation_errors(u[:, :, uneven], knots, record.outputs, pieces, kinks,
                             0 if feedthrough else 1)
     ones = np.ones((1, len(knots), 1))
     w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
@@ -248,7 +248,7 @@ def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
     [TM] eq. 10 to 15, with the corrections above.
     """
     A, C = dynamics(found.filtered.chain, found.left[:, :n])
-    B, D, x0, x_trim, y_trim = _driven(found, n, feedthrough)
+    B, D, x0, x_trim, y_trim = _input_matrices(found, n, feedthrough)
     size = found.scale
     return Realised(A, B, size[:, np.newaxis] * C, size[:, np.newaxis] * D, x0, x_trim,
                     size[:, np.newaxis] * y_trim)
@@ -286,7 +286,7 @@ def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) ->
     return found
 
 
-def _driven(found: Observability, n: int,
+def _input_matrices(found: Observability, n: int,
             feedthrough: bool) -> tuple[Array, Array, Array, Array, Array]:
     """
     Return B, D, initial state and trim, of states and of scaled outputs.

@@ -17,7 +17,7 @@ from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.records import Joint
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.method import Made, plain_matrices
+from ctsid_core.subspace.method import MethodModel, plain_matrices
 from ctsid_core.subspace.pbsid import (
     Levels,
     Subspace,
@@ -89,7 +89,7 @@ class Subspaces:
         return stack_levels(self.projection, beta, gamma, top)
 
 
-def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
     """
     Return models of all orders that the lines can hold, for every tuning left open.
 
@@ -106,7 +106,7 @@ def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Mad
         for tuning in subspaces.tunings(n):
             subspace = subspaces.of(tuning)
             if n < len(subspace.singular_values):
-                found.append(Made(
+                found.append(MethodModel(
                     _plain(realise(subspace, n)), settings.replace(
                         order=n, beta=tuning.beta, gamma=tuning.gamma, past=tuning.past,
                         future=tuning.future),

@@ -15,7 +15,7 @@ from ctsid_core.settings import Settings
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class MethodModel:
     """
     A continuous-time model of the moving channels, one of those that a method offers.
 
@@ -59,7 +59,7 @@ class Method:
         made, and the likeliest is taken.
     """
 
-    models: Callable[[Joint, Settings, Sequence[int]], list[Made]]
+    models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
     domain: str
     looks_for_dead_time: bool = False
     refines: bool = False

@@ -55,7 +55,7 @@ class Tuning:
 @dataclass(frozen=True)
 class Levels:
     """
-    Signals at the powers of the inverse operator, compressed to what their products tell.
+    Signals at the powers of the inverse operator, compressed: their products stay the same.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class Channel:
     role: Role = parameter(MISSING, 'Input or output.', choices=('input', 'output'))
     topic: str = parameter(MISSING, 'Topic of its messages.', structural=True)
     type: str = parameter(
-        MISSING, 'Type of its messages; a bag knows it, the node has to be told.',
+        MISSING, 'Type of its messages; bags contain it, the node needs it.',
         structural=True)
     field: str = parameter(
         MISSING, 'Field of the message: twist.linear.x, position[2], position[0:6] for several '
@@ -51,8 +51,9 @@ class Channel:
         structural=True)
     unit: str = parameter('', 'Unit, for reports; nothing is converted.', structural=True)
     hold: Hold = parameter(
-        'auto', 'What is known between the samples: zoh (held until the next), linear (straight '
-        'lines) or smooth (cubic spline); auto is zoh for an input and smooth for an output.',
+        'auto', 'How the signal runs between the samples: zoh (held until the next), linear '
+        '(straight lines) or smooth (cubic spline); auto is zoh for an input and smooth for an '
+        'output.',
         choices=('auto', *HOLDS), structural=True,
         when='Set an input to smooth if it is measured, not a command that is held.')
     stamp: str = parameter(
@@ -61,9 +62,9 @@ class Channel:
         'else log.', choices=('auto', 'header', 'publish', 'log'), structural=True,
         when='Set it to log for all channels if the clocks of two computers differ.')
     delay: float | str = parameter(
-        'auto', 'Dead time from this input to the outputs; auto is found from the data.',
+        'auto', 'Dead time from this input to the outputs; auto: estimated from the data.',
         unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
-        when='Set it to 0.0 where commands act at once, or to what is known.')
+        when='Set it to 0.0 where commands act at once, or to a known value.')
 
     def __post_init__(self) -> None:
         faults = [fault for declared in fields(self) for fault in

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the node is told: how it takes messages, and where it writes."""
+"""Parameters of the node alone: how it takes messages, and where it writes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class NodeSettings:
         when='Set it to reliable if losses are reported on a poor network and all publishers '
         'are reliable.')
     ingest_timeout: float = parameter(
-        2.0, 'A topic without messages for so long is reported as silent.',
+        2.0, 'A topic without messages for this time is reported as silent.',
         name='ingest.timeout', unit='s', low=0.01, high=3600.0,
         when='Raise it for slow topics.')
     ingest_record: str = parameter(

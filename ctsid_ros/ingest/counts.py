@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of the messages: numbers, and sentences on what is not as it should be."""
+"""Counts of messages and samples, and sentences on what is wrong with them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ _REASONS = {
             'differ',
     'astray': 'have stamps far from all others, up to {offset} away; if that is a clock that '
               'differs, set `stamp` to log',
-    'bad_stamp': 'have a stamp of zero or less, or beyond the year 2116',
-    'duplicate': 'have the stamp of another; the first of them is kept',
-    'non_finite': 'are not finite',
-    'wrong_width': 'could not be decoded, or their arrays are too short',
+    'bad_stamp': 'have a stamp of zero or less, or beyond the year 2116; correct the '
+                 'publisher, or set `stamp` to log',
+    'duplicate': 'have the stamp of another; the first of them is kept; check the clock of '
+                 'the publisher if there are many',
+    'non_finite': 'are not finite; check the sensor',
+    'wrong_width': 'could not be decoded, or their arrays are too short; check `field`',
 }
 
 
 @dataclass(frozen=True)
 class ChannelCounts:
     """
-    What became of the samples of one channel.
+    Counts of the samples of one channel.
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ class ChannelCounts:
 @dataclass(frozen=True)
 class IngestCounts:
     """
-    What became of messages and windows so far.
+    Counts of messages and windows so far.
 
     Parameters
     ----------
@@ -65,15 +67,16 @@ class IngestCounts:
 
 
 def complaints(counts: IngestCounts, config: Config) -> list[str]:
-    """Return a sentence on each thing that is not as it should be, and its cure."""
+    """Return a sentence on each fault, and its cure."""
     lines = [line for channel in config.channels for line in
              _of_channel(channel, counts.channels[channel.name], config)]
     if counts.resets:
         lines.append(f'the time stamps jumped back {counts.resets} times (a clock set back, '
-                     'or a bag played in a loop); each time the windows began anew')
+                     'or a bag played in a loop); each time the windows started again; check the '
+                     'clocks unless that is intended')
     if counts.empty:
         lines.append(f'{counts.empty} windows were skipped because no channel had any sample '
-                     'in them')
+                     'in them; check that all topics are published')
     return lines
 
 

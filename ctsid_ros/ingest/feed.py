@@ -173,7 +173,7 @@ class Feed:
             for topic, state in self.topics.items() if state.numbers.lost)]
         if self._ingest is not None:
             return lines + self._ingest.report()
-        return lines + [f'`{channel.name}`: waiting for a message on {channel.topic} that tells '
+        return lines + [f'`{channel.name}`: waiting for a message on {channel.topic} that shows '
                         f'how long {channel.field} is' for channel in self.config.channels
                         if channel.path.is_open and channel.name not in self._bound]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ROS is told of each parameter: its meaning, unit, range and choices, and when to set it."""
+"""What ROS shows of each parameter: its meaning, unit, range and choices, and when to set it."""
 
 from __future__ import annotations
 
@@ -26,18 +26,19 @@ def descriptor(name: str, declared: Field[Any] | None) -> ParameterDescriptor:
     meta = declared.metadata
     constraints = [limits(declared) if meta['choices'] or meta['words'] or meta['auto'] else '',
                    fixed if meta['structural'] else '']
-    told = ParameterDescriptor(  # what may be a number or a word has no type of its own in ROS
+    # What may be a number or a word has no type of its own in ROS.
+    parameter = ParameterDescriptor(
         description=describe(declared), read_only=name in _ONCE,
         dynamic_typing=bool(meta['words']),
         additional_constraints='; '.join(part for part in constraints if part))
     if meta['low'] is not None and meta['high'] is not None and not meta['words']:
         if isinstance(declared.default, float):  # step 0: any number between
-            told.floating_point_range = [FloatingPointRange(
+            parameter.floating_point_range = [FloatingPointRange(
                 from_value=float(meta['low']), to_value=float(meta['high']), step=0.0)]
         else:
-            told.integer_range = [IntegerRange(
+            parameter.integer_range = [IntegerRange(
                 from_value=int(meta['low']), to_value=int(meta['high']), step=1)]
-    return told
+    return parameter
 
 
 def untyped(name: str, declared: Field[Any] | None) -> ParameterDescriptor:

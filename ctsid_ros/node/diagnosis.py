@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How ingest and identification are: what is wrong in sentences, and their numbers."""
+"""The health of ingest and identification: sentences on what is wrong, and numbers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class IngestDiagnosis:
     Attributes
     ----------
     troubles : list of str
-        What was not as it should be at the last look: a sentence on each thing.
+        What was wrong at the last look: a sentence on each fault.
     """
 
     def __init__(self, config: Config, start_ns: int) -> None:
@@ -70,15 +70,18 @@ class IngestDiagnosis:
         for topic, state in feed.topics.items():
             age = (now_ns - (state.last_ns or self._start_ns)) * 1e-9
             if age > timeout:
-                silent.append(f'{topic} has been silent for {age:.1f} s' if state.messages
-                              else f'no message has come on {topic}')
+                silent.append(f'{topic} has been silent for {age:.1f} s; check its '
+                              'publisher' if state.messages
+                              else f'no message has come on {topic}; check its name, and that '
+                              'its publisher runs')
             values |= {f'{topic} messages': state.messages,
                        f'{topic} rate [1/s]': self._rate(topic, state.messages, now_ns * 1e-9),
                        f'{topic} age [s]': age if state.messages else math.nan,
                        f'{topic} lost': state.numbers.lost}
         values |= {'largest batch': feed.largest_batch, **_sample_values(feed, self._config)}
-        troubles = [*([f'a fault of ctsid: {failure}'] if failure else []), *faults, *silent]
-        # What never came is told as silent already.
+        own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
+        troubles = [*own, *faults, *silent]
+        # What never came is reported as silent already.
         troubles += [line for line in feed.report() if 'no message has come' not in line]
         self.troubles = troubles
         level = (Level.ERROR if failure else Level.STALE if len(silent) == len(feed.topics)
@@ -127,7 +130,8 @@ def diagnose_identification(progress: Progress) -> Health:
     verdict = estimate.verdict
     troubles = [] if estimate.good else [f'{verdict.grade.name}: {verdict.reason}']
     if progress.failures:
-        troubles.append(f'{progress.failures} windows broke off: {progress.failure}')
+        troubles.append(f'{progress.failures} windows failed by a fault of ctsid, please report '
+                        f'it: {progress.failure}')
     if progress.skipped:
         troubles.append(f'{progress.skipped} windows were skipped because identification takes '
                         'longer than `window.stride`; raise it, or set `order`')
@@ -149,11 +153,11 @@ def _estimate_values(estimate: Estimate) -> dict[str, object]:
 def _verdict_values(verdict: Verdict) -> dict[str, object]:
     values: dict[str, object] = {}
     for one in verdict.excitation:
-        values |= {f'{one.name} excites [rad/s]': f'{one.low:.3g} to {one.high:.3g}',
-                   f'{one.name} response known to [%]': 100 * one.uncertainty}
+        values |= {f'{one.name} excited band [rad/s]': f'{one.low:.3g} to {one.high:.3g}',
+                   f'{one.name} response std [%]': 100 * one.uncertainty}
     if verdict.excitation:
-        values |= {'poles known to [%]': 100 * verdict.pole_uncertainty,
-                   'missing of the response [%]': _numbers(100 * verdict.missing)}
+        values |= {'largest pole std [%]': 100 * verdict.pole_uncertainty,
+                   'unmodelled response [%]': _numbers(100 * verdict.missing)}
     if verdict.agreement is not None:
         values['cross-check'] = verdict.agreement.words
     return values

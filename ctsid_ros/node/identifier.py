@@ -54,7 +54,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self._outputs: dict[str, Any] = {}
         self._offered: list[Any] = []
         self._told: set[str] = set()  # what is wrong now, and has been logged
-        self._told_verdict = ''
+        self._last_verdict = ''
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._survive_transitions()
@@ -171,9 +171,9 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
                       'eigenvalues': matrices.encode_eigenvalues(tracked)}
         for name, message in found.items():
             self._outputs[name].publish(message)
-        told = f'{verdict.grade.name} {tracked.estimate.status.name}'
-        if told != self._told_verdict:
-            self._told_verdict = told
+        news = f'{verdict.grade.name} {tracked.estimate.status.name}'
+        if news != self._last_verdict:
+            self._last_verdict = news
             if tracked.estimate.good:  # rclpy wants a line of its own for each severity
                 self.get_logger().info(f'{verdict.grade.name}: {verdict.reason}')
             else:

@@ -133,7 +133,7 @@ class Intake:
         while not self._stopping.wait(self._period):
             try:
                 self._turn()
-            except Exception as error:  # of any kind: the node lives on and tells of it
+            except Exception as error:  # of any kind: the node goes on and reports it
                 if not self._node.context.ok():
                     return
                 self.failure = f'{type(error).__name__}: {error}'

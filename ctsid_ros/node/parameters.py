@@ -44,7 +44,7 @@ def declare(node: Node) -> None:
     """
     Declare all parameters on a node, with their descriptions; the file's values count.
 
-    Nothing in the file makes it raise: `read` tells what is wrong.
+    Nothing in the file makes it raise: `read` reports what is wrong.
     """
     for name in (*ROLE_LISTS, *OWN_KEYS):
         _declare_anew(node, name, OWN_KEYS.get(name))
@@ -198,7 +198,7 @@ def _topic_faults(node: Node) -> list[str]:
     for name in _listed(node):
         topic, kind = (_value(node, f'{name}.{key}') for key in ('topic', 'type'))
         if not topic or not isinstance(topic, str):
-            continue  # its other faults are told elsewhere
+            continue  # its other faults are reported elsewhere
         types: Sequence[str] = ()
         try:
             types = graph.get(node.resolve_topic_name(topic), ())
@@ -208,7 +208,7 @@ def _topic_faults(node: Node) -> list[str]:
             continue
         if kind == '':
             now = (f'{topic} is of type {" and ".join(types)} now' if types else
-                   f'nobody publishes {topic} now that could tell it')
+                   f'nobody publishes {topic} now from whom its type could be seen')
             example = types[0] if types else 'sensor_msgs/msg/Imu'
             faults.append(f'`{name}.type` is missing ({now}); add it, like {example}')
     return faults

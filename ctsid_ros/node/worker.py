@@ -19,7 +19,7 @@ class Worker(Generic[Job]):
     work : callable
         Does one job. What it raises goes to `failed`, and the next job is taken.
     failed : callable
-        Told of an exception.
+        Called with an exception.
 
     Attributes
     ----------
@@ -70,5 +70,5 @@ class Worker(Generic[Job]):
                 return
             try:
                 self._work(job)
-            except Exception as error:  # of any kind: the node lives on and tells of it
+            except Exception as error:  # of any kind: the node goes on and reports it
                 self._failed(error)

@@ -36,7 +36,7 @@ LOOKS = {b'ULog': 'a PX4 ULog', b'\x1f\x8b': 'a gzip archive (unpack it first)',
 
 
 @dataclass(frozen=True)
-class Found:
+class BagFiles:
     """
     The files of one bag.
 
@@ -54,7 +54,7 @@ class Found:
     stated: int | None = None
 
 
-def find_files(path: Path) -> Found:
+def find_files(path: Path) -> BagFiles:
     """
     Return the bag files that a path stands for.
 
@@ -64,7 +64,7 @@ def find_files(path: Path) -> Found:
         If there is no such file or folder, or no bag file in the folder.
     """
     if path.is_file():
-        return Found((path,))
+        return BagFiles((path,))
     if not path.exists():
         raise BagError(f'{path}: no such file or folder' + _near(path))
     if not path.is_dir():
@@ -87,7 +87,7 @@ def find_files(path: Path) -> Found:
     if not files:
         raise BagError(f'{path}: no bag file ({", ".join(SUFFIXES)}) in this folder'
                        + _inner(path))
-    return Found(tuple(files.values()), tuple(notes), None if more or absent else stated)
+    return BagFiles(tuple(files.values()), tuple(notes), None if more or absent else stated)
 
 
 def scan_file(path: Path, resources: ExitStack) -> Recording:

@@ -2,7 +2,7 @@
 """
 A first guess of channels, for people to correct.
 
-What acts on a robot and what is measured of it is told by message types and by the words in
+What acts on a robot and what is measured of it is guessed by message types and by the words in
 topic and field names; of those, only scalars that move are taken.
 """
 
@@ -117,7 +117,7 @@ def _choose(topics: Sequence[TopicSurvey], reasons: list[str]) -> tuple[_Choice,
         if any(_MEASURED_INPUT.search(f.field) for f in both.moving) and len(both.moving) > 1:
             return _split(both, reasons)
         reasons.append(f'nothing is named like a command: whether {acting.info.name} acts on the '
-                       'robot is a mere guess')
+                       'robot is only a guess: check it')
     inputs = acting, _fields(acting.moving, _INPUT_FIELDS, MOST_INPUTS)
     outputs = measured, _fields(measured.moving, _OUTPUT_FIELDS, MOST_OUTPUTS, noise=False)
     reasons.append(f'{acting.info.name} looks like a command, {measured.info.name} like a '
@@ -132,7 +132,7 @@ def _split(topic: TopicSurvey, reasons: list[str]) -> tuple[_Choice, _Choice]:
         acting = [topic.moving[0]]
     rest = [f for f in topic.moving if f not in acting]
     reasons.append(f'inputs and outputs are both of {topic.info.name}: which of its fields act '
-                   'on the robot is guessed by their names')
+                   'on the robot is guessed by their names: check it')
     return ((topic, _fields(acting, _INPUT_FIELDS, MOST_INPUTS)),
             (topic, _fields(rest, _OUTPUT_FIELDS, MOST_OUTPUTS, noise=False)))
 

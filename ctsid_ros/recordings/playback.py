@@ -147,7 +147,7 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     split : float, optional
         Where to split the record later: seconds after the first message of the bag.
     advance : callable, optional
-        Told how far it is.
+        Called with the progress.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
     ingest : Ingest
     interval : Interval
     advance : callable, optional
-        Told how far it is.
+        Called with the progress.
     spans : dict, optional
         Filled with first and last log time of each topic [ns].
 

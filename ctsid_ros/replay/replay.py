@@ -43,7 +43,7 @@ class Result:
     ----------
     tracked : Tracked
         As the node publishes it: the estimate in states that stay along the bag, the rows of its
-        eigenvalues, and how well the model before foretold what is new in this window.
+        eigenvalues, and how well the previous model simulates what is new in this window.
     next_fit : ndarray, shape (ny,)
         Simulation fit on the first later window that shares no data with it [%], with the trim
         of the model; NaN where there is none.
@@ -54,7 +54,7 @@ class Result:
 
     @property
     def estimate(self) -> Estimate:
-        """What the window told."""
+        """The estimate of the window."""
         return self.tracked.estimate
 
     @property
@@ -67,7 +67,7 @@ class Replay:
     """
     Sliding windows along a bag: every one of them is identified, none is skipped.
 
-    `run` may be interrupted at any time: `results` and `played` tell how far it came.
+    `run` may be interrupted at any time: `results` and `played` show how far it came.
 
     Parameters
     ----------

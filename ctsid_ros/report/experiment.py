@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which experiment is missing, in tables and words."""
+"""Which further experiment would help, in tables and words."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ def experiment_section(advice: Advice, *, brief: bool = True) -> Section:
 
 
 def accuracy_section(advice: Advice) -> Section:
-    """Return how well poles are known, and what it takes to know them as wanted."""
+    """Return the standard deviations of the poles, and what it takes to reach the wanted ones."""
     rows = tuple((pole_text(p.pole, 3), number(p.std, 2), number(p.wanted, 2),
                   _times(p.longer), _times(p.larger), *_best(p)) for p in advice.poles)
-    head = ('pole [rad/s]', 'std', 'wanted', 'longer', 'larger input', 'or excite', 'for [s]')
+    head = ('pole [rad/s]', 'std', 'wanted std', 'longer data', 'larger input', 'or excite',
+            'for [s]')
     return Section('Accuracy of the poles, now and wanted', (Table(head, rows, head[5:6]),)
                    if rows else ())
 
@@ -48,8 +49,8 @@ def band_section(advice: Advice) -> Section:
     ratios = [{(b.input, b.low): b.ratio for b in p.bands} for p in advice.poles]
     rows = tuple((b.input, _hertz(b), number(100 * b.share, 2),
                   *(f'/ {number(1 / r[b.input, b.low], 3)}' for r in ratios)) for b in first)
-    head = ('input', 'band [Hz]', 'of its power now [%]',
+    head = ('input', 'band [Hz]', 'share of power now [%]',
             *(pole_text(p.pole, 3) for p in advice.poles))
     return Section(f'Standard deviations after {advice.seconds:g} s more in one band', (
-        'With the size that the input has now, all of it in this band.',
+        'With the rms value that the input has now, all of it in this band: std divided by',
         Table(head, rows, head[:1])))

@@ -59,8 +59,8 @@ def output_figures(model: StateSpace, found: Validation, offset: float, what: st
             label(model.output_names[i], model.output_units[i]),
             x_label='time after the start of the bag [s]',
             y_limits=(low, high) if _leaves(simulated, low, high) else None)
-        figures.append(Figure(draw(drawn), f'{what}: the model knows the inputs only, not this '
-                              f'output. It fits the samples, noise included, by '
+        figures.append(Figure(draw(drawn), f'{what}: simulated from the inputs alone. The fit '
+                              f'to the samples, noise included, is '
                               f'{percent(found.fit[i])} %.'))
     return figures
 
@@ -211,7 +211,7 @@ def supported_band(found: Validation) -> tuple[float, float] | None:
 
     Notes
     -----
-    Spectra of the output and of what the simulation leaves of it (interpolated to uniform times,
+    Spectra of the output and of the simulation's residuals (interpolated to uniform times,
     for this picture only), averaged over eight half-overlapping segments. Of several such bands
     the one with the most octaves; None if there is none.
     """

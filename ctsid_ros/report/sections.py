@@ -32,6 +32,7 @@ from ctsid_ros.report.tracks import Mode, match, modes, modes_of
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
+GLOSSARY = 'Each quantity is explained in docs/glossary.md of ctsid.'
 
 
 def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float]]) -> Section:
@@ -52,8 +53,8 @@ def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float
                      number(1.0 / own.weight, 2) if own else 'left out'))
     head = ('record', 'bag', 'from [s]', 'to [s]', 'fit [%]', 'noise')
     words = [] if not shares else [
-        'One plant, of each record a trim and initial state of its own. The trim of the model is '
-        'that of the record that ends last. Noise: its amplitude relative to that of all.']
+        'One plant; each record has its own trim and initial state. The trim of the model is '
+        'that of the record that ends last. Noise: its amplitude over the mean of all records.']
     return Section('Records', (*words, Table(head, tuple(rows), ('bag',))))
 
 
@@ -73,7 +74,7 @@ def channel_section(played: Played, title: str = 'Signals', *, brief: bool = Tru
 
 
 def complaint_section(notes: Sequence[str]) -> Section:
-    """Return what is not as it should be with the data."""
+    """Return what is wrong with the data."""
     unique = tuple(dict.fromkeys(notes))
     return Section('Notes on the data', (Bullets(unique),) if unique else ())
 
@@ -89,7 +90,7 @@ def _value(value: object) -> str:
 
 
 def mode_table(found: Sequence[Mode]) -> Table:
-    """Return poles with all that engineers ask of them."""
+    """Return poles with standard deviation, natural frequency, damping and time constant."""
     rows = tuple((pole_text(m.pole), number(m.std, 2), plus_minus(m.frequency, m.frequency_std),
                   number(m.frequency / (2 * math.pi), 3), plus_minus(m.damping, m.damping_std, 3),
                   number(1 / abs(m.pole.real), 3) if m.pole.real else '-')
@@ -99,7 +100,7 @@ def mode_table(found: Sequence[Mode]) -> Table:
 
 
 def model_section(estimate: Estimate, title: str) -> Section:
-    """Return a model, accepted or rejected, with its poles, fits and gains."""
+    """Return a model, accepted or rejected, with its verdict, poles and fits."""
     model = estimate.model or estimate.rejected_model
     parts: list[str | Table | Bullets] = [verdict_text(estimate)]
     if estimate.verdict.agreement is not None:
@@ -107,13 +108,13 @@ def model_section(estimate: Estimate, title: str) -> Section:
     if model is None:
         return Section(title, tuple(parts))
     if not estimate.ok:
-        parts.append(f'NOT ACCEPTED ({estimate.status.name}). What was computed all the same, to '
-                     'look at:')
+        parts.append(f'NOT ACCEPTED ({estimate.status.name}). The rejected model is shown to look '
+                     'at only:')
     words = f'{model.n} state{"s" if model.n > 1 else ""}, {"with" if model.D.any() else "no"} ' \
             'direct feedthrough'
     if any(model.delay):
         words += f', dead time {_dead_times(estimate, model)} s'
-    return Section(title, (*parts, f'{words}.', mode_table(modes_of(estimate)),
+    return Section(title, (*parts, f'{words}. {GLOSSARY}', mode_table(modes_of(estimate)),
                            *verdict_tables(estimate, model), fit_table(estimate, model)))
 
 
@@ -131,10 +132,10 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     columns = (100 * verdict.missing, verdict.whiteness, verdict.next_ratio, verdict.fresh_ratio)
     outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
                     for i, name in enumerate(model.output_names))
-    tables = [Table(('input', 'excites from [rad/s]', 'to [rad/s]', 'frequencies',
-                     'by itself [%]', 'response known to [%]'), inputs, ('input',))]
-    tables.append(Table(('output', 'missing [%]', 'white (p)', 'unseen / own error',
-                         'fresh / own'), outputs, ('output',)))
+    tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
+                     'uncorrelated [%]', 'response std [%]'), inputs, ('input',))]
+    tables.append(Table(('output', 'unmodelled response [%]', 'whiteness p-value',
+                         'held-out error ratio', 'fresh error ratio'), outputs, ('output',)))
     return tables if inputs else []
 
 
@@ -158,7 +159,7 @@ def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
 
 
 def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Section:
-    """Return the steady gains, where they mean something, with their standard deviations."""
+    """Return the DC gains, where they mean something, with their standard deviations."""
     if not (model.poles.real < 0).all():
         return Section('', ())
     gain = model.dc_gain
@@ -167,8 +168,7 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
                   *(plus_minus(gain[i, j], std[i, j]) for j in range(model.nu)))
                  for i, y in enumerate(model.output_names))
     heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
-    return Section('Steady gain: output per input', (Table(('output', *heads), rows,
-                                                           ('output',)),))
+    return Section('DC gain: output per input', (Table(('output', *heads), rows, ('output',)),))
 
 
 def bode_section(model: StateSpace, points: int = 13,
@@ -203,22 +203,24 @@ def response_section(model: StateSpace, found: Validation, truth: StateSpace | N
                      covariance: Covariance | None = None) -> Section:
     """Return the Bode diagrams; shaded where the data of a simulation support the model."""
     band = supported_band(found)
-    words = ['Shaded: there the model explains more than half of the power of an output. Beyond, '
-             'it is extrapolation.'] if band else []
+    words = ['Shaded: the frequencies at which the model explains more than half of the power of '
+             'an output. Beyond them it extrapolates.'] if band else []
     words += ['The bands around the curves are two standard deviations.'] if covariance else []
     return Section('Frequency response', (*words, *bode_figures(model, band, truth, covariance)))
 
 
 def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
-    """Return what the residuals still contain."""
+    """Return the residual tests: p-values of whiteness, and of independence of the inputs."""
     rows = tuple((y, number(tests.whiteness[i], 2),
                   *(number(v, 2) for v in tests.independence[i]))
                  for i, y in enumerate(model.output_names))
-    head = ('output', 'white', *(f'independent of {u}' for u in model.input_names))
-    return Section('What the simulation leaves over', (
-        'p-values: below 0.01 the residuals are not white (gusts and other disturbances colour '
-        'them, which is no fault), or they still know the past of an input (then dynamics from '
-        'that input are missing, or a controller closes a loop).',
+    head = ('output', 'whiteness p-value',
+            *(f'independence of {u}, p-value' for u in model.input_names))
+    return Section('Residual tests', (
+        'The residuals are the measured minus the simulated output. A p-value below 0.01 means '
+        'that they are not white (with gusts and other process noise this is normal), or that '
+        'they depend on past values of an input (then dynamics from that input are not '
+        'modelled, or a controller closes a loop).',
         Table(head, rows, ('output',))), brief=False)
 
 
@@ -272,7 +274,7 @@ def truth_section(estimate: Estimate, results: Sequence[Result], truth: StateSpa
         own = found[pairs[i]] if i in pairs else None
         rows.append((pole_text(m.pole), *_beside(m, own),
                      *([pole_text(every[i]) if i in every else '-'] if results else [])))
-    head = ('true pole', 'identified', 'its std', 'difference', 'in std',
+    head = ('true pole', 'identified', 'std', 'difference', 'difference / std',
             *([f'median of {len(results)} windows'] if results else []))
     extra = [m for j, m in enumerate(found) if j not in pairs.values()]
     verdict = _verdict([(m, found[pairs[i]]) for i, m in enumerate(true) if i in pairs], len(true))
@@ -312,10 +314,11 @@ def _verdict(pairs: Sequence[tuple[Mode, Mode]], count: int) -> str:
         return f'{len(pairs)} of {count} true poles or pairs have a counterpart in the model.'
     worst = max(known, default=0.0)
     if worst <= _NEAR_TRUTH:
-        return (f'All {count} true poles and pairs are found; the farthest is {worst:.1f} of its '
-                'standard deviations from the truth, as chance allows.')
-    return (f'{sum(k <= _NEAR_TRUTH for k in known)} of {count} true poles and pairs are found '
-            f'within {_NEAR_TRUTH:g} standard deviations; the farthest is {worst:.1f} away.')
+        return (f'All {count} true poles and pairs are identified; the largest error is '
+                f'{worst:.1f} standard deviations, which noise explains.')
+    return (f'{sum(k <= _NEAR_TRUTH for k in known)} of {count} true poles and pairs are '
+            f'identified within {_NEAR_TRUTH:g} standard deviations; the largest error is '
+            f'{worst:.1f}.')
 
 
 def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Section:
@@ -332,18 +335,18 @@ def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> I
         return
     unseen = test_fit if np.isfinite(test_fit).any() else estimate.held_out_fit
     if np.isfinite(unseen).any() and np.nanmax(estimate.fit - unseen) > 15.0:
-        yield ('The model explains its own data far better than unseen data: take a longer '
+        yield ('The fit is far better on the data of the model than on unseen data: take a longer '
                '`window.length` (or interval), or lower `max_order`.')
     if model.n == settings.max_order:
         yield f'The order reached `max_order` ({settings.max_order}): raise it.'
     if any(m.std > abs(m.pole) for m in modes_of(estimate)):
-        yield ('Some poles are hardly determined (std beyond their own size): lower `max_order`, '
-               'or excite the plant around their frequency.')
+        yield ('Some poles are hardly determined (std larger than the pole itself): lower '
+               '`max_order`, or excite the plant around their frequency.')
     if (model.poles.real > 0).any():
         yield ('The model is unstable: right for a plant that a controller holds upright; else '
                'lower `max_order` or take a longer interval.')
     if not any(model.delay) and model.n > 1:
-        yield ('No dead time was given or found; if commands act late all the same, set the '
-               '`delay` of the input: the model otherwise spends states on it.')
+        yield ('The model has no dead time. If you know of one (commands that act late), set '
+               'the `delay` of the input: without it the model needs extra states to imitate it.')
     if complaints:
-        yield 'Mend what the notes on the data say, or choose an interval without it.'
+        yield 'Correct what the notes on the data name, or choose an interval without it.'

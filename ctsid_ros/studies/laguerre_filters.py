@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from ctsid_core.bases.records import Joint
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.ct_pbsid import models
-from ctsid_core.subspace.method import Made, Method
+from ctsid_core.subspace.method import Method, MethodModel
 
 
-def by_filtering(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Made]:
+def by_filtering(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
     """Return the models by Laguerre filters, of every order, pole and past left open."""
     return models(part, settings, orders, 'back')
 

@@ -27,9 +27,9 @@ from ctsid_ros.verbs.arguments import (
     tell,
 )
 
-HELP = 'tell which excitation is missing for a wanted accuracy'
+HELP = 'show which further excitation a wanted accuracy of the poles needs'
 EPILOG = ('example: ctsid advise flight.mcap --params params.yaml --wanted 2\n'
-          '         (what it takes to know every pole to 2 % of its size)')
+          '         (what it takes for standard deviations of 2 % of each pole)')
 
 
 def percentage(text: str) -> float:
@@ -50,14 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_params(parser)
     add_interval(parser)
     parser.add_argument('--wanted', type=percentage, default=5.0, metavar='PERCENT',
-                        help='standard deviation of each pole over its size [%%, default 5]')
+                        help='wanted standard deviation of each pole, relative to its size '
+                        '[%%, default 5]')
     parser.add_argument('--more', type=positive_seconds, default=10.0, metavar='S',
                         help='how long further excitation would last [s, default 10]')
     add_style(parser)
 
 
 def command(args: argparse.Namespace) -> int:
-    """Read, identify, tell."""
+    """Read, identify, print."""
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:

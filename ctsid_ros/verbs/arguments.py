@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several verbs share: their arguments, the config, and how results are told."""
+"""What several verbs share: their arguments, the config, and how results are printed."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def add_results(parser: argparse.ArgumentParser) -> None:
 
 
 def add_style(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
-    """Add how to tell the result."""
+    """Add how to print the result."""
     parser.add_argument('--json', action='store_true',
                         help='print the result as JSON instead of tables')
     if quiet:
@@ -118,7 +118,7 @@ def config_for(args: argparse.Namespace, bag: Bag) -> Config:
 
 
 def read_params(path: str) -> Config:
-    """Read a parameter file; faults are told with its name."""
+    """Read a parameter file; faults are reported with its name."""
     try:
         return read_config(path)
     except SettingsError as error:
@@ -127,7 +127,7 @@ def read_params(path: str) -> Config:
 
 
 def say(text: str) -> None:
-    """Tell the user something that is not the result."""
+    """Print something that is not the result, to stderr."""
     print(f'ctsid: {text}', file=sys.stderr, flush=True)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ctsid compare`: what all methods make of the same data, side by side."""
+"""`ctsid compare`: the models of all methods from the same data, side by side."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ctsid_ros.progress import Advance, progress, silent
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.playback import read_record
 from ctsid_ros.report.document import Bullets, Section, to_text
-from ctsid_ros.report.sections import complaint_section
+from ctsid_ros.report.sections import GLOSSARY, complaint_section
 from ctsid_ros.report.tables import Table, number, percent, plus_minus, pole_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -40,8 +40,8 @@ from ctsid_ros.verbs.arguments import (
 
 HELP = 'identify one interval of a bag by all methods, side by side'
 EPILOG = ('example: ctsid compare flight.mcap --params params.yaml --duration 20\n'
-          '         (told the same wrong thing, methods agree in it; large deviations hide any\n'
-          '         difference, so look at the percentage;\n'
+          '         (with the same wrong setting all methods err alike; a large standard\n'
+          '         deviation hides any difference, so look at the percentage;\n'
           '         `validation.cross_check` lets one of them take part in every verdict)')
 
 
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 @dataclass(frozen=True)
 class Contender:
     """
-    What one method made of the data.
+    The result of one method on the data.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Contender:
 
 
 def command(args: argparse.Namespace) -> int:
-    """Read, identify by every method, tell."""
+    """Read, identify by every method, print."""
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:
@@ -98,16 +98,16 @@ def command(args: argparse.Namespace) -> int:
 
 def compare(record: Record, settings: Settings, advance: Advance = silent) -> list[Contender]:
     """
-    Return what every method makes of a record, HD-PBSID first.
+    Return the model of every method from a record, HD-PBSID first.
 
     Parameters
     ----------
     record : Record
     settings : Settings
         Dead times that HD-PBSID finds are given to the others, which do not look for any. The
-        order, if it is not given, each method chooses by itself.
+        order, if it is not given, each method chooses for itself.
     advance : callable, optional
-        Told how far it is.
+        Called with the progress.
     """
     settings = settings.replace(cross_check=UNCHECKED)
     found: list[Contender] = []
@@ -135,15 +135,16 @@ def _sections(found: Sequence[Contender]) -> list[Section]:
     rows = tuple((c.method, c.estimate.verdict.grade.name, str(c.model.n) if c.model else '-',
                   _fits(c.estimate.fit), _fits(c.estimate.held_out_fit), *_differs(c.agreement),
                   number(c.seconds, 2)) for c in found)
-    head = ('method', 'verdict', 'order', 'fit [%]', 'held-out fit [%]', 'agrees', 'differs [%]',
-            'in std', 'time [s]')
+    head = ('method', 'verdict', 'order', 'fit [%]', 'held-out fit [%]', 'agrees',
+            'difference [%]', 'difference / std', 'time [s]')
     poles = tuple((c.method, *_pole(c, k)) for c in found if c.model
                   for k in range(c.model.n) if c.model.poles[k].imag <= 0.0)
     reasons = tuple(f'{c.method}: {c.estimate.verdict.reason}' for c in found)
     words = [] if reference is None else [
-        f'Differs: the frequency response from that of {reference}, over its size, where that is '
-        'largest in the band that the inputs excite; and the same in standard deviations of both. '
-        'It agrees if one of the two is small (5 %, 3 deviations) everywhere.']
+        f'Difference: of the frequency response from that of {reference}, relative to its size, '
+        'the largest in the excited band; and the same over the standard deviation of both. It '
+        'agrees if one of the two is small everywhere (5 %, 3 standard deviations). '
+        f'{GLOSSARY}']
     return [Section('Methods side by side',
                     (Table(head, rows, ('method', 'verdict', 'agrees')), *words)),
             *([Section('Poles', (Table(('method', 'pole [rad/s]', 'std', 'dead time [s]'), poles,

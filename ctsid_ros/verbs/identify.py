@@ -77,7 +77,7 @@ from ctsid_ros.verbs.arguments import (
 
 HELP = 'identify one model from one or several recordings'
 EPILOG = ('example: ctsid identify flight.mcap --params params.yaml --test-from 60\n'
-          '         (one model of the first 60 s, tested on all that follows)\n'
+          '         (one model of the first 60 s, tested on the rest)\n'
           'example: ctsid identify monday tuesday --params params.yaml\n'
           '         (one model of two flights, each with a trim of its own)')
 _SEVERAL = ('several that overlap or follow each other within a second are the parts of one '
@@ -95,8 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='take this part of each recording [s after its first message]; may '
                         'be given several times: one model of all parts, with a trim for each')
     parser.add_argument('--test-from', type=seconds, metavar='S',
-                        help='do not learn from what comes later than this, but test the model '
-                        'on it [s after the first message of each recording]')
+                        help='identify from the data before this time only, and test the model '
+                        'on the rest [s after the first message of each recording]')
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')
     add_results(parser)
@@ -106,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 @dataclass(frozen=True)
 class Source:
     """
-    Where a record comes from, and what of it is not learnt from.
+    Where a record comes from, and which part of it is kept for a test.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class Source:
 
     @property
     def learnt(self) -> Record:
-        """The part that the model is made from."""
+        """The part that the model is identified from."""
         record, split = self.data.record, self.data.split
         return record if math.isnan(split) else record.between(record.start, split)
 
@@ -192,7 +192,7 @@ class Outcome:
 
 
 def command(args: argparse.Namespace) -> int:
-    """Read, identify, test, write, tell."""
+    """Read, identify, test, write, print."""
     truth = load_model(args.truth) if args.truth else None
     intervals = _intervals(args)
     groups = recordings(args.bag, _topics(args))
@@ -289,7 +289,8 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
     whose = f' of record {outcome.sources.index(test.source) + 1}' \
         if len(outcome.sources) > 1 else ''
     return Section(f'Test on data{whose} the model has not seen, {first:.1f} to {last:.1f} s', (
-        Table(('output', 'simulation fit [%]', 'with trim refitted [%]'), rows, ('output',)),))
+        Table(('output', 'simulation fit [%]', 'simulation fit, trim refitted [%]'), rows,
+              ('output',)),))
 
 
 def _write(out: Path, outcome: Outcome, args: argparse.Namespace,

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def command(args: argparse.Namespace) -> int:
-    """Look at the bag and tell."""
+    """Look at the bag and print."""
     with open_bag(args.bag) as bag:
         found = survey(bag)
     if args.json:

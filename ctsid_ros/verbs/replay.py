@@ -65,11 +65,11 @@ HELP = 'identify models in sliding windows along a bag'
 EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results/flight
 
 The windows are those of the parameter file (window.length, window.stride). None is skipped; each
-model is tested on the first later window that shares no data with it: the "next fit". Ctrl-C ends
-the run early and keeps what was found."""
+model is tested on the first later window that shares no data with it ("next fit"). Ctrl-C ends
+the run early and keeps the results so far."""
 
-_INTRODUCTION = ('Each window gives a model of its own. Its "next fit" is how well it simulates '
-                 'the first later window that shares no data with it.')
+_INTRODUCTION = ('Each window gives its own model. Its "next fit" is its simulation fit on the '
+                 'first later window that shares no data with it.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def command(args: argparse.Namespace) -> int:
-    """Replay, write, tell."""
+    """Replay, write, print."""
     truth = load_model(args.truth) if args.truth else None
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
@@ -148,7 +148,7 @@ class _Report:
 
     def _best_section(self) -> Section:
         estimate, model = self.best.estimate, self.model
-        what = 'the best on data it has not seen' if self.best.tested else \
+        what = 'the best on unseen data' if self.best.tested else \
             'the best on its own held-out data' if estimate.ok else 'the last one'
         section = model_section(estimate, f'Model of window {self.number}, {what}: {MODEL}')
         if model is None:
@@ -194,7 +194,7 @@ class _Report:
             offset = (record.epoch_ns - self.zero_ns) * 1e-9
             sections += [
                 Section('Measured and simulated', tuple(output_figures(
-                    self.model, found, offset, f'Window {self.number}, which the model is of'))),
+                    self.model, found, offset, f'Window {self.number}, of which the model is'))),
                 response_section(self.model, found, self.truth,
                                  self.best.estimate.covariance)]
         return sections

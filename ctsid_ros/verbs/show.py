@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ctsid show`: a stored model in words and numbers."""
+"""`ctsid show`: print a stored model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ctsid_ros.report.sections import bode_section, gain_section, model_section
 from ctsid_ros.report.tables import Table
 from ctsid_ros.verbs.arguments import ACCEPTED, add_style, date, tell
 
-HELP = 'show a stored model: poles, gains, frequency response'
+HELP = 'show a stored model: poles, DC gain, frequency response'
 EPILOG = 'example: ctsid show results/demo/model.json'
 
 
@@ -52,7 +52,7 @@ def _sections(path: str, estimate: Estimate, metadata: Mapping[str, object]
         words.append(f'{length:.4g} s from {date(estimate.start_ns) or "its start"}')
     channels = metadata.get('channels')
     parts = [f'Identified from {", ".join(words)}.' if words else
-             'Stored by itself: nothing is known of where it comes from.']
+             'Stored without its data: its origin is not known.']
     tables = [_channels(channels)] if isinstance(channels, list) and channels else []
     yield Section(path, (*parts, *tables))
     yield model_section(estimate, 'Model')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ctsid simulate`: how well a stored model explains another bag."""
+"""`ctsid simulate`: how well a stored model simulates and predicts another bag."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ctsid_ros.recordings.bag import Bag, open_bag
 from ctsid_ros.recordings.playback import Recorded, read_record
 from ctsid_ros.replay.results import config_of
 from ctsid_ros.report.document import Section, to_text
-from ctsid_ros.report.sections import channel_section, complaint_section
+from ctsid_ros.report.sections import GLOSSARY, channel_section, complaint_section
 from ctsid_ros.report.tables import Table, number, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -37,7 +37,7 @@ from ctsid_ros.verbs.arguments import (
     zero_ns,
 )
 
-HELP = 'tell how well a stored model explains a bag'
+HELP = 'show how well a stored model simulates and predicts a bag'
 EPILOG = 'example: ctsid simulate results/demo/model.json another_flight.mcap --horizon 1 10 100'
 
 
@@ -48,10 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_params(parser)
     add_interval(parser)
     parser.add_argument('--horizon', type=steps, nargs='+', default=[1, 10], metavar='K',
-                        help='predict so many samples of the output ahead as well [default 1 10]')
+                        help='prediction horizons: so many samples of the output ahead '
+                        '[default 1 10]')
     parser.add_argument('--trim', choices=('refit', 'model'), default='refit',
-                        help='offsets of the outputs: fitted to this bag, for another flight has '
-                        'another operating point, or those of the model [default refit]')
+                        help='offsets of the outputs: refit = fitted to this bag (another flight '
+                        'has another operating point), model = those of the model [default refit]')
     add_style(parser)
 
 
@@ -68,7 +69,7 @@ class _Outcome:
 
 
 def command(args: argparse.Namespace) -> int:
-    """Read, compare, tell."""
+    """Read, simulate, print."""
     model = load_model(args.model)
     config = read_params(args.params) if args.params else config_of(
         load_metadata(args.model), load_estimate(args.model).settings, args.model)
@@ -114,7 +115,7 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
     periods = [s.period for s in outcome.data.record.outputs]
     for k, found in outcome.predicted.items():
         ahead = ' or '.join(dict.fromkeys(number(k * p, 2) for p in periods))
-        columns[f'{k} ahead ({ahead} s) [%]'] = found.fit
+        columns[f'prediction fit, {k} ahead ({ahead} s) [%]'] = found.fit
     rows = tuple((name, *(percent(v[i]) for v in columns.values()))
                  for i, name in enumerate(outcome.model.output_names))
     title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
@@ -124,11 +125,11 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
 
 def _trim(trim: str) -> str:
     if trim == 'refit':
-        return ('The offsets of the outputs are fitted to this bag, for another flight may have '
-                'another operating point (--trim model keeps those of the model). A fit of 100 % '
-                'is perfect, 0 % no better than a constant.')
+        return ('The offsets of the outputs are fitted to this bag, because another flight may '
+                'have another operating point (--trim model keeps those of the model). A fit of '
+                f'100 % is perfect, 0 % no better than a constant. {GLOSSARY}')
     return ('The offsets of the outputs are those of the model (--trim refit fits them to this '
-            'bag). A fit of 100 % is perfect, 0 % no better than a constant.')
+            f'bag). A fit of 100 % is perfect, 0 % no better than a constant. {GLOSSARY}')
 
 
 def _document(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...]
