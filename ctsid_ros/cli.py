@@ -9,16 +9,20 @@ was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is ac
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
-import io
 import os
 import sys
+from typing import TYPE_CHECKING
 
 from ctsid_ros.blas import use_one_thread
 
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
+VERBS = ('info', 'init', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study', 'show',
+         'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
   ctsid info BAG                              what is in it
   ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
@@ -36,12 +40,26 @@ The words of the reports (fit, verdict, response std, ...) are explained in docs
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; return the exit code."""
-    from ctsid_core.errors import CtsidError  # after the environment above
+    if argv is not None:
+        return _run(argv)
+    try:
+        from ctsid_ros.interrupts import interruptible  # before all that takes long to load
+
+        with interruptible():
+            return _run(sys.argv[1:])
+    except KeyboardInterrupt:  # too early, or too late, to be told
+        return 130
+
+
+def _run(argv: Sequence[str]) -> int:
+    import io
+
+    from ctsid_core.errors import CtsidError
+
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
         sys.stdout.reconfigure(errors='replace')
-    parser = _parser()
     try:
-        args = parser.parse_args(argv)
+        args = _parser(argv).parse_args(argv)
         code: int = args.command(args)
         sys.stdout.flush()
     except SystemExit as stop:  # argparse has printed why
@@ -58,30 +76,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
-    from ctsid_ros.config.origin import package_version
-    from ctsid_ros.verbs import (
-        advise,
-        compare,
-        identify,
-        info,
-        init,
-        params,
-        replay,
-        show,
-        simulate,
-        study,
-    )
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser of a command line: with its verb only, or with all if it names none."""
+    import argparse
+    from importlib import import_module
+
+    class Version(argparse.Action):
+        """Look the version up only when it is asked for."""
+
+        def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+            from ctsid_ros.config.origin import package_version
+
+            print(f'ctsid {package_version()}')
+            parser.exit()
+
     parser = argparse.ArgumentParser(
         prog='ctsid', description='Identifies continuous-time state-space models from bags; '
         'each topic keeps its own time stamps, nothing is resampled.', epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--version', action='version', version=f'ctsid {package_version()}')
+    parser.add_argument('--version', action=Version, nargs=0,
+                        help="show program's version number and exit")
     verbs = parser.add_subparsers(metavar='VERB', required=True)
-    for name, verb in (('info', info), ('init', init), ('identify', identify),
-                       ('replay', replay), ('simulate', simulate), ('advise', advise),
-                       ('compare', compare), ('study', study), ('show', show),
-                       ('params', params)):
+    for name in argv[:1] if argv[:1] and argv[0] in VERBS else VERBS:
+        verb = import_module(f'ctsid_ros.verbs.{name}')
         own = verbs.add_parser(name, help=verb.HELP, epilog=verb.EPILOG,
                                description=f'{verb.HELP[0].upper()}{verb.HELP[1:]}.',
                                formatter_class=argparse.RawDescriptionHelpFormatter)

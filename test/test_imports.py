@@ -14,19 +14,24 @@ from collections.abc import Iterator
 from fnmatch import fnmatch
 from functools import cache
 from graphlib import TopologicalSorter
+import os
 from pathlib import Path
 import subprocess
 import sys
 
 import pytest
 
+import ctsid_core
+from ctsid_ros.cli import VERBS
+
 ROOT = Path(__file__).resolve().parent.parent
 # From the bottom; a module may import from its own package and from those before it.
 PACKAGES = {
     'ctsid_core': ['errors', 'linear', 'settings', 'signals', 'model', 'bases', 'subspace',
                    'likelihood', 'search', 'judge', 'advice', 'identify', 'sequence'],
-    'ctsid_ros': ['errors', 'blas', 'progress', 'decoding', 'config', 'ingest', 'recordings',
-                  'replay', 'messages', 'report', 'node', 'verbs', 'cli', 'studies', 'examples'],
+    'ctsid_ros': ['errors', 'blas', 'interrupts', 'progress', 'decoding', 'config', 'ingest',
+                  'recordings', 'replay', 'messages', 'report', 'node', 'verbs', 'cli', 'studies',
+                  'examples'],
 }
 ROS = ('rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
        'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs')
@@ -120,12 +125,77 @@ def test_the_core_does_not_know_ros():
     assert wrong == []
 
 
-def test_the_core_loads_nothing_heavy():
+def loaded(code: str) -> set[str]:
+    """Return the names of all modules that are loaded when a program has run."""
+    code += '\nimport sys; print("\\n".join(["", "loaded:", *sys.modules]))'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                          check=True, env=os.environ | {'PYTHONPATH': str(ROOT)})
+    return set(done.stdout.rpartition('loaded:')[2].split())
+
+
+def of_command(*words: object) -> set[str]:
+    return loaded(f'from ctsid_ros.cli import main; main({[*map(str, words)]})')
+
+
+@pytest.mark.parametrize('words', [
+    ['--version'], ['--help'], [], ['nonsense'], ['params'], ['info'], ['info', '--nonsense'],
+    *([name, '--help'] for name in VERBS), ['identify'], ['identify', 'bag', '--start', '-1'],
+    ['identify', 'bag', '--interval', '2:1']], ids=' '.join)
+def test_what_is_no_use_of_data_loads_no_library(words):
+    """NumPy alone would take longer than all the rest."""
+    assert not among(of_command(*words), 'numpy', 'scipy', 'rosbags', 'mcap', 'rich', 'yaml',
+                         'zstandard', 'lz4', 'ctsid_core.identify')
+
+
+def test_info_loads_neither_solvers_nor_all_message_types():
+    found = of_command('info', ROOT / 'bags/quadrotor_roll')
+    assert 'ctsid_ros.recordings.survey' in found
+    assert not among(found, 'scipy', 'rich', 'ctsid_core.identify', 'ctsid_core.model',
+                         'ctsid_core.search', 'ctsid_core.likelihood',
+                         'rosbags.typesys.stores.ros2_jazzy')
+
+
+def test_the_core_loads_what_is_asked_for():
+    assert not among(loaded('import ctsid_core'), 'numpy', 'scipy')
+    assert not among(loaded('from ctsid_core import Record, Settings'), 'scipy')
+
+
+def test_identification_loads_nothing_that_it_seldom_needs():
     """scipy.signal brings scipy.stats: every command and node would start 0.7 s later."""
-    code = "import ctsid_core, sys; print({'scipy.signal', 'scipy.stats'} & set(sys.modules))"
-    loaded = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            check=True)
-    assert loaded.stdout == 'set()\n'
+    assert not among(loaded('from ctsid_core import identify'), 'scipy.signal', 'scipy.stats',
+                         'ctsid_ros', 'rosbags', 'control')
+
+
+def among(found: set[str], *packages: str) -> list[str]:
+    """Return the modules among `found` that are these, or in them."""
+    return sorted(name for name in found
+                  if any(f'{name}.'.startswith(f'{package}.') for package in packages))
+
+
+@pytest.mark.parametrize('before', ['import ctsid_core.identify', 'import ctsid_core',
+                                    'from ctsid_core.identify import identify',
+                                    'from ctsid_core import identify',
+                                    'from ctsid_core import *'])
+def test_identify_is_the_function_whatever_was_imported_before(before):
+    loaded(f"""
+{before}
+import ctsid_core
+assert callable(ctsid_core.identify)
+from ctsid_core import identify
+assert identify is ctsid_core.identify
+import ctsid_core.identify
+assert identify is ctsid_core.identify
+from ctsid_core.identify import identify as same
+assert identify is same
+""")
+
+
+def test_the_core_lists_its_public_names():
+    assert set(ctsid_core.__all__) <= set(dir(ctsid_core))
+    for name in ctsid_core.__all__:
+        assert getattr(ctsid_core, name).__name__ == name
+    with pytest.raises(AttributeError, match='nonsense'):
+        ctsid_core.nonsense  # noqa: B018
 
 
 def test_libraries_are_known_where_they_may_be():
@@ -146,3 +216,8 @@ def test_the_list_names_every_package():
     found = {top: {package_of(name)[1] for name in modules() if name.startswith(f'{top}.')}
              for top in PACKAGES}
     assert found == {top: set(names) for top, names in PACKAGES.items()}
+
+
+def test_every_module_of_verbs_is_a_verb():
+    files = {path.stem for path in (ROOT / 'ctsid_ros/verbs').glob('[a-z]*.py')}
+    assert files - {'arguments'} == set(VERBS)

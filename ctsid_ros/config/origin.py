@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
-from ctsid_ros.config.channels import Channel, Config
+if TYPE_CHECKING:
+    from ctsid_ros.config.channels import Config
 
 
 def package_version() -> str:
     """Return the version of ctsid."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version('ctsid')
     except PackageNotFoundError:
@@ -19,5 +22,5 @@ def package_version() -> str:
 
 def described(config: Config) -> list[dict[str, object]]:
     """Return the channels as mappings, from which `Channel(**mapping)` makes them again."""
-    return [{f.name: getattr(channel, f.name) for f in fields(Channel)}
+    return [{f.name: getattr(channel, f.name) for f in fields(channel)}
             for channel in config.channels]

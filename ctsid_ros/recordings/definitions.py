@@ -53,9 +53,11 @@ def message_type(connection: Connection) -> MessageType:
 
 @cache
 def _message_type(name: str, encoding: Encoding, form: str, text: str) -> MessageType:
-    known = {**_default_types(encoding), **_parse(name, form, text)}
+    own = _parse(name, form, text)
     try:
-        types, missing = reachable(name, known)
+        types, missing = reachable(name, own)
+        if missing:  # else those of rosbags need not be loaded, which takes long
+            types, missing = reachable(name, {**_default_types(encoding), **own})
     except ValueError as error:
         raise DefinitionError(str(error)) from None
     if name in missing:

@@ -6,15 +6,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-import hashlib
 from pathlib import Path
 import re
+from typing import TYPE_CHECKING
 
 from ctsid_core.errors import SettingsError, StorageError
-from ctsid_core.model.storage import write_file
-from ctsid_core.settings import Settings
-from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.origin import described, package_version
+
+if TYPE_CHECKING:
+    from ctsid_core.settings import Settings
+    from ctsid_ros.config.channels import Config
 
 MODEL, SERIES, TABLE = 'model.json', 'estimates.npz', 'estimates.csv'
 REPORT, PAGE = 'report.md', 'report.html'
@@ -87,6 +88,8 @@ def write_results(folder: Path, contents: Mapping[str, str]) -> None:
     StorageError
         If a file cannot be written.
     """
+    from ctsid_core.model.storage import write_file
+
     for name in (MODEL, SERIES, TABLE, REPORT, PAGE):
         with suppress(OSError):
             (folder / name).unlink()
@@ -118,6 +121,8 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
     StorageError
         If it names none, or they are not valid.
     """
+    from ctsid_ros.config.channels import Channel, Config
+
     listed = metadata.get('channels')
     if not isinstance(listed, list) or not listed:
         raise StorageError(f'{path} does not say which topics and fields its channels are; give '
@@ -136,6 +141,8 @@ def _hash(bags: Sequence[str]) -> str | None:
              (sorted(p for p in bag.iterdir() if p.is_file()) if bag.is_dir() else [bag])]
     if sum(f.stat().st_size for f in files) > _HASHED:
         return None
+    import hashlib
+
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())

@@ -13,6 +13,8 @@ from ctsid_ros.report.tables import Table
 
 WIDTH = 99
 
+GLOSSARY = 'Each quantity is explained in docs/glossary.md of ctsid.'
+
 
 @dataclass(frozen=True)
 class Bullets:

@@ -17,7 +17,7 @@ from ctsid_core.model.verdict import Grade
 from ctsid_ros.config.channels import Channel
 from ctsid_ros.recordings.playback import Played
 from ctsid_ros.replay.replay import Result
-from ctsid_ros.report.document import Bullets, Section
+from ctsid_ros.report.document import GLOSSARY, Bullets, Section
 from ctsid_ros.report.figures import (
     bode_figures,
     frequencies,
@@ -32,7 +32,6 @@ from ctsid_ros.report.tracks import Mode, match, modes, modes_of
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
-GLOSSARY = 'Each quantity is explained in docs/glossary.md of ctsid.'
 
 
 def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float]]) -> Section:

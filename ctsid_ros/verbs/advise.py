@@ -6,13 +6,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from ctsid_core.advice.advice import advise
-from ctsid_core.identify import identify
 from ctsid_ros.progress import progress
-from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.playback import read_record
 from ctsid_ros.report.document import to_text
-from ctsid_ros.report.experiment import accuracy_section, band_section, experiment_section
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,
@@ -59,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify, print."""
+    from ctsid_core.advice.advice import advise
+    from ctsid_core.identify import identify
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.report.experiment import accuracy_section, band_section, experiment_section
+
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:

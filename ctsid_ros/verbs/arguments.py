@@ -10,17 +10,14 @@ import json
 import math
 from pathlib import Path
 import sys
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import SettingsError
-from ctsid_ros.config.channels import Config
-from ctsid_ros.config.parameter_file import read_config
-from ctsid_ros.recordings.bag import Bag
-from ctsid_ros.recordings.guess import guess
-from ctsid_ros.recordings.playback import Interval
-from ctsid_ros.recordings.survey import survey
+
+if TYPE_CHECKING:
+    from ctsid_ros.config.channels import Config
+    from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.recordings.playback import Interval
 
 ACCEPTED, FAILED, NO_MODEL, INTERRUPTED = 0, 1, 3, 130
 _DAY = 86_400 * 10**9
@@ -68,6 +65,8 @@ def span(text: str) -> Interval:
     if not colon or last <= first:
         raise argparse.ArgumentTypeError(f'{text!r} is not START:END, two numbers of seconds, the '
                                          'second the larger')
+    from ctsid_ros.recordings.playback import Interval
+
     return Interval(first, last - first)
 
 
@@ -102,6 +101,8 @@ def add_style(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
 
 def interval_of(args: argparse.Namespace) -> Interval:
     """Return the interval that the arguments name."""
+    from ctsid_ros.recordings.playback import Interval
+
     return Interval(args.start, args.duration)
 
 
@@ -109,6 +110,9 @@ def config_for(args: argparse.Namespace, bag: Bag) -> Config:
     """Return the config of --params, or else a guess, and say so."""
     if args.params is not None:
         return read_params(args.params)
+    from ctsid_ros.recordings.guess import guess
+    from ctsid_ros.recordings.survey import survey
+
     guessed = guess(survey(bag))
     inputs, outputs = (', '.join(f'{c.topic} {c.field}' for c in channels) for channels in
                        (guessed.config.inputs, guessed.config.outputs))
@@ -119,6 +123,8 @@ def config_for(args: argparse.Namespace, bag: Bag) -> Config:
 
 def read_params(path: str) -> Config:
     """Read a parameter file; faults are reported with its name."""
+    from ctsid_ros.config.parameter_file import read_config
+
     try:
         return read_config(path)
     except SettingsError as error:
@@ -140,7 +146,7 @@ def plain(value: Any) -> Any:
     """Return what JSON has words for; null for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, 'tolist'):  # an array, or a number of NumPy's
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]

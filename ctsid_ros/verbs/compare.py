@@ -8,22 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 import time
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ctsid_core.identify import identify
-from ctsid_core.judge.cross_check import agreement
-from ctsid_core.model.cross_check_result import Agreement
-from ctsid_core.model.estimate import Estimate
-from ctsid_core.model.statespace import StateSpace
-from ctsid_core.settings import METHODS, UNCHECKED, Settings
-from ctsid_core.signals.record import Record
 from ctsid_ros.progress import Advance, progress, silent
-from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.playback import read_record
-from ctsid_ros.report.document import Bullets, Section, to_text
-from ctsid_ros.report.sections import GLOSSARY, complaint_section
+from ctsid_ros.report.document import GLOSSARY, Bullets, Section, to_text
 from ctsid_ros.report.tables import Table, number, percent, plus_minus, pole_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -37,6 +25,14 @@ from ctsid_ros.verbs.arguments import (
     named,
     tell,
 )
+
+if TYPE_CHECKING:
+    from ctsid_core.linear.types import Array
+    from ctsid_core.model.cross_check_result import Agreement
+    from ctsid_core.model.estimate import Estimate
+    from ctsid_core.model.statespace import StateSpace
+    from ctsid_core.settings import Settings
+    from ctsid_core.signals.record import Record
 
 HELP = 'identify one interval of a bag by all methods, side by side'
 EPILOG = ('example: ctsid compare flight.mcap --params params.yaml --duration 20\n'
@@ -81,6 +77,10 @@ class Contender:
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify by every method, print."""
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.report.sections import complaint_section
+
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:
@@ -109,6 +109,10 @@ def compare(record: Record, settings: Settings, advance: Advance = silent) -> li
     advance : callable, optional
         Called with the progress.
     """
+    from ctsid_core.identify import identify
+    from ctsid_core.judge.cross_check import agreement
+    from ctsid_core.settings import METHODS, UNCHECKED
+
     settings = settings.replace(cross_check=UNCHECKED)
     found: list[Contender] = []
     first: Estimate | None = None
@@ -152,7 +156,7 @@ def _sections(found: Sequence[Contender]) -> list[Section]:
             Section('Verdicts', (Bullets(reasons),))]
 
 
-def _fits(values: NDArray[np.float64]) -> str:
+def _fits(values: Array) -> str:
     return ', '.join(percent(value) for value in values) or '-'
 
 

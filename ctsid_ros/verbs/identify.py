@@ -9,25 +9,11 @@ from dataclasses import dataclass
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ctsid_core.advice.advice import advise
 from ctsid_core.errors import SettingsError
-from ctsid_core.identify import identify
-from ctsid_core.model.estimate import Estimate
-from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.storage import load_model, save_series, to_json
-from ctsid_core.model.validation import Validation, residual_tests, simulation
-from ctsid_core.search.dead_time import LONGEST
-from ctsid_core.signals.record import Record
-from ctsid_ros.config.channels import Config
 from ctsid_ros.errors import BagError
-from ctsid_ros.progress import progress
-from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.grouping import recordings
-from ctsid_ros.recordings.playback import Advance, Interval, Recorded, read_record
+from ctsid_ros.progress import Advance, progress
 from ctsid_ros.replay.results import (
     MODEL,
     PAGE,
@@ -40,21 +26,6 @@ from ctsid_ros.replay.results import (
     write_results,
 )
 from ctsid_ros.report.document import Section, to_html, to_markdown, to_text
-from ctsid_ros.report.experiment import experiment_section
-from ctsid_ros.report.figures import output_figures
-from ctsid_ros.report.sections import (
-    advice_section,
-    bode_section,
-    channel_section,
-    choice_section,
-    complaint_section,
-    gain_section,
-    model_section,
-    record_section,
-    residual_section,
-    response_section,
-    truth_section,
-)
 from ctsid_ros.report.tables import Table, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -74,6 +45,14 @@ from ctsid_ros.verbs.arguments import (
     tell,
     zero_ns,
 )
+
+if TYPE_CHECKING:
+    from ctsid_core.model.estimate import Estimate
+    from ctsid_core.model.statespace import StateSpace
+    from ctsid_core.model.validation import Validation
+    from ctsid_core.signals.record import Record
+    from ctsid_ros.config.channels import Config
+    from ctsid_ros.recordings.playback import Interval, Recorded
 
 HELP = 'identify one model from one or several recordings'
 EPILOG = ('example: ctsid identify flight.mcap --params params.yaml --test-from 60\n'
@@ -136,6 +115,8 @@ class Source:
         record, split = self.data.record, self.data.split
         if math.isnan(split):
             return None
+        from ctsid_core.search.dead_time import LONGEST
+
         settings = self.data.config.settings
         lead = max(LONGEST * (split - record.start) * any(settings.unknown_delays(record.nu)),
                    *settings.delays(record.nu))
@@ -193,6 +174,10 @@ class Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, print."""
+    from ctsid_core.model.storage import load_model
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.grouping import recordings
+
     truth = load_model(args.truth) if args.truth else None
     intervals = _intervals(args)
     groups = recordings(args.bag, _topics(args))
@@ -234,6 +219,9 @@ def _topics(args: argparse.Namespace) -> set[str]:
 
 def _read(bags: tuple[str, ...], config: Config, interval: Interval, split: float | None,
           advance: Advance) -> Source:
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.playback import read_record
+
     with open_bag(bags) as bag:
         if split is not None and split >= (bag.end_ns - bag.start_ns) * 1e-9 > 0.0:
             split = None  # all of a recording so short is learnt from
@@ -249,6 +237,9 @@ def _read(bags: tuple[str, ...], config: Config, interval: Interval, split: floa
 def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     if split is not None and all(math.isnan(s.data.split) for s in sources):
         raise BagError(f'no recording is longer than {split:g} s; choose another time to split at')
+    from ctsid_core.identify import identify
+    from ctsid_core.model.validation import simulation
+
     estimate = identify([s.learnt for s in sources], sources[0].data.config.settings)
     model, tests = estimate.model or estimate.rejected_model, []
     for number, source in enumerate(sources, 1):
@@ -261,6 +252,19 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
 
 
 def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
+    import numpy as np
+
+    from ctsid_ros.report.sections import (
+        advice_section,
+        channel_section,
+        choice_section,
+        complaint_section,
+        gain_section,
+        model_section,
+        record_section,
+        truth_section,
+    )
+
     estimate, model, sources = outcome.estimate, outcome.model, outcome.sources
     fits = [t.test.fit for t in outcome.tests]
     fit = np.min(fits, axis=0) if fits else np.empty(0)
@@ -295,6 +299,12 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
 
 def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
            truth: StateSpace | None) -> None:
+    from ctsid_core.advice.advice import advise
+    from ctsid_core.model.storage import save_series, to_json
+    from ctsid_core.model.validation import residual_tests
+    from ctsid_ros.report.experiment import experiment_section
+    from ctsid_ros.report.sections import bode_section, residual_section
+
     estimate, title = outcome.estimate, f'One model of {bag_name(args.bag)}'
     if len(outcome.sources) > 1:
         title = f'One model of {len(outcome.sources)} records'
@@ -325,6 +335,10 @@ def _figures(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     model, sections = outcome.model, []
     if model is None:
         return []
+    from ctsid_core.model.validation import simulation
+    from ctsid_ros.report.figures import output_figures
+    from ctsid_ros.report.sections import response_section
+
     found = None
     for number, record in _shown(outcome):
         source = outcome.sources[number - 1]
@@ -354,6 +368,8 @@ def _interval(args: argparse.Namespace) -> dict[str, object]:
 
 
 def _document(outcome: Outcome, args: argparse.Namespace, out: Path) -> Mapping[str, Any]:
+    from ctsid_core.model.storage import to_json
+
     estimate = outcome.estimate
     tests = [{'from': t.record.start + t.source.offset, 'to': t.record.end + t.source.offset,
               'fit': t.test.fit, 'fit_trim_refitted': t.refitted.fit, 'vaf': t.test.vaf}

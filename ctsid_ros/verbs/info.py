@@ -6,14 +6,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.survey import Survey, TopicSurvey, survey
-from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
 from ctsid_ros.report.document import Bullets, Section, to_text
 from ctsid_ros.report.tables import Table, number
 from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_style, date, named, tell
+
+if TYPE_CHECKING:
+    from ctsid_ros.recordings.survey import Survey, TopicSurvey
+    from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
 
 HELP = 'show topics, rates, stamps and the fields that could be signals'
 EPILOG = 'example: ctsid info flight.mcap'
@@ -28,6 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Look at the bag and print."""
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.survey import survey
+
     with open_bag(args.bag) as bag:
         found = survey(bag)
     if args.json:

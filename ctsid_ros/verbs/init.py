@@ -6,14 +6,13 @@ from __future__ import annotations
 import argparse
 import shlex
 import textwrap
+from typing import TYPE_CHECKING
 
-from ctsid_core.model.storage import write_file
-from ctsid_ros.config.parameter_text import dump_config
-from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.guess import Guess, guess
-from ctsid_ros.recordings.survey import survey
 from ctsid_ros.report.tables import number
 from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, say
+
+if TYPE_CHECKING:
+    from ctsid_ros.recordings.guess import Guess
 
 HELP = 'write a commented parameter file with a first guess of the channels'
 EPILOG = 'example: ctsid init flight.mcap -o params.yaml'
@@ -30,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Guess, and write."""
+    from ctsid_ros.config.parameter_text import dump_config
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.guess import guess
+    from ctsid_ros.recordings.survey import survey
+
     with open_bag(args.bag) as bag:
         guessed = guess(survey(bag))
     name = 'params.yaml' if args.output == '-' else args.output
@@ -37,6 +41,8 @@ def command(args: argparse.Namespace) -> int:
     if args.output == '-':
         print(text, end='')
         return ACCEPTED
+    from ctsid_core.model.storage import write_file
+
     write_file(args.output, text.encode(), force=args.force)
     for reason in guessed.reasons:
         say(reason)

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from ctsid_ros.config.channels import Channel, Config
-from ctsid_ros.config.parameter_text import dump_config, parameters_markdown
 from ctsid_ros.verbs.arguments import ACCEPTED
+
+if TYPE_CHECKING:
+    from ctsid_ros.config.channels import Config
 
 HELP = 'print all parameters with their defaults, as a commented parameter file'
 EPILOG = 'example: ctsid params > params.yaml'
@@ -21,12 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Print them."""
+    from ctsid_ros.config.parameter_text import dump_config, parameters_markdown
+
     print(parameters_markdown() if args.markdown else dump_config(example()), end='')
     return ACCEPTED
 
 
 def example() -> Config:
     """Return the defaults, with channels that stand for the user's own."""
+    from ctsid_ros.config.channels import Channel, Config
+
     return Config((
         Channel('torque', 'input', '/command/torque', 'geometry_msgs/msg/WrenchStamped',
                 'wrench.torque.x', 'N m'),

@@ -7,17 +7,9 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ctsid_core.model.model_json import describe
-from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.storage import load_model, save_series, to_json
-from ctsid_core.model.validation import simulation
 from ctsid_ros.progress import progress
-from ctsid_ros.recordings.bag import Bag, open_bag
-from ctsid_ros.replay.replay import Replay, Result
 from ctsid_ros.replay.results import (
     MODEL,
     PAGE,
@@ -30,20 +22,6 @@ from ctsid_ros.replay.results import (
     write_results,
 )
 from ctsid_ros.report.document import Section, to_html, to_markdown, to_text
-from ctsid_ros.report.figures import output_figures, track_figures
-from ctsid_ros.report.sections import (
-    advice_section,
-    bode_section,
-    channel_section,
-    choice_section,
-    complaint_section,
-    fit_table,
-    model_section,
-    response_section,
-    status_section,
-    truth_section,
-    window_section,
-)
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     INTERRUPTED,
@@ -60,6 +38,11 @@ from ctsid_ros.verbs.arguments import (
     tell,
     zero_ns,
 )
+
+if TYPE_CHECKING:
+    from ctsid_core.model.statespace import StateSpace
+    from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.replay.replay import Replay, Result
 
 HELP = 'identify models in sliding windows along a bag'
 EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results/flight
@@ -85,6 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Replay, write, print."""
+    from ctsid_core.model.storage import load_model
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.replay.replay import Replay
+
     truth = load_model(args.truth) if args.truth else None
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
@@ -133,6 +120,16 @@ class _Report:
         return self.best.estimate.model or self.best.estimate.rejected_model
 
     def sections(self) -> list[Section]:
+        from ctsid_ros.report.sections import (
+            advice_section,
+            channel_section,
+            choice_section,
+            complaint_section,
+            status_section,
+            truth_section,
+            window_section,
+        )
+
         estimate, settings = self.best.estimate, self.played.config.settings
         count = len(self.results)
         title = (f'{named(self.args.bag)}: {count} window{"s" if count > 1 else ""} of '
@@ -147,6 +144,8 @@ class _Report:
                 advice_section(estimate, self.best.next_fit, self.played.complaints)]
 
     def _best_section(self) -> Section:
+        from ctsid_ros.report.sections import fit_table, model_section
+
         estimate, model = self.best.estimate, self.model
         what = 'the best on unseen data' if self.best.tested else \
             'the best on its own held-out data' if estimate.ok else 'the last one'
@@ -157,6 +156,9 @@ class _Report:
         return replace(section, parts=(*section.parts[:-1], table))
 
     def write(self, out: Path) -> None:
+        from ctsid_core.model.storage import save_series, to_json
+        from ctsid_ros.report.sections import bode_section
+
         metadata = origin(self.played.config, self.args.bag, {
             'start': self.args.start, 'duration': self.args.duration, 'window': self.number})
         sections = self.sections()
@@ -184,6 +186,12 @@ class _Report:
         return columns
 
     def _figures(self) -> list[Section]:
+        import numpy as np
+
+        from ctsid_core.model.validation import simulation
+        from ctsid_ros.report.figures import output_figures, track_figures
+        from ctsid_ros.report.sections import response_section
+
         middles = np.array([(r.estimate.start_ns + r.estimate.end_ns) / 2 - self.zero_ns
                             for r in self.results]) * 1e-9
         sections = [Section('Poles along the bag', tuple(track_figures(
@@ -209,6 +217,8 @@ class _Report:
                 'notes': self.notes}
 
     def _window(self, index: int, result: Result) -> dict[str, Any]:
+        from ctsid_core.model.model_json import describe
+
         estimate, tracked = result.estimate, result.tracked
         span = ((t - self.zero_ns) * 1e-9 for t in (estimate.start_ns, estimate.end_ns))
         return {'window': index, **dict(zip(('from', 'to'), span, strict=True)),

@@ -7,18 +7,15 @@ import argparse
 from collections.abc import Iterator, Mapping
 import json
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ctsid_core.model.estimate import Estimate
-from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.storage import load_estimate, load_metadata, to_json
 from ctsid_ros.report.document import Section, to_text
-from ctsid_ros.report.figures import frequencies
-from ctsid_ros.report.sections import bode_section, gain_section, model_section
 from ctsid_ros.report.tables import Table
 from ctsid_ros.verbs.arguments import ACCEPTED, add_style, date, tell
+
+if TYPE_CHECKING:
+    from ctsid_core.model.estimate import Estimate
+    from ctsid_core.model.statespace import StateSpace
 
 HELP = 'show a stored model: poles, DC gain, frequency response'
 EPILOG = 'example: ctsid show results/demo/model.json'
@@ -32,6 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Print it."""
+    from ctsid_core.model.storage import load_estimate, load_metadata, to_json
+
     estimate, metadata = load_estimate(args.model), load_metadata(args.model)
     model = estimate.model or estimate.rejected_model
     if args.json:
@@ -44,6 +43,8 @@ def command(args: argparse.Namespace) -> int:
 
 def _sections(path: str, estimate: Estimate, metadata: Mapping[str, object]
               ) -> Iterator[Section]:
+    from ctsid_ros.report.sections import bode_section, gain_section, model_section
+
     model = estimate.model or estimate.rejected_model
     bag = metadata.get('bag')
     words = [f'bag {", ".join(map(str, bag))}'] if isinstance(bag, list) else []
@@ -71,6 +72,10 @@ def _channels(channels: list[Any]) -> Table:
 def _response(model: StateSpace | None) -> dict[str, Any] | None:
     if model is None:
         return None
+    import numpy as np
+
+    from ctsid_ros.report.figures import frequencies
+
     omega = frequencies(model, count=100)
     response = model.frequency_response(omega)
     with np.errstate(divide='ignore', invalid='ignore'):

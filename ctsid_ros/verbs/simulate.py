@@ -6,22 +6,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import DataError
-from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.storage import load_estimate, load_metadata, load_model
-from ctsid_core.model.validation import Validation, prediction, simulation
-from ctsid_ros.config.channels import Config
 from ctsid_ros.progress import progress
-from ctsid_ros.recordings.bag import Bag, open_bag
-from ctsid_ros.recordings.playback import Recorded, read_record
-from ctsid_ros.replay.results import config_of
-from ctsid_ros.report.document import Section, to_text
-from ctsid_ros.report.sections import GLOSSARY, channel_section, complaint_section
+from ctsid_ros.report.document import GLOSSARY, Section, to_text
 from ctsid_ros.report.tables import Table, number, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -36,6 +25,14 @@ from ctsid_ros.verbs.arguments import (
     tell,
     zero_ns,
 )
+
+if TYPE_CHECKING:
+    from ctsid_core.linear.types import Array
+    from ctsid_core.model.statespace import StateSpace
+    from ctsid_core.model.validation import Validation
+    from ctsid_ros.config.channels import Config
+    from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.recordings.playback import Recorded
 
 HELP = 'show how well a stored model simulates and predicts a bag'
 EPILOG = 'example: ctsid simulate results/demo/model.json another_flight.mcap --horizon 1 10 100'
@@ -70,6 +67,11 @@ class _Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
+    from ctsid_core.model.storage import load_estimate, load_metadata, load_model
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.replay.results import config_of
+
     model = load_model(args.model)
     config = read_params(args.params) if args.params else config_of(
         load_metadata(args.model), load_estimate(args.model).settings, args.model)
@@ -101,6 +103,8 @@ def _check(model: StateSpace, config: Config, path: str) -> None:
 
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
+    from ctsid_core.model.validation import prediction, simulation
+
     record = data.record
     offset = (record.epoch_ns - zero_ns(bag, record.epoch_ns)) * 1e-9
     return _Outcome(model, data, simulation(model, record, trim=args.trim),
@@ -110,7 +114,9 @@ def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: B
 
 def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...]
               ) -> list[Section]:
-    columns: dict[str, NDArray[np.float64]] = {
+    from ctsid_ros.report.sections import channel_section, complaint_section
+
+    columns: dict[str, Array] = {
         'simulation fit [%]': outcome.simulated.fit, 'VAF [%]': outcome.simulated.vaf}
     periods = [s.period for s in outcome.data.record.outputs]
     for k, found in outcome.predicted.items():

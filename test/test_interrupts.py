@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C at any moment of a command: no traceback, and exit code 130 unless it was done."""
+
+from __future__ import annotations
+
+from itertools import count
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+BAG = ROOT / 'bags/quadrotor_roll'
+MOMENTS = 25
+# What the command `ctsid` does, and a word when it begins: before, Python itself is interrupted.
+PROGRAM = """
+import os, sys
+from ctsid_ros.cli import main
+os.write(1, b'+')
+sys.exit(main())
+"""
+READ = ['info', BAG]
+IDENTIFY = ['identify', BAG, '--params', ROOT / 'config/quadrotor_roll.yaml', '--duration', '4']
+
+
+def start(words: list[object], folder: Path) -> subprocess.Popen[str]:
+    program = subprocess.Popen(
+        [sys.executable, '-c', PROGRAM, *map(str, words)], cwd=folder, text=True,
+        env=os.environ | {'PYTHONPATH': str(ROOT)}, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))  # a shell may ignore it
+    assert program.stdout is not None
+    assert program.stdout.read(1) == '+'
+    return program
+
+
+def interrupted(words: list[object], folder: Path, after: float, times: int = 1
+                ) -> tuple[int, str]:
+    """Return the exit code of a program that is interrupted, and what it printed."""
+    program = start(words, folder)
+    time.sleep(after)
+    for _ in range(times):
+        program.send_signal(signal.SIGINT)
+        time.sleep(0.01 * (times > 1))
+    out, err = program.communicate(timeout=60)
+    return program.returncode, out + err
+
+
+def length(words: list[object], folder: Path) -> float:
+    """Return how long a program runs that nobody interrupts [s]."""
+    begin = time.monotonic()
+    program = start(words, folder)
+    program.communicate(timeout=60)
+    assert program.returncode in (0, 3)
+    return time.monotonic() - begin
+
+
+@pytest.mark.parametrize('words', [READ, pytest.param(IDENTIFY, marks=pytest.mark.slow)],
+                         ids=lambda words: words[0])
+def test_ctrl_c_ends_a_command_at_any_moment(words, tmp_path):
+    folders = (tmp_path / str(number) for number in count())
+
+    def folder() -> Path:
+        new = next(folders)
+        new.mkdir()
+        return new
+
+    whole = length(words, folder())
+    codes = []
+    for k in range(MOMENTS):
+        code, text = interrupted(words, folder(), k / MOMENTS * whole)
+        assert 'Traceback' not in text, text
+        assert 'Exception ignored' not in text, text
+        assert code in (130, 0, 3), text
+        codes.append(code)
+    assert codes[:MOMENTS // 3] == [130] * (MOMENTS // 3)
+
+
+def test_ctrl_c_may_be_pressed_again_and_again(tmp_path):
+    code, text = interrupted(READ, tmp_path, 0.05, times=20)
+    assert 'Traceback' not in text
+    assert code == 130
+
+
+def test_who_ignores_ctrl_c_is_obeyed(tmp_path):
+    """A shell starts `ctsid ... &` so."""
+    ran = subprocess.Popen(
+        [sys.executable, '-c', PROGRAM, 'params'], cwd=tmp_path, text=True,
+        env=os.environ | {'PYTHONPATH': str(ROOT)}, stdout=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+    assert ran.stdout is not None
+    assert ran.stdout.read(1) == '+'
+    ran.send_signal(signal.SIGINT)
+    out, _ = ran.communicate(timeout=60)
+    assert (ran.returncode, out.count('ros__parameters')) == (0, 1)
