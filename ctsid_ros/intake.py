@@ -4,15 +4,12 @@ The subscriptions of the node, drained by a thread of their own.
 
 An executor spends 100 to 200 microseconds on each message; taking all that have come every few
 milliseconds costs a tenth of it. The subscriptions therefore belong to a second node that is in
-no executor. With `ingest.method: callbacks` they belong to the first one, and its executor
-calls back for every message; from there on all is the same.
+no executor.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-import itertools
 from threading import Event, Lock, Thread
 import time
 from typing import Any
@@ -71,7 +68,6 @@ class Intake:
         self._node, self._feed, self._deliver, self._clock = node, feed, deliver, clock
         self.lock = Lock()
         self.failure = ''
-        self._called: deque[Taken] = deque()  # by callbacks
         # `-r __node:=name` would rename it as well: hence no global arguments.
         self._own = rclpy.node.Node(
             f'{node.get_name()}_intake', namespace=node.get_namespace(), context=node.context,
@@ -82,8 +78,9 @@ class Intake:
             durability=DurabilityPolicy.VOLATILE)
         self._classes = dict(classes)
         self._names = {topic: node.resolve_topic_name(topic) for topic in classes}
-        self._by_callback = settings.ingest_method == 'callbacks'
-        self._subscriptions = {topic: self._subscribe(topic) for topic in classes}
+        self._subscriptions = {
+            topic: self._own.create_subscription(cls, self._names[topic], _not_called, self._qos,
+                                                 raw=True) for topic, cls in classes.items()}
         self._ticks = None if clock is None else self._own.create_subscription(
             Clock, '/clock', _not_called, QoSProfile(
                 depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
@@ -98,9 +95,6 @@ class Intake:
         self._thread.join(timeout)
         if self._thread.is_alive():
             return False
-        if self._by_callback:
-            for subscription in self._subscriptions.values():
-                self._node.destroy_subscription(subscription)
         self._own.destroy_node()
         return True
 
@@ -118,17 +112,6 @@ class Intake:
                     yield (f'{who} is best effort, but `ingest.reliability` asks for reliable, '
                            'so its messages do not come; set it to best_effort')
 
-    def _subscribe(self, topic: str) -> Any:
-        if not self._by_callback:
-            return self._own.create_subscription(
-                self._classes[topic], self._names[topic], _not_called, self._qos, raw=True)
-
-        def called(raw: bytes, info: Mapping[str, Any]) -> None:
-            self._called.append(_taken(topic, raw, info))
-
-        return self._node.create_subscription(
-            self._classes[topic], topic, called, self._qos, raw=True)
-
     def _run(self) -> None:
         while not self._stopping.wait(self._period):
             try:
@@ -140,8 +123,8 @@ class Intake:
 
     def _turn(self) -> None:
         until_ns = time.time_ns() - _AHEAD_NS
-        self._tick()
-        batch = [*self._drain(), *self._from_callbacks()]
+        batch = list(self._drain())
+        self._tick()  # after the messages, whose times lie between those of the ticks around them
         with self.lock:
             for record in self._feed.take(batch, until_ns):
                 self._deliver(record)
@@ -155,8 +138,6 @@ class Intake:
             self._clock.tick(info['received_timestamp'], now.sec * 10**9 + now.nanosec)
 
     def _drain(self) -> Iterator[Taken]:
-        if self._by_callback:
-            return
         for topic, subscription in self._subscriptions.items():
             take, kind = subscription.handle.take_message, self._classes[topic]
             for _ in range(_TOO_MANY):
@@ -164,10 +145,6 @@ class Intake:
                 if taken is None:
                     break
                 yield _taken(topic, *taken)
-
-    def _from_callbacks(self) -> Iterator[Taken]:
-        for _ in itertools.repeat(None, len(self._called)):
-            yield self._called.popleft()
 
 
 def _taken(topic: str, raw: bytes, info: Mapping[str, Any]) -> Taken:

@@ -141,7 +141,7 @@ def test_what_is_wrong_in_a_file_is_found_when_it_is_read_and_all_at_once(make):
     method: n4sid
     window: {length: abc, lenght: 3.0}
     pbsid: {past: 2, future: 3}
-    ingest: {rate: 0, method: magic}
+    ingest: {rate: 0, reliability: magic}
     save.folder: 7
 """)
     faults = faults_of(node)
@@ -156,7 +156,7 @@ def test_what_is_wrong_in_a_file_is_found_when_it_is_read_and_all_at_once(make):
               "`method` is 'n4sid'; choose", "`window.length` is 'abc'",
               '`window.lenght` is not a parameter; nearest: window.length',
               '`pbsid.future` is 3', '`ingest.rate` is 0.0, but must lie between 1 and 1000 Hz',
-              "`ingest.method` is 'magic'; choose one of 'drain', 'callbacks'",
+              "`ingest.reliability` is 'magic'; choose one of 'best_effort', 'reliable'",
               '`save.folder` is 7']
     assert [w for w in wanted if w not in text] == []
     assert '`torque.type` is missing (nobody publishes /cmd now' in text
