@@ -36,12 +36,13 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(f"{order}\ningest.record: '{path}'".strip(), header=header,
                                   length=3.0))
-    robot = Robot(live, motion(5.6), header=header, start_ns=EPOCH if header else None)
+    robot = Robot(live, motion(4.6), node.name, header=header,
+                  start_ns=EPOCH if header else None)
     if header:
         robot.feed(node, length=3.0, stride=0.5 if order else 1.0)
     else:
         robot.send(speed=1.0)  # the times of arrival are the stamps
-    node.wait_models(5 if order else 2)
+    node.wait_models(3 if order else 1)
     assert node.next_health('identification').values['skipped windows'] == '0'
     assert node.program.end()[0] == 0
     published = texts(node.estimates())
@@ -50,7 +51,7 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
         replay = Replay(bag, read_config(tmp_path / 'params0.yaml'))
         replay.run()
     again = texts(result.estimate for result in replay.results)
-    assert len(published) >= 2
+    assert len(published) >= 1
     assert any(estimate.ok for estimate in node.estimates())
     assert {end: again.get(end) for end in published} == published
     tracked = {result.estimate.end_ns: result.tracked for result in replay.results}

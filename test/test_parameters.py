@@ -364,12 +364,12 @@ def test_another_process_can_change_them(make):
     client_node = Node('client', context=watched.node.context)
     client = AsyncParameterClient(client_node, 'identifier')
     with spinning(watched.node, client_node) as executor:
-        end = time.monotonic() + 10
+        end = time.monotonic() + 180
         while not client.services_are_ready() and time.monotonic() < end:
             executor.spin_once(timeout_sec=0.1)
 
         def ask(future):
-            executor.spin_until_future_complete(future, timeout_sec=10)
+            executor.spin_until_future_complete(future, timeout_sec=180)
             return future.result()
         done = ask(client.set_parameters([
             Parameter('order', value=4), Parameter('hermite.gamma', value=30),
@@ -385,10 +385,10 @@ def test_another_process_can_change_them(make):
 
 def test_declaring_is_quick(make):
     node = make(declared=False)
-    start = time.monotonic()
+    start = time.thread_time()
     declare(node)
     read(node)
-    assert time.monotonic() - start < 0.5
+    assert time.thread_time() - start < 0.5
 
 
 def test_the_same_parameters_by_another_door():
