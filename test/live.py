@@ -94,7 +94,7 @@ class Live:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.programs, self._clients = folder, [], {}
-        self.domain, self._claim = _claim_domain()
+        self.domain, self._claim = claim_domain()
         self.env = os.environ | {
             'ROS_DOMAIN_ID': str(self.domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'OPENBLAS_NUM_THREADS': '1', 'PYTHONUNBUFFERED': '1', 'PYTHONPATH': str(ROOT),
@@ -277,7 +277,7 @@ def meet(node: Node, name: str, wait: Callable[[Callable[[], object], str], obje
     wait(answered, f'an answer of {name}')
 
 
-def _claim_domain() -> tuple[int, socket.socket]:
+def claim_domain() -> tuple[int, socket.socket]:
     """Return a domain that no other test of this computer uses, and what holds it."""
     while True:
         domain, claim = random.randint(1, 100), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -3,12 +3,12 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-import random
 import time
 
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
+from live import claim_domain  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.lifecycle import LifecycleNode  # noqa: E402
@@ -40,7 +40,7 @@ FILE = """\
 def make(tmp_path, monkeypatch) -> Iterator[Make]:
     """Make nodes as `ros2 run` does: from a parameter file and arguments."""
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    domain, contexts, nodes = random.randint(1, 100), [], []
+    (domain, claim), contexts, nodes = claim_domain(), [], []
 
     def made(text: str = FILE, *arguments: str, kind=Node, declared=True, **options) -> Node:
         path = tmp_path / f'{len(nodes)}.yaml'
@@ -58,6 +58,7 @@ def make(tmp_path, monkeypatch) -> Iterator[Make]:
         node.destroy_node()
     for context in contexts:
         rclpy.shutdown(context=context)
+    claim.close()
 
 
 class Watched:
