@@ -23,6 +23,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 
 from ctsid_core.signals import Record
@@ -32,6 +33,7 @@ from ctsid_ros.node_settings import NodeSettings
 from ctsid_ros.sim_clock import SimClock
 
 _AHEAD_NS = 500_000  # a message may be handed out so much later than it arrived
+_NO_NAME = '_NODE_NAME_UNKNOWN_'  # of rmw, for what is no node or has only just been discovered
 _TOO_MANY = 20_000  # messages of a topic taken at once: then it is the turn of the others
 RELIABILITY = {'best_effort': ReliabilityPolicy.BEST_EFFORT,
                'reliable': ReliabilityPolicy.RELIABLE}
@@ -84,6 +86,7 @@ class Intake:
         self._ticks = None if clock is None else self._own.create_subscription(
             Clock, '/clock', _not_called, QoSProfile(
                 depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
+        self._nameless: frozenset[bytes] = frozenset()  # publishers without a name of a node
         self._period = 1.0 / settings.ingest_rate
         self._stopping = Event()
         self._thread = Thread(target=self._run, name='intake', daemon=True)
@@ -103,7 +106,8 @@ class Intake:
         for topic, name in self._names.items():
             wanted = type_name(self._classes[topic])
             for end in self._node.get_publishers_info_by_topic(name):
-                who = f'the publisher `{end.node_namespace.rstrip("/")}/{end.node_name}` of {name}'
+                if (who := self._who(end, name)) is None:
+                    continue
                 if end.topic_type != wanted:
                     yield f'{who} sends {end.topic_type}, but `type` says {wanted}; correct it'
                     continue
@@ -111,6 +115,14 @@ class Intake:
                 if verdict == QoSCompatibility.ERROR:
                     yield (f'{who} is best effort, but `ingest.reliability` asks for reliable, '
                            'so its messages do not come; set it to best_effort')
+
+    def _who(self, end: TopicEndpointInfo, topic: str) -> str | None:
+        """Name a publisher; None if it is new and has no name, which may follow in a moment."""
+        if end.node_name != _NO_NAME:
+            return f'the publisher `{end.node_namespace.rstrip("/")}/{end.node_name}` of {topic}'
+        known, end_id = self._nameless, bytes(end.endpoint_gid)
+        self._nameless = known | {end_id}
+        return f'a publisher of {topic} that is no node' if end_id in known else None
 
     def _run(self) -> None:
         while not self._stopping.wait(self._period):

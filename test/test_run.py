@@ -90,3 +90,19 @@ def test_messages_have_simulated_times_between_those_of_the_ticks_around_them(no
     assert intake.stop(180.0)
     for log_ns, (low, high) in zip(pushed, ((10, 15), (15, 16), (16, 90), (90, 100)), strict=True):
         assert low * S < log_ns < high * S
+
+
+def test_a_publisher_is_told_of_once_it_has_a_name_or_stays_without(node, monkeypatch):
+    made = plan('')
+    intake = Intake(node, Feed(made.config, made.types, lambda _: 1), made.classes,
+                    NodeSettings(), lambda _: None)
+    ends = {'/u': [SimpleNamespace(node_namespace='_NODE_NAMESPACE_UNKNOWN_', topic_type='other',
+                                   node_name='_NODE_NAME_UNKNOWN_', endpoint_gid=[1] * 16)]}
+    monkeypatch.setattr(node, 'get_publishers_info_by_topic', lambda topic: ends.get(topic, []))
+    assert list(intake.faults()) == []
+    assert 'a publisher of /u that is no node sends other' in next(intake.faults())
+    ends['/u'][0].endpoint_gid = [2] * 16
+    assert list(intake.faults()) == []
+    ends['/u'][0].node_namespace, ends['/u'][0].node_name = '/', 'camera'
+    assert 'the publisher `/camera` of /u sends other' in next(intake.faults())
+    assert intake.stop(180.0)
