@@ -42,14 +42,16 @@ def test_nothing_is_lost_while_identification_takes_longer_than_the_stride(live)
                                   'ingest.timeout: 60.0', length=1.0, max_delay=0.5))
     values = all_sent(live, live.start(SENDER, 4000, 1500, 3), node).values
     assert int(values['/imu messages']) + int(values['/command messages']) >= 16_000
-    said = node.next_health('identification')
+    said = node.wait_health('identification', lambda h: h.values['windows'] == values['windows']
+                            and len(node.models) == int(values['windows'])
+                            - int(h.values['skipped windows']) and 'window' in h.values,
+                            'a model for every other window')
     skipped, windows = (int(said.values[key]) for key in ('skipped windows', 'windows'))
     assert windows == int(values['windows']) > 15
     assert 0 < skipped < windows
     assert f'{skipped} windows were skipped' in said.message
     computing = [data['computing_seconds'] for data in node.metadata()]
     assert np.median(computing) > 0.05  # the stride
-    live.wait(lambda: len(node.models) == windows - skipped, 'a model for every other window')
     numbers = [data['window'] for data in node.metadata()]
     assert numbers == sorted(set(numbers))
 
