@@ -179,3 +179,15 @@ def test_the_payload_is_a_parameter_and_the_rest_is_fixed(live):
     code, seconds = robot.end(signal.SIGINT)
     assert code == 0
     assert seconds < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_robot_20_times_of_20(live, number):
+    for _ in range(20):
+        robot = live.start('-m', ROBOT, '--ros-args', '-p', 'seed:=3')
+        live.wait(lambda: 'the payload is' in robot.log, 'the flight')  # noqa: B023
+        code, seconds = robot.end(number)
+        assert code == 0
+        assert seconds < 3.0
+        assert 'Traceback' not in robot.log
