@@ -3,17 +3,18 @@
 What the node costs beside a robot, with real processes and real messages.
 
 A robot publishes sensor_msgs/Imu and Float64MultiArray (5 channels); one case after the other
-listens to it: the node as a whole, its ingest alone, drained and by callbacks, and an ordinary
-rclpy subscriber. Counted is the processor time of the listening process between two of its
-diagnostics, after the first window.
+listens to it: the node as a whole, its ingest alone, the same ingest by callbacks of an executor,
+and an ordinary rclpy subscriber. Counted is the processor time of the listening process between
+two of its diagnostics, after the first window.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 import os
 from pathlib import Path
 import random
@@ -23,14 +24,19 @@ import sys
 import tempfile
 import time
 
-os.environ |= {'ROS_DOMAIN_ID': str(random.randrange(1, 100)),
+os.environ |= {'ROS_DOMAIN_ID': os.environ.get('ROS_DOMAIN_ID') or str(random.randrange(1, 100)),
                'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 from common import machine, table  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 import rclpy  # noqa: E402
+from rclpy.executors import ExternalShutdownException  # noqa: E402
 from rclpy.node import Node  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
+from ctsid_ros.config.parameter_file import read_config  # noqa: E402
+from ctsid_ros.decoding.message_types import message_class, of_message_class  # noqa: E402
+from ctsid_ros.ingest.feed import Feed, Taken  # noqa: E402
 from ctsid_ros.messages import decode_diagnostics  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
@@ -50,10 +56,11 @@ TICK = os.sysconf('SC_CLK_TCK')
 
 @dataclass
 class Case:
-    """What listens: parameters of the node by name, or None for the plain subscriber."""
+    """What listens: parameters of a program by name, or None for the plain subscriber."""
 
     name: str
     parameters: Mapping[str, object] | None
+    program: Sequence[str] = ('-m', 'ctsid_ros.node')
     values: dict[str, str] = field(default_factory=dict)
     cpu: float = 0.0  # processor time over time
 
@@ -64,7 +71,7 @@ CASES = {case.name: case for case in (
     Case('node, order given', {'order': 4}),
     Case('node, order given, no held-out test', {'order': 4, 'validation.held_out': 0.0}),
     Case('ingest alone, drained', NEVER),
-    Case('ingest alone, callbacks', {**NEVER, 'ingest.method': 'callbacks'}),
+    Case('ingest alone, callbacks', NEVER, (__file__, '--rival')),
     Case('plain rclpy subscriber', None))}
 
 
@@ -116,7 +123,7 @@ def command(case: Case, folder: Path) -> list[str]:
     path = folder / 'params.yaml'
     path.write_text(CHANNELS + ''.join(
         f'    {name}: {value}\n' for name, value in case.parameters.items()))
-    return ['-m', 'ctsid_ros.node', '--ros-args', '--params-file', str(path)]
+    return [*case.program, '--ros-args', '--params-file', str(path)]
 
 
 def measure(case: Case, listener: Listener, rates: Sequence[float], seconds: float,
@@ -129,7 +136,33 @@ def measure(case: Case, listener: Listener, rates: Sequence[float], seconds: flo
         begin, used = time.monotonic(), processor_seconds(process.pid)
         listener.wait(seconds)
         cpu = (processor_seconds(process.pid) - used) / (time.monotonic() - begin)
-        return Case(case.name, case.parameters, dict(listener.values), cpu)
+        return replace(case, values=dict(listener.values), cpu=cpu)
+
+
+def rival(path: str) -> None:
+    """Feed the ingest of the node from callbacks of an executor; ends on SIGTERM."""
+    config, called = read_config(path), []
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    rclpy.init()
+    node = Node('rival')
+
+    def take(topic: str, raw: bytes, info: Mapping[str, int]) -> None:
+        called.append(Taken(info['received_timestamp'], topic, raw, info['source_timestamp'],
+                            info['publication_sequence_number']))
+
+    def push() -> None:
+        feed.take(called, time.time_ns())
+        called.clear()
+
+    classes = {channel.topic: message_class(channel.type) for channel in config.channels}
+    feed = Feed(config, {topic: of_message_class(cls) for topic, cls in classes.items()},
+                lambda topic: 1)
+    for topic, cls in classes.items():
+        node.create_subscription(cls, topic, partial(take, topic), QoSProfile(
+            depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT), raw=True)
+    node.create_timer(1.0 / config.node.ingest_rate, push)
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 def row(case: Case, plain: float) -> tuple[str, ...]:
@@ -175,4 +208,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == '__main__':
+    if '--rival' in sys.argv:
+        sys.exit(rival(sys.argv[-1]))
     sys.exit(main())

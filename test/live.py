@@ -5,11 +5,14 @@ Real processes and real DDS on loopback: what the tests of the node have in comm
 The identifier runs as a process of its own; the test publishes to it and listens to it with a
 node in a context of its own, which a thread spins. Everything that was started is ended by its
 process id, and what it printed is shown when the test fails.
+
+Nothing here depends on how busy the computer is: what is waited for is an event, and patience
+ends long after it is certain that it will not come.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 import os
 from pathlib import Path
@@ -24,7 +27,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import GetParameterTypes, SetParametersAtomically
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -38,7 +41,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_ros.messages import Health, decode_diagnostics, decode_metadata, decode_model
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE = 10.0  # s; discovery takes 0.02 s to 3 s
+PATIENCE = 180.0  # s; discovery takes 0.02 s to 3 s
 MATRICES = ('system_matrix', 'a', 'b', 'c', 'd', 'k', 'eigenvalues')
 LATCHED = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -65,10 +68,17 @@ class Program:
         return self.process.poll() is None
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, float]:
-        """Return exit code and the time it took to end [s]."""
-        start = time.monotonic()
+        """
+        Return exit code and the time it took to end [s].
+
+        It is the processor time that a loop beside it has had: on a computer that does nothing
+        else the time that passes, on a busy one its share of that.
+        """
+        last, start = time.monotonic() + PATIENCE, time.thread_time()
         self.process.send_signal(number)
-        return self.process.wait(PATIENCE), time.monotonic() - start
+        while self.alive and time.monotonic() < last:
+            pass
+        return self.process.wait(0.0), time.thread_time() - start
 
     def memory(self) -> int:
         """Return the resident memory [bytes]."""
@@ -84,7 +94,7 @@ class Live:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.programs, self._clients = folder, [], {}
-        self.domain, self._claim = _claim_domain()
+        self.domain, self._claim = claim_domain()
         self.env = os.environ | {
             'ROS_DOMAIN_ID': str(self.domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'OPENBLAS_NUM_THREADS': '1', 'PYTHONUNBUFFERED': '1', 'PYTHONPATH': str(ROOT),
@@ -137,31 +147,37 @@ class Live:
         self.node.create_subscription(kind, topic, found.append, qos)
         return found
 
-    def publisher(self, kind, topic: str, qos=DEEP, readers: int = 1):
-        """Return a publisher that as many subscriptions as wanted hear."""
-        made = self.node.create_publisher(kind, topic, qos)
+    def publishers(self, kinds: Mapping[str, type], qos, *readers: str) -> list:
+        """Return a publisher for each topic, which the nodes that are named hear from now on."""
+        made = [self.node.create_publisher(kind, topic, qos) for topic, kind in kinds.items()]
         if readers:
-            self.wait(lambda: made.get_subscription_count() >= readers, f'a subscriber of {topic}')
-            time.sleep(0.3)  # the other side may need a moment longer
+            self.wait(lambda: all(p.get_subscription_count() >= len(readers) for p in made),
+                      f'{readers} to subscribe to {[*kinds]}')
+        for name in readers:
+            self.meet(name)
         return made
 
-    def wait(self, condition: Callable[[], object], what: str, timeout: float = PATIENCE):
+    def meet(self, name: str) -> None:
+        """Wait until a node knows everything that ours has."""
+        meet(self.node, name, self.wait)
+
+    def wait(self, condition: Callable[[], object], what: str):
         """Return what the condition returns once it is true."""
-        end = time.monotonic() + timeout
+        end = time.monotonic() + PATIENCE
         while not (found := condition()):
             if time.monotonic() > end:
-                raise AssertionError(f'waited {timeout:g} s in vain for {what}')
+                raise AssertionError(f'waited {PATIENCE:g} s in vain for {what}')
             time.sleep(0.01)
         return found
 
-    def call(self, kind, name: str, request, patience: float = PATIENCE):
+    def call(self, kind, name: str, request):
         """Call a service; return its answer."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
-            assert self._clients[name].wait_for_service(PATIENCE), f'there is no service {name}'
-            time.sleep(0.2)  # the way back may need a moment longer
+            self.wait(self._clients[name].service_is_ready, f'the service {name}')
+            self.meet(name.rpartition('/')[0])
         future = self._clients[name].call_async(request)
-        self.wait(future.done, f'an answer of {name}', patience)
+        self.wait(future.done, f'an answer of {name}')
         return future.result()
 
 
@@ -173,14 +189,20 @@ class Identifier:
         self.models: list[String] = live.listen(String, f'{name}/model')
         self.matrices = {topic: live.listen(Float64MultiArray, f'{name}/{topic}')
                          for topic in MATRICES}
-        self._diagnostics = live.listen(DiagnosticArray, '/diagnostics', RELIABLE)
+        self._estimates: list[Estimate] = []  # what is decoded of the models
+        self._said: list[Health] = []
+        live.node.create_subscription(
+            DiagnosticArray, '/diagnostics',
+            lambda message: self._said.extend(decode_diagnostics(message)[1]), RELIABLE)
 
     @property
     def log(self) -> str:
         return self.program.log
 
     def estimates(self) -> list[Estimate]:
-        return [decode_model(message) for message in list(self.models)]
+        for message in self.models[len(self._estimates):]:
+            self._estimates.append(decode_model(message))
+        return list(self._estimates)
 
     def accepted(self) -> list[Estimate]:
         return [estimate for estimate in self.estimates() if estimate.ok]
@@ -188,22 +210,18 @@ class Identifier:
     def metadata(self) -> list[dict]:
         return [decode_metadata(message) for message in list(self.models)]
 
-    def wait_models(self, count: int, timeout: float = PATIENCE) -> list[Estimate]:
-        self._live.wait(lambda: len(self.models) >= count, f'{count} models of {self.name}',
-                        timeout)
+    def wait_models(self, count: int) -> list[Estimate]:
+        self._live.wait(lambda: len(self.models) >= count, f'{count} models of {self.name}')
         return self.estimates()
 
     def health(self, part: str) -> list[Health]:
         """Return all that was said on 'ingest' or 'identification'."""
-        return [health for message in list(self._diagnostics)
-                for health in decode_diagnostics(message)[1]
-                if health.name == f'{self.name}: {part}']
+        return [health for health in list(self._said) if health.name == f'{self.name}: {part}']
 
-    def wait_health(self, part: str, condition: Callable[[Health], object], what: str,
-                    timeout: float = PATIENCE) -> Health:
+    def wait_health(self, part: str, condition: Callable[[Health], object], what: str) -> Health:
         """Wait until the newest word on a part is as wanted; return it."""
         self._live.wait(lambda: (said := self.health(part)) and condition(said[-1]),
-                        f'{what} in diagnostics', timeout)
+                        f'{what} in diagnostics')
         return self.health(part)[-1]
 
     def next_health(self, part: str) -> Health:
@@ -232,17 +250,34 @@ class Identifier:
         return self._live.call(ChangeState, f'{self.name}/change_state', request).success
 
     def state(self) -> str:
-        for _ in range(10):  # answers may be lost while endpoints are being discovered: ask again
-            with suppress(AssertionError):
-                return self._live.call(GetState, f'{self.name}/get_state', GetState.Request(),
-                                       2.0).current_state.label
-        raise AssertionError(f'{self.name} does not tell its state')
+        return self._live.call(GetState, f'{self.name}/get_state',
+                               GetState.Request()).current_state.label
 
     def wait_state(self, label: str) -> None:
         self._live.wait(lambda: self.state() == label, f'the state {label}')
 
 
-def _claim_domain() -> tuple[int, socket.socket]:
+def meet(node: Node, name: str, wait: Callable[[Callable[[], object], str], object]) -> None:
+    """
+    Wait until another node knows all publishers, subscriptions and clients that ours has.
+
+    They are announced in the order in which they were made: who answers a client that was made
+    last has heard of all. An answer may be lost while the client is being heard of.
+    """
+    client = node.create_client(GetParameterTypes, f'{name}/get_parameter_types')
+    wait(client.service_is_ready, f'the services of {name}')
+    asked: list = []
+
+    def answered() -> bool:
+        if len(asked) * 0.5 < time.monotonic() - start:
+            asked.append(client.call_async(GetParameterTypes.Request()))
+        return any(future.done() for future in asked)
+
+    start = time.monotonic()
+    wait(answered, f'an answer of {name}')
+
+
+def claim_domain() -> tuple[int, socket.socket]:
     """Return a domain that no other test of this computer uses, and what holds it."""
     while True:
         domain, claim = random.randint(1, 100), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import time
 
-from live import Identifier, Live
+from live import RELIABLE, Identifier, Live
 import numpy as np
 from plants import Plant, plant
 from scipy.linalg import expm
@@ -61,12 +61,18 @@ def motion(seconds: float, *, phases: Sequence[tuple[float, Plant]] = ((0.0, SOF
 
 
 def params(more: str = '', *, command: str = '/command', imu: str = '/imu', header: bool = True,
-           length: float = 4.0, max_delay: float = 0.05) -> str:
-    """Return a parameter file for the plant; quick to identify."""
+           length: float = 4.0, max_delay: float = 0.3) -> str:
+    """
+    Return a parameter file for the plant; quick to identify.
+
+    Reliable, since a computer that is busy may lose messages otherwise; and with a delay that is
+    long enough at ten times the speed.
+    """
     kind, field = (('sensor_msgs/msg/JointState', 'effort[0]') if header else
                    ('std_msgs/msg/Float64MultiArray', 'data[0]'))
     lines = ''.join(f'    {line}\n' for line in more.splitlines())
-    order = '' if 'order:' in more else '    order: 2\n'
+    for name, value in (('order', '2'), ('ingest.reliability', 'reliable')):
+        lines += '' if f'{name}:' in more else f'    {name}: {value}\n'
     return f"""\
 /**:
   ros__parameters:
@@ -78,27 +84,22 @@ def params(more: str = '', *, command: str = '/command', imu: str = '/imu', head
     feedthrough: false
     window.length: {length}
     window.max_delay: {max_delay}
-{order}{lines}"""
+{lines}"""
 
 
 class Robot:
     """
     Publish a motion, from where it stopped on.
 
-    Its stamps count from `start_ns`; None is the moment of the first message.
+    Its stamps count from `start_ns`; None is the moment of the first message. The nodes that are
+    named as readers hear it from the first message on.
     """
 
-    def __init__(self, live: Live, made: Motion, *, command: str = '/command', imu: str = '/imu',
-                 header: bool = True, start_ns: int | None = EPOCH, readers: int = 1) -> None:
-        kind = JointState if header else Float64MultiArray
-        commands = live.publisher(kind, command, readers=0)
-        imus = live.publisher(Imu, imu, readers=0)
-        for publisher in (commands, imus):
-            live.wait(lambda: publisher.get_subscription_count() >= readers,  # noqa: B023
-                      f'{readers} subscribers of {publisher.topic_name}')
-        if readers:
-            time.sleep(0.3)  # the other side may need a moment longer
-        self.publishers = {'command': commands, 'imu': imus}
+    def __init__(self, live: Live, made: Motion, *readers: str, command: str = '/command',
+                 imu: str = '/imu', header: bool = True, start_ns: int | None = EPOCH) -> None:
+        kinds = {command: JointState if header else Float64MultiArray, imu: Imu}
+        self.publishers = dict(zip(('command', 'imu'), live.publishers(kinds, RELIABLE, *readers),
+                                   strict=True))
         self._header, self.start_ns = header, start_ns
         both = [(t, 'command', u) for t, u in zip(made.t_u, made.u, strict=True)]
         both += [(t, 'imu', y) for t, y in zip(made.t_y, made.y, strict=True)]
@@ -120,11 +121,11 @@ class Robot:
     def feed(self, node: Identifier, *, length: float = 4.0, stride: float = 1.0) -> None:
         """Publish all, as fast as the models come: no window is skipped."""
         end, count, last = length, len(node.models), self._rest[-1][0]
-        while end + 0.2 < last:
-            self.send(end + 0.2, speed=25.0)
+        while end + 0.45 < last:  # `window.max_delay` and the samples after the window
+            self.send(end + 0.45, speed=10.0)
             count, end = count + 1, end + stride
             node.wait_models(count)
-        self.send(speed=25.0)
+        self.send(speed=10.0)
 
     def publish(self, name: str, stamp_ns: int, values: Sequence[float]) -> None:
         """Publish one message."""

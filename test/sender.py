@@ -4,19 +4,21 @@ A process that publishes /imu and /command in real time as fast as is asked for.
 
 Usage: python sender.py IMU_RATE COMMAND_RATE SECONDS
 
-It begins once both topics are heard, and prints how many messages it has sent. Messages are
-serialised once; each publication writes stamp and values into the bytes.
+It begins once /identifier hears both topics, publishes in the order of stamps whatever holds it
+up, prints how many messages it has sent, and stays until it is ended. Messages are serialised
+once; each publication writes stamp and values into the bytes.
 """
 
 from __future__ import annotations
 
+import signal
 import struct
 import sys
 import time
 
+from live import RELIABLE, meet
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from robot import SOFT, motion
 from sensor_msgs.msg import Imu, JointState
@@ -29,29 +31,30 @@ def main(imu_rate: float, command_rate: float, seconds: float) -> None:
     made = motion(min(seconds, 20.0), phases=((0.0, SOFT),), rates=(command_rate, imu_rate))
     rclpy.init()
     node = Node('sender', start_parameter_services=False)
-    qos = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publishers = [node.create_publisher(kind, topic, qos) for kind, topic in (
+    publishers = [node.create_publisher(kind, topic, RELIABLE) for kind, topic in (
         (Imu, '/imu'), (JointState, '/command'))]
     raw = [bytearray(serialize_message(Imu())),
            bytearray(serialize_message(JointState(effort=[0.0])))]
-    while not all(publisher.get_subscription_count() for publisher in publishers):
-        time.sleep(0.01)
-    time.sleep(1.0)  # the other side may need a moment longer
+
+    def wait(condition, _) -> None:
+        while not condition():
+            rclpy.spin_once(node, timeout_sec=0.01)
+
+    wait(lambda: all(publisher.get_subscription_count() for publisher in publishers), '')
+    meet(node, '/identifier', wait)
     kinds = [(imu_rate, made.y, RATES, '<dd'), (command_rate, made.u, EFFORT, '<d')]
     sent, start = [0, 0], time.time_ns()
     while (passed := (time.time_ns() - start) * 1e-9) < seconds and rclpy.ok():
-        for k, (rate, values, place, form) in enumerate(kinds):
-            while sent[k] < passed * rate:
-                stamp = start + int(sent[k] / rate * 1e9)
-                struct.pack_into('<iI', raw[k], STAMP, *divmod(stamp, 10**9))
-                struct.pack_into(form, raw[k], place, *values[sent[k] % len(values)])
-                publishers[k].publish(bytes(raw[k]))
-                sent[k] += 1
+        while (due := min((sent[k] / kinds[k][0], k) for k in (0, 1)))[0] < passed:
+            stamp, k = start + int(due[0] * 1e9), due[1]
+            _, values, place, form = kinds[k]
+            struct.pack_into('<iI', raw[k], STAMP, *divmod(stamp, 10**9))
+            struct.pack_into(form, raw[k], place, *values[sent[k] % len(values)])
+            publishers[k].publish(bytes(raw[k]))
+            sent[k] += 1
         time.sleep(0.001)
     print('sent', *sent, flush=True)
-    time.sleep(0.5)  # for what is under way
-    node.destroy_node()
-    rclpy.try_shutdown()
+    signal.pause()  # what is under way needs it
 
 
 if __name__ == '__main__':

@@ -32,7 +32,7 @@ def common():
 def run(script: str, *options: object) -> str:
     done = subprocess.run(
         [sys.executable, FOLDER / script, *map(str, options)], capture_output=True, text=True,
-        timeout=120, check=False, env=os.environ | {'PYTHONPATH': str(FOLDER.parent)})
+        timeout=600, check=False, env=os.environ | {'PYTHONPATH': str(FOLDER.parent)})
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -270,19 +270,6 @@ def test_a_recording_never_replaces_another(tmp_path):
         BagWriter(tmp_path / 'file' / 'flight.mcap', TYPES)
 
 
-def test_simulated_time_goes_on_between_ticks_and_stops_with_them():
-    clock = SimClock()
-    assert clock.at(EPOCH) == 0
-    clock.tick(EPOCH, 10 * S)
-    assert clock.at(EPOCH + 5 * MS) == 10 * S  # the rate is not known yet
-    clock.tick(EPOCH + 20 * MS, 10 * S + 40 * MS)  # twice as fast
-    assert clock.at(EPOCH + 25 * MS) == 10 * S + 50 * MS
-    assert clock.at(EPOCH + 15 * MS) == 10 * S + 30 * MS
-    assert clock.at(EPOCH + 900 * MS) == 10 * S + 80 * MS  # paused
-    clock.tick(EPOCH + 1000 * MS, 2 * S)  # started again
-    assert clock.at(EPOCH + 1001 * MS) == 2 * S
-
-
 def test_header_less_messages_have_simulated_stamps_and_replay_alike(tmp_path):
     clock = SimClock()
     writer = BagWriter(tmp_path / 'sim.mcap', TYPES)
@@ -324,13 +311,6 @@ def test_what_comes_before_simulated_time_has_no_stamp(tmp_path):
     writer.close()
     assert 100 * S <= records[0].epoch_ns < 101 * S
     assert bits(replayed(writer.path, config)) == bits(records)
-
-
-def test_simulated_time_is_never_negative():
-    clock = SimClock()
-    clock.tick(EPOCH, 1)
-    clock.tick(EPOCH + 10 * MS, 10 * MS)
-    assert clock.at(EPOCH - 50 * MS) == 0
 
 
 @pytest.mark.parametrize('simulated', [False, True])

@@ -73,7 +73,8 @@ class Tuned:
         self.verdicts = live.listen(String, '/gain_tuner/verdict')
         self.controllers = live.listen(Float64MultiArray, '/gain_tuner/controller')
         self.program = live.start('-m', 'ctsid_ros.examples.gain_tuner', '--ros-args', *arguments)
-        self._models = live.publisher(String, '/robot/identifier/model', LATCHED)
+        self._models, = live.publishers({'/robot/identifier/model': String}, LATCHED,
+                                        '/gain_tuner')
 
     def give(self, message) -> str:
         count = len(self.verdicts)

@@ -38,7 +38,7 @@ def flight(tmp_path_factory):
     """Return a node that has seen 9.5 s of the plant, and its robot."""
     with Live(tmp_path_factory.mktemp('flight')) as live:
         node = live.identifier(params('ingest.timeout: 60.0'))
-        robot = Robot(live, motion(9.5))
+        robot = Robot(live, motion(9.5), node.name)
         robot.feed(node)
         live.wait(lambda: all(len(node.matrices[name]) == len(node.models)
                               for name in MATRICES), 'matrices')
@@ -95,8 +95,9 @@ def test_late_joiners_get_the_last_model(flight):
 
 def test_diagnostics_tell_latency_and_counts(flight):
     _, node, robot = flight
-    ingest = node.next_health('ingest')
-    identification = node.health('identification')[-1]
+    ingest = node.wait_health('ingest', lambda h: h.values['/imu messages'] == str(
+        robot.sent['imu']), 'all messages')
+    identification = node.next_health('identification')
     assert (ingest.level, identification.level) == (Level.OK, Level.OK), (ingest, identification)
     values = ingest.values
     assert values['/imu messages'] == values['p samples'] == str(robot.sent['imu'])
@@ -104,51 +105,45 @@ def test_diagnostics_tell_latency_and_counts(flight):
     assert values['/imu lost'] == values['/command lost'] == '0'
     assert values['p stamps from'] == 'header'
     assert int(values['windows']) == len(node.models) == int(identification.values['windows'])
-    assert 0 < float(identification.values['latency [s]']) < 1.0
-    assert 0 < float(identification.values['computing time [s]']) < 1.0
+    computing = float(identification.values['computing time [s]'])
+    assert 0 < computing < float(identification.values['latency [s]'])
     assert int(identification.values['window end [ns]']) == node.estimates()[-1].end_ns
 
 
-def test_a_rejected_window_says_so_and_leaves_the_matrices(live):
+def test_a_changed_plant_is_seen_within_two_windows_and_what_is_rejected_says_so(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
-    made = motion(12.5)
-    made.u[made.t_u > 5.0] = 0.0  # a lie from here on: the input says nothing of the output
-    Robot(live, made).feed(node)
-    estimates = node.wait_models(8)
-    assert estimates[0].ok
+    made = motion(22.5, phases=((0.0, SOFT), (7.0, STIFF)))
+    made.u[made.t_u > 16.0] = 0.0  # a lie from here on: the input says nothing of the output
+    Robot(live, made, node.name).feed(node)
+    estimates = node.wait_models(19)
+    before = [e for e in estimates if e.end_ns <= EPOCH + 7 * S]
+    after = [e for e in estimates if e.start_ns >= EPOCH + 7 * S and e.end_ns <= EPOCH + 16 * S]
+    assert len(before) >= 3
+    for estimate in before:
+        assert_poles(estimate, SOFT)
+    assert after[0].end_ns <= EPOCH + (7 + 2 * 4) * S
+    for estimate in after:
+        assert_poles(estimate, STIFF)
+
     assert not estimates[-1].ok
     reason = estimates[-1].verdict.reason
-    said = node.wait_health('identification', lambda h: reason in h.message,
-                            'the rejection')
+    said = node.wait_health('identification', lambda h: reason in h.message, 'the rejection')
     assert said.level == Level.ERROR
     assert said.message.startswith('REJECT: ')
     assert 'REJECT: ' in node.log
     accepted = [e for e in node.accepted() if e.good]
-    assert len(node.matrices['a']) == len(accepted)
+    live.wait(lambda: len(node.matrices['a']) == len(accepted), 'matrices of good models only')
     np.testing.assert_array_equal(decode_matrix(node.matrices['a'][-1]), accepted[-1].model.A)
 
 
-def test_a_changed_plant_is_seen_within_two_windows(live):
-    node = live.identifier(params())
-    Robot(live, motion(20.0, phases=((0.0, SOFT), (9.0, STIFF)))).feed(node)
-    estimates = node.wait_models(15)
-    before = [e for e in estimates if e.end_ns <= EPOCH + 9 * S]
-    after = [e for e in estimates if e.start_ns >= EPOCH + 9 * S]
-    assert len(before) >= 5
-    for estimate in before:
-        assert_poles(estimate, SOFT)
-    assert after[0].end_ns <= EPOCH + (9 + 2 * 4) * S
-    for estimate in after:
-        assert_poles(estimate, STIFF)
-
-
 def test_two_identifiers_in_one_domain(live):
-    one = live.identifier(params(command='command', imu='imu'), '-r', '__ns:=/one',
-                          name='/one/identifier')
+    one = live.identifier(
+        params('ingest.reliability: best_effort', command='command', imu='imu'),
+        '-r', '__ns:=/one', name='/one/identifier')
     other = live.identifier(params(command='command', imu='imu'), '-r', '__ns:=/two',
                             '-r', '__node:=tuner', '-r', 'imu:=/two/other', name='/two/tuner')
-    robots = (Robot(live, motion(6.5), command='/one/command', imu='/one/imu'),
-              Robot(live, motion(6.5, phases=((0.0, STIFF),), seed=1),
+    robots = (Robot(live, motion(5.5), one.name, command='/one/command', imu='/one/imu'),
+              Robot(live, motion(5.5, phases=((0.0, STIFF),), seed=1), other.name,
                     command='/two/command', imu='/two/other'))
     for robot, node in zip(robots, (one, other), strict=True):
         robot.feed(node)
@@ -156,4 +151,4 @@ def test_two_identifiers_in_one_domain(live):
         for estimate in node.wait_models(2):
             assert_poles(estimate, truth)
         assert node.metadata()[0]['node'] == node.name
-        assert node.health('ingest')
+        live.wait(lambda: node.health('ingest'), 'diagnostics')  # noqa: B023

@@ -30,15 +30,15 @@ def test_the_node_is_led_through_its_states(live):
     assert not node.trigger('reset')[0]
     assert not node.trigger('save')[0]
     assert node.change_state('activate')
-    Robot(live, motion(5.5)).feed(node)
+    Robot(live, motion(4.5), node.name).feed(node)
     assert node.change_state('deactivate')
     count = len(node.wait_models(1))
-    idle = Robot(live, motion(6.5), readers=0)
+    idle = Robot(live, motion(6.5))
     idle.send(speed=20.0)
     node.next_health('ingest')
     assert len(node.models) == count
     assert node.change_state('activate')
-    Robot(live, motion(5.5), start_ns=EPOCH + 1000 * S).feed(node)
+    Robot(live, motion(4.5), node.name, start_ns=EPOCH + 1000 * S).feed(node)
     assert min(e.start_ns for e in node.estimates()[count:]) // S == EPOCH // S + 1000
     assert node.change_state('deactivate')
     assert node.change_state('cleanup')
@@ -47,14 +47,14 @@ def test_the_node_is_led_through_its_states(live):
     assert node.change_state('configure')
     assert node.change_state('activate')
     before = len(node.models)
-    Robot(live, motion(4.5), start_ns=EPOCH + 2000 * S).feed(node, length=3.0)
+    Robot(live, motion(3.5), node.name, start_ns=EPOCH + 2000 * S).feed(node, length=3.0)
     live.wait(lambda: len(node.models) > before, 'models of the new length')
     last = node.estimates()[-1]
     assert last.end_ns - last.start_ns == 3 * S
     assert node.program.end()[0] == 0
 
 
-def test_all_faults_are_told_and_can_be_corrected(live):
+def test_all_faults_of_configuration_and_activation_are_told_and_can_be_corrected(live):
     text = params('order: 99\nmax_order: 4\nvalidation.held_out: 0.9\ntrim: 3')
     node = live.identifier(text.replace('effort[0]', 'effort['))
     live.wait(lambda: 'not configured; correct the parameters' in node.log, 'the refusal')
@@ -66,9 +66,19 @@ def test_all_faults_are_told_and_can_be_corrected(live):
     assert node.set(order=77)
     assert node.set(order=2, validation__held_out=0.0, trim=True,
                     torque__field='effort[0]') == ''
+    assert node.set(ingest__record='/proc/no/flight.mcap') == ''
+    assert node.change_state('configure')
+    assert not node.change_state('activate')
+    live.wait(lambda: 'not activated: /proc/no/flight.mcap cannot be written' in node.log,
+              'the refusal')
+    assert node.state() == 'inactive'
+    assert 'is fixed' in node.set(ingest__record='')
+    assert node.change_state('cleanup')
+    assert node.set(ingest__record='') == ''
     assert node.change_state('configure')
     assert node.change_state('activate')
-    Robot(live, motion(4.5)).feed(node)
+    assert node.state() == 'active'
+    Robot(live, motion(4.5), node.name).feed(node)
     estimate, = node.wait_models(1)
     assert estimate.ok
     assert estimate.settings.held_out == 0.0
@@ -76,7 +86,7 @@ def test_all_faults_are_told_and_can_be_corrected(live):
 
 def test_parameters_while_it_runs(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
-    robot = Robot(live, motion(8.5))
+    robot = Robot(live, motion(6.5), node.name)
     robot.send(4.5)
     node.wait_models(1)
     refused = node.set(window__length=5.0, order=3)
@@ -95,17 +105,3 @@ def test_parameters_while_it_runs(live):
     assert not np.isfinite(second.held_out_fit).any()
     numbers = [data['realisation'] for data in node.metadata()]
     assert numbers[0] == 1
-
-
-def test_what_cannot_be_activated_stays_inactive(live):
-    node = live.identifier(params("ingest.record: '/proc/no/flight.mcap'"))
-    live.wait(lambda: 'not activated: /proc/no/flight.mcap cannot be written' in node.log,
-              'the refusal')
-    assert node.state() == 'inactive'
-    assert not node.change_state('activate')
-    assert 'is fixed' in node.set(ingest__record='')
-    assert node.change_state('cleanup')
-    assert node.set(ingest__record='') == ''
-    assert node.change_state('configure')
-    assert node.change_state('activate')
-    assert node.state() == 'active'

@@ -22,14 +22,15 @@ def live(tmp_path):
 
 
 @pytest.mark.parametrize(('method', 'checker'), [
-    ('gobf', 'none'), ('ct-pbsid', 'none'), ('gobf', 'hd-pbsid')])
+    pytest.param('gobf', 'none', marks=pytest.mark.slow), ('ct-pbsid', 'none'),
+    ('gobf', 'hd-pbsid')])
 def test_models_by_another_method_are_published_and_replayed(live, tmp_path, method, checker):
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(
         f"method: {method}\nvalidation.cross_check: {checker}\ningest.record: '{path}'\n"
         'ingest.timeout: 60.0'))
-    Robot(live, motion(7.6)).feed(node)
-    estimates = node.wait_models(3)
+    Robot(live, motion(5.5), node.name).feed(node)
+    estimates = node.wait_models(2)
     assert len(node.accepted()) == len(estimates)
     for estimate in estimates:
         assert estimate.settings.method == method

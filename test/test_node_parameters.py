@@ -3,12 +3,12 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-import random
 import time
 
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
+from live import claim_domain  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.lifecycle import LifecycleNode  # noqa: E402
@@ -40,7 +40,7 @@ FILE = """\
 def make(tmp_path, monkeypatch) -> Iterator[Make]:
     """Make nodes as `ros2 run` does: from a parameter file and arguments."""
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    domain, contexts, nodes = random.randint(1, 100), [], []
+    (domain, claim), contexts, nodes = claim_domain(), [], []
 
     def made(text: str = FILE, *arguments: str, kind=Node, declared=True, **options) -> Node:
         path = tmp_path / f'{len(nodes)}.yaml'
@@ -58,6 +58,7 @@ def make(tmp_path, monkeypatch) -> Iterator[Make]:
         node.destroy_node()
     for context in contexts:
         rclpy.shutdown(context=context)
+    claim.close()
 
 
 class Watched:
@@ -141,7 +142,7 @@ def test_what_is_wrong_in_a_file_is_found_when_it_is_read_and_all_at_once(make):
     method: n4sid
     window: {length: abc, lenght: 3.0}
     pbsid: {past: 2, future: 3}
-    ingest: {rate: 0, method: magic}
+    ingest: {rate: 0, reliability: magic}
     save.folder: 7
 """)
     faults = faults_of(node)
@@ -156,7 +157,7 @@ def test_what_is_wrong_in_a_file_is_found_when_it_is_read_and_all_at_once(make):
               "`method` is 'n4sid'; choose", "`window.length` is 'abc'",
               '`window.lenght` is not a parameter; nearest: window.length',
               '`pbsid.future` is 3', '`ingest.rate` is 0.0, but must lie between 1 and 1000 Hz',
-              "`ingest.method` is 'magic'; choose one of 'drain', 'callbacks'",
+              "`ingest.reliability` is 'magic'; choose one of 'best_effort', 'reliable'",
               '`save.folder` is 7']
     assert [w for w in wanted if w not in text] == []
     assert '`torque.type` is missing (nobody publishes /cmd now' in text
@@ -364,12 +365,12 @@ def test_another_process_can_change_them(make):
     client_node = Node('client', context=watched.node.context)
     client = AsyncParameterClient(client_node, 'identifier')
     with spinning(watched.node, client_node) as executor:
-        end = time.monotonic() + 10
+        end = time.monotonic() + 180
         while not client.services_are_ready() and time.monotonic() < end:
             executor.spin_once(timeout_sec=0.1)
 
         def ask(future):
-            executor.spin_until_future_complete(future, timeout_sec=10)
+            executor.spin_until_future_complete(future, timeout_sec=180)
             return future.result()
         done = ask(client.set_parameters([
             Parameter('order', value=4), Parameter('hermite.gamma', value=30),
@@ -385,10 +386,10 @@ def test_another_process_can_change_them(make):
 
 def test_declaring_is_quick(make):
     node = make(declared=False)
-    start = time.monotonic()
+    start = time.thread_time()
     declare(node)
     read(node)
-    assert time.monotonic() - start < 0.5
+    assert time.thread_time() - start < 0.5
 
 
 def test_the_same_parameters_by_another_door():

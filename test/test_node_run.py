@@ -2,33 +2,42 @@
 """What runs while the node is active: it begins as a whole, or not at all."""
 
 from dataclasses import replace
-import random
 import threading
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip('rclpy')
+from builtin_interfaces.msg import Time  # noqa: E402
+from live import claim_domain  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
+from rosgraph_msgs.msg import Clock as ClockMessage  # noqa: E402
 
 from ctsid_core.settings import Settings  # noqa: E402
 from ctsid_ros.config.channels import Channel, Config  # noqa: E402
 from ctsid_ros.config.node_settings import NodeSettings  # noqa: E402
 from ctsid_ros.decoding.message_types import message_class, of_message_class  # noqa: E402
+from ctsid_ros.ingest.feed import Feed  # noqa: E402
+from ctsid_ros.ingest.sim_clock import SimClock  # noqa: E402
+from ctsid_ros.node.intake import Intake  # noqa: E402
 from ctsid_ros.node.plan import Plan  # noqa: E402
 from ctsid_ros.node.run import begin  # noqa: E402
+
+S = 10**9
 
 
 @pytest.fixture
 def node(monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    context = Context()
-    rclpy.init(context=context, domain_id=random.randint(1, 100), args=[])
+    context, (domain, claim) = Context(), claim_domain()
+    rclpy.init(context=context, domain_id=domain, args=[])
     made = Node('test', context=context)
     yield made
     made.destroy_node()
     rclpy.shutdown(context=context)
+    claim.close()
 
 
 def plan(path) -> Plan:
@@ -48,7 +57,7 @@ def test_it_begins_and_stops(node, tmp_path):
     assert ours() == {'intake', 'identification'}
     assert not run.identify()[0]
     assert run.reset()[0]
-    assert run.stop(1.0)
+    assert run.stop(180.0)
     assert not ours()
 
 
@@ -58,3 +67,42 @@ def test_what_cannot_begin_leaves_nothing_behind(node, tmp_path):
         begin(node, replace(good, classes={**good.classes, '/y': object}), lambda _: None)
     assert not ours()
     assert path.read_bytes().endswith(b'\x89MCAP0\r\n')  # it was finished
+
+
+def test_messages_have_simulated_times_between_those_of_the_ticks_around_them(node):
+    cls = message_class('geometry_msgs/msg/Vector3Stamped')
+    clock, pushed = SimClock(), []
+    recorder = SimpleNamespace(write=lambda topic, log_ns, *_: pushed.append(log_ns))
+    made = plan('')
+    feed = Feed(made.config, made.types, lambda _: 1, recorder, clock)
+    intake = Intake(node, feed, made.classes, NodeSettings(), lambda _: None, clock)
+    ticks = node.create_publisher(ClockMessage, '/clock', 10)
+    messages = node.create_publisher(cls, '/u', 10)
+    while not ticks.get_subscription_count() or not messages.get_subscription_count():
+        pass
+    with intake.lock:  # as if the thread had been held up: all is there when it goes on
+        for seconds in (10, 15, 16, 90):
+            ticks.publish(ClockMessage(clock=Time(sec=seconds)))
+            messages.publish(cls())
+        ticks.publish(ClockMessage(clock=Time(sec=100)))
+    while len(pushed) < 4:
+        pass
+    assert intake.stop(180.0)
+    for log_ns, (low, high) in zip(pushed, ((10, 15), (15, 16), (16, 90), (90, 100)), strict=True):
+        assert low * S < log_ns < high * S
+
+
+def test_a_publisher_is_told_of_once_it_has_a_name_or_stays_without(node, monkeypatch):
+    made = plan('')
+    intake = Intake(node, Feed(made.config, made.types, lambda _: 1), made.classes,
+                    NodeSettings(), lambda _: None)
+    ends = {'/u': [SimpleNamespace(node_namespace='_NODE_NAMESPACE_UNKNOWN_', topic_type='other',
+                                   node_name='_NODE_NAME_UNKNOWN_', endpoint_gid=[1] * 16)]}
+    monkeypatch.setattr(node, 'get_publishers_info_by_topic', lambda topic: ends.get(topic, []))
+    assert list(intake.faults()) == []
+    assert 'a publisher of /u that is no node sends other' in next(intake.faults())
+    ends['/u'][0].endpoint_gid = [2] * 16
+    assert list(intake.faults()) == []
+    ends['/u'][0].node_namespace, ends['/u'][0].node_name = '/', 'camera'
+    assert 'the publisher `/camera` of /u sends other' in next(intake.faults())
+    assert intake.stop(180.0)

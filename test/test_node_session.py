@@ -12,6 +12,7 @@ from ctsid_core.signals.record import Record
 from ctsid_ros.node.session import Session
 
 SETTINGS = Settings(order=1, held_out=0.0)
+PATIENCE = 180.0  # s
 
 
 def window(seed=0):
@@ -37,7 +38,7 @@ class Heard:
         self.told.set()
 
     def wait(self):
-        assert self.told.wait(20.0), self.faults
+        assert self.told.wait(PATIENCE), self.faults
         self.told.clear()
 
 
@@ -50,7 +51,7 @@ def heard():
 def session(heard):
     made = Session(SETTINGS, heard.publish, heard.faults.append)
     yield made
-    assert made.stop(20.0)
+    assert made.stop(PATIENCE)
     assert not heard.faults
 
 
@@ -71,7 +72,7 @@ def test_a_reset_while_a_model_is_published_leaves_no_model(session, heard):
     session.submit(window(1), None)
     heard.wait()
     assert [result.tracked.realisation for result in heard.results] == [1, 2]
-    assert session.stop(20.0)
+    assert session.stop(PATIENCE)
     assert session.progress.accepted.window.number == 2
 
 
@@ -79,7 +80,7 @@ def test_a_reset_at_the_end_leaves_nothing(session, heard):
     heard.then = session.reset
     session.submit(window(), None)
     heard.wait()
-    assert session.stop(20.0)
+    assert session.stop(PATIENCE)
     assert (session.progress.last, session.progress.accepted) == (None, None)
 
 
@@ -89,12 +90,12 @@ def test_a_window_under_way_is_void_after_a_reset(session, heard, monkeypatch):
     def slowly(tracker, record):
         tracked = take(tracker, record)
         begun.set()  # the tracker remembers it now
-        assert go.wait(20.0)
+        assert go.wait(PATIENCE)
         return tracked
 
     monkeypatch.setattr(Tracker, 'take', slowly)
     session.submit(window(), None)
-    assert begun.wait(20.0)
+    assert begun.wait(PATIENCE)
     session.submit(window(1), None)  # waits, and is dropped
     session.reset()
     go.set()

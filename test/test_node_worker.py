@@ -5,6 +5,8 @@ from threading import Event
 
 from ctsid_ros.node.worker import Worker
 
+PATIENCE = 180.0  # s
+
 
 def make(work):
     failures = []
@@ -18,7 +20,7 @@ def test_jobs_are_done_and_the_newest_of_those_that_wait_is_kept():
 
     def work(job):
         begun.set()
-        assert go.wait(5.0)
+        assert go.wait(PATIENCE)
         done.append(job)
         if job == 4:
             finished.set()
@@ -26,12 +28,12 @@ def test_jobs_are_done_and_the_newest_of_those_that_wait_is_kept():
     finished = Event()
     worker, failures = make(work)
     worker.submit(1)
-    assert begun.wait(5.0)
+    assert begun.wait(PATIENCE)
     for job in (2, 3, 4):
         worker.submit(job)
     go.set()
-    assert finished.wait(5.0)
-    assert worker.stop(5.0)
+    assert finished.wait(PATIENCE)
+    assert worker.stop(PATIENCE)
     assert (done, worker.skipped, failures) == ([1, 4], 2, [])
 
 
@@ -43,13 +45,19 @@ def test_a_job_that_fails_is_told_and_the_next_is_done():
             raise ValueError('broken')
         done.set()
 
-    worker, failures = make(work)
+    failed, failures = Event(), []
+
+    def take(error):
+        failures.append(error)
+        failed.set()
+
+    worker = Worker(work, take)
+    worker.start()
     worker.submit('bad')
-    while not failures:
-        pass
+    assert failed.wait(PATIENCE)
     worker.submit('good')
-    assert done.wait(5.0)
-    assert worker.stop(5.0)
+    assert done.wait(PATIENCE)
+    assert worker.stop(PATIENCE)
     assert [str(f) for f in failures] == ['broken']
 
 
@@ -58,15 +66,15 @@ def test_a_long_job_does_not_hold_up_stopping():
 
     def work(job):
         begun.set()
-        go.wait(10.0)
+        go.wait(PATIENCE)
 
     worker, _ = make(work)
     worker.submit(1)
     worker.submit(2)
-    assert begun.wait(5.0)
+    assert begun.wait(PATIENCE)
     assert not worker.stop(0.01)
     go.set()
-    assert worker.stop(5.0)
+    assert worker.stop(PATIENCE)
 
 
 def test_what_is_dropped_is_not_done():
@@ -74,14 +82,14 @@ def test_what_is_dropped_is_not_done():
 
     def work(job):
         begun.set()
-        go.wait(5.0)
+        go.wait(PATIENCE)
         done.append(job)
 
     worker, _ = make(work)
     worker.submit(1)
-    assert begun.wait(5.0)
+    assert begun.wait(PATIENCE)
     worker.submit(2)
     worker.drop()
     go.set()
-    assert worker.stop(5.0)
+    assert worker.stop(PATIENCE)
     assert (done, worker.skipped) == ([1], 0)

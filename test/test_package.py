@@ -44,7 +44,7 @@ def copied(tmp_path_factory) -> Path:
 
 
 def run(*command: object, **more: object) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=300,
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=600,
                           check=False, **more)
     assert done.returncode == 0, f'{command}:\n{done.stdout}\n{done.stderr}'
     return done

@@ -229,11 +229,12 @@ def test_parameters_of_the_node_stand_in_the_same_file():
     assert config.node == NodeSettings(autostart=False, ingest_depth=100, ingest_rate=20.0,
                                        save_folder='/tmp')
     assert repr(config.node.ingest_rate) == '20.0'
-    faults = faults_of(plain(autostart=1, ingest={'dept': 5, 'rate': 0.0, 'method': 'push'},
+    faults = faults_of(plain(autostart=1,
+                             ingest={'dept': 5, 'rate': 0.0, 'reliability': 'push'},
                              save={'folder': 3}, inputs=['torque', 'save']))
     for part in ('`autostart` is 1 (int), but a true or false', 'nearest: ingest.depth',
                  '`ingest.rate` is 0.0, but must lie between 1 and 1000 Hz',
-                 "`ingest.method` is 'push'; choose one of 'drain', 'callbacks'",
+                 "`ingest.reliability` is 'push'; choose one of 'best_effort', 'reliable'",
                  '`save.folder` is 3 (int)', "the channel name 'save' is that of a parameter"):
         assert any(part in fault for fault in faults), part
     assert len(faults) == 6

@@ -27,11 +27,6 @@ class NodeSettings:
         True, 'Whether the node configures and activates itself when it starts.',
         structural=True,
         when='Set it to false if a lifecycle manager or a launch file does that.')
-    ingest_method: str = parameter(
-        'drain', 'How messages are taken: drain empties the queues of the subscriptions at '
-        '`ingest.rate`, callbacks lets ROS call for each message; the models are the same.',
-        name='ingest.method', choices=('drain', 'callbacks'), structural=True,
-        when='Callbacks take far more computing time; they are for comparison.')
     ingest_rate: float = parameter(
         100.0, 'How often the queues are emptied.', name='ingest.rate', unit='Hz', low=1.0,
         high=1000.0, structural=True,

@@ -103,6 +103,14 @@ class SimulatedRobot(Node):  # type: ignore[misc]  # rclpy has no types
                 self._payload = parameter.value  # taken up by the flight's thread
 
     def _fly(self) -> None:
+        try:
+            self._send_all()
+        except Exception:
+            # A signal may have taken the context away under a call of the middleware.
+            if self.context.ok():
+                raise
+
+    def _send_all(self) -> None:
         plant = Plant(self._payload, self._value('gusts'))
         flight = Flight(self._conditions(), self._seed(), plant)
         start_ns, began_ns = self.get_clock().now().nanoseconds, time.monotonic_ns()

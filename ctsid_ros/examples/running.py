@@ -11,6 +11,8 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
+_TURN = 0.2  # within this time a signal is noticed [s]
+
 
 def run(make: Callable[[], Node], argv: Sequence[str] | None = None) -> int:
     """
@@ -30,7 +32,8 @@ def run(make: Callable[[], Node], argv: Sequence[str] | None = None) -> int:
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin()
+        while rclpy.ok():  # spin() may sleep through a signal until something else wakes it
+            executor.spin_once(timeout_sec=_TURN)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:

@@ -3,28 +3,54 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+
+_STEP_NS = 10**9  # arrival times that go back by more are of a clock that was set back
+_KEPT = 4096  # messages of /clock that are remembered
+
 
 class SimClock:
     """
     Turn times of arrival into simulated time.
 
-    /clock comes at some tens of hertz, much more rarely than samples: between its messages time
-    goes on as fast as between the last two, but stops where the next is due, since the player may
-    have been paused.
+    /clock comes at some tens of hertz, much more rarely than samples: between two of its messages
+    time goes on evenly. What is held up on the way comes in a burst, /clock and samples alike:
+    there the order of arrival tells the time, to within a message of /clock. After the last of
+    them time goes on as fast as between the last two, but stops where the next is due, since the
+    player may have been paused; so it does where the next goes back.
     """
 
     def __init__(self) -> None:
-        self._arrival = self._time = 0
-        self._rate, self._period = 0.0, 0
+        self._arrivals: list[int] = []
+        self._times: list[int] = []
 
     def tick(self, arrival_ns: int, time_ns: int) -> None:
         """Take a message of /clock: when it arrived and what it says [ns]."""
-        passed, elapsed = time_ns - self._time, arrival_ns - self._arrival
-        known = self._arrival > 0 and passed > 0 and elapsed > 0
-        self._rate, self._period = (passed / elapsed, passed) if known else (0.0, 0)
-        self._arrival, self._time = arrival_ns, time_ns
+        newest_ns = self._arrivals[-1] if self._arrivals else 0
+        if arrival_ns < newest_ns - _STEP_NS:  # the computer's clock was set back
+            self._arrivals, self._times = [], []
+            newest_ns = 0
+        self._arrivals.append(max(arrival_ns, newest_ns))
+        self._times.append(time_ns)
+        if len(self._arrivals) > 2 * _KEPT:
+            del self._arrivals[:-_KEPT], self._times[:-_KEPT]
 
     def at(self, arrival_ns: int) -> int:
         """Return the simulated time at a time of arrival [ns]; 0 before the first tick."""
-        ahead = (arrival_ns - self._arrival) * self._rate
-        return max(self._time + min(round(ahead), self._period), 0)
+        last = bisect_right(self._arrivals, arrival_ns) - 1
+        if last < 0:
+            return 0
+        if last + 1 < len(self._times) and self._times[last + 1] >= self._times[last]:
+            return self._between(last, arrival_ns)
+        if last == 0 or self._times[last] <= self._times[last - 1]:  # the rate is not known
+            return self._times[last]
+        return min(self._between(last - 1, arrival_ns),
+                   2 * self._times[last] - self._times[last - 1])
+
+    def _between(self, first: int, arrival_ns: int) -> int:
+        """Return the time on the line through a message and the next."""
+        elapsed = self._arrivals[first + 1] - self._arrivals[first]
+        passed = self._times[first + 1] - self._times[first]
+        # Those that came at the same nanosecond: the last of them counts.
+        since = arrival_ns - self._arrivals[first]
+        return self._times[first] + (since * passed // elapsed if elapsed else passed)

@@ -4,15 +4,12 @@ The subscriptions of the node, drained by a thread of their own.
 
 An executor spends 100 to 200 microseconds on each message; taking all that have come every few
 milliseconds costs a tenth of it. The subscriptions therefore belong to a second node that is in
-no executor. With `ingest.method: callbacks` they belong to the first one, and its executor
-calls back for every message; from there on all is the same.
+no executor.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-import itertools
 from threading import Event, Lock, Thread
 import time
 from typing import Any
@@ -26,6 +23,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 
 from ctsid_core.signals.record import Record
@@ -35,6 +33,7 @@ from ctsid_ros.ingest.feed import Feed, Taken
 from ctsid_ros.ingest.sim_clock import SimClock
 
 _AHEAD_NS = 500_000  # a message may be handed out so much later than it arrived
+_NO_NAME = '_NODE_NAME_UNKNOWN_'  # of rmw, for what is no node or has only just been discovered
 _TOO_MANY = 20_000  # messages of a topic taken at once: then it is the turn of the others
 RELIABILITY = {'best_effort': ReliabilityPolicy.BEST_EFFORT,
                'reliable': ReliabilityPolicy.RELIABLE}
@@ -71,7 +70,6 @@ class Intake:
         self._node, self._feed, self._deliver, self._clock = node, feed, deliver, clock
         self.lock = Lock()
         self.failure = ''
-        self._called: deque[Taken] = deque()  # by callbacks
         # `-r __node:=name` would rename it as well: hence no global arguments.
         self._own = rclpy.node.Node(
             f'{node.get_name()}_intake', namespace=node.get_namespace(), context=node.context,
@@ -82,11 +80,13 @@ class Intake:
             durability=DurabilityPolicy.VOLATILE)
         self._classes = dict(classes)
         self._names = {topic: node.resolve_topic_name(topic) for topic in classes}
-        self._by_callback = settings.ingest_method == 'callbacks'
-        self._subscriptions = {topic: self._subscribe(topic) for topic in classes}
+        self._subscriptions = {
+            topic: self._own.create_subscription(cls, self._names[topic], _not_called, self._qos,
+                                                 raw=True) for topic, cls in classes.items()}
         self._ticks = None if clock is None else self._own.create_subscription(
             Clock, '/clock', _not_called, QoSProfile(
                 depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
+        self._nameless: frozenset[bytes] = frozenset()  # publishers without a name of a node
         self._period = 1.0 / settings.ingest_rate
         self._stopping = Event()
         self._thread = Thread(target=self._run, name='intake', daemon=True)
@@ -98,9 +98,6 @@ class Intake:
         self._thread.join(timeout)
         if self._thread.is_alive():
             return False
-        if self._by_callback:
-            for subscription in self._subscriptions.values():
-                self._node.destroy_subscription(subscription)
         self._own.destroy_node()
         return True
 
@@ -109,7 +106,8 @@ class Intake:
         for topic, name in self._names.items():
             wanted = type_name(self._classes[topic])
             for end in self._node.get_publishers_info_by_topic(name):
-                who = f'the publisher `{end.node_namespace.rstrip("/")}/{end.node_name}` of {name}'
+                if (who := self._who(end, name)) is None:
+                    continue
                 if end.topic_type != wanted:
                     yield f'{who} sends {end.topic_type}, but `type` says {wanted}; correct it'
                     continue
@@ -118,16 +116,13 @@ class Intake:
                     yield (f'{who} is best effort, but `ingest.reliability` asks for reliable, '
                            'so its messages do not come; set it to best_effort')
 
-    def _subscribe(self, topic: str) -> Any:
-        if not self._by_callback:
-            return self._own.create_subscription(
-                self._classes[topic], self._names[topic], _not_called, self._qos, raw=True)
-
-        def called(raw: bytes, info: Mapping[str, Any]) -> None:
-            self._called.append(_taken(topic, raw, info))
-
-        return self._node.create_subscription(
-            self._classes[topic], topic, called, self._qos, raw=True)
+    def _who(self, end: TopicEndpointInfo, topic: str) -> str | None:
+        """Name a publisher; None if it is new and has no name, which may follow in a moment."""
+        if end.node_name != _NO_NAME:
+            return f'the publisher `{end.node_namespace.rstrip("/")}/{end.node_name}` of {topic}'
+        known, end_id = self._nameless, bytes(end.endpoint_gid)
+        self._nameless = known | {end_id}
+        return f'a publisher of {topic} that is no node' if end_id in known else None
 
     def _run(self) -> None:
         while not self._stopping.wait(self._period):
@@ -140,8 +135,8 @@ class Intake:
 
     def _turn(self) -> None:
         until_ns = time.time_ns() - _AHEAD_NS
-        self._tick()
-        batch = [*self._drain(), *self._from_callbacks()]
+        batch = list(self._drain())
+        self._tick()  # after the messages, whose times lie between those of the ticks around them
         with self.lock:
             for record in self._feed.take(batch, until_ns):
                 self._deliver(record)
@@ -155,8 +150,6 @@ class Intake:
             self._clock.tick(info['received_timestamp'], now.sec * 10**9 + now.nanosec)
 
     def _drain(self) -> Iterator[Taken]:
-        if self._by_callback:
-            return
         for topic, subscription in self._subscriptions.items():
             take, kind = subscription.handle.take_message, self._classes[topic]
             for _ in range(_TOO_MANY):
@@ -164,10 +157,6 @@ class Intake:
                 if taken is None:
                     break
                 yield _taken(topic, *taken)
-
-    def _from_callbacks(self) -> Iterator[Taken]:
-        for _ in itertools.repeat(None, len(self._called)):
-            yield self._called.popleft()
 
 
 def _taken(topic: str, raw: bytes, info: Mapping[str, Any]) -> Taken:
