@@ -26,6 +26,7 @@ from flights import (
     write_flight,
     write_params,
 )
+from marks import slow
 import numpy as np
 import pytest
 
@@ -42,6 +43,7 @@ from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
+PATIENCE = 300.0  # [s] for a process, on a machine that has much else to do
 FILES = ['estimates.csv', 'estimates.npz', 'model.json', 'report.html', 'report.md']
 
 
@@ -233,7 +235,8 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
 
 
 def test_study_prints_its_table(ctsid, tmp_path):
-    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--out', tmp_path)
+    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--jobs', '1', '--out',
+                           tmp_path)
     assert code == 0, err
     for method in ("paper's HD", 'ours', 'CT-PBSID'):
         assert len(re.findall(rf'dB +-\d.* {method} ', out)) == 8    # four SNRs, two poles
@@ -242,29 +245,29 @@ def test_study_prints_its_table(ctsid, tmp_path):
     assert ctsid('study', 'all', '--seeds', '0')[0] == 2
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures('interruptible')
 def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
     """A real process, a real Ctrl-C for it and all its children; no run is lost or run twice."""
-    words = [sys.executable, '-m', 'ctsid_ros.cli', 'study', 'hd-vs-ct', '--seeds', '60', '--out',
-             str(tmp_path)]
+    words = [sys.executable, '-m', 'ctsid_ros.cli', 'study', 'hd-vs-ct', '--seeds', '600',
+             '--out', str(tmp_path)]
     kept = tmp_path / 'runs.csv'
     study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                              start_new_session=True)
-    for _ in range(600):
+    while study.poll() is None and not (kept.exists() and kept.read_text().count('\n') > 20):
         time.sleep(0.1)
-        if kept.exists() and len(kept.read_text().splitlines()) > 20:
-            break
     os.killpg(study.pid, signal.SIGINT)
     time.sleep(0.1)
     with suppress(ProcessLookupError):
         os.killpg(study.pid, signal.SIGINT)              # impatience does not make it hang
-    _, err = study.communicate(timeout=60)
+    _, err = study.communicate(timeout=PATIENCE)
     assert study.returncode == 130
     assert err.strip().endswith('ctsid: interrupted')
     assert 'Traceback' not in err
     first = kept.read_text()
-    assert 20 < len(first.splitlines()) < 700
-    done = subprocess.run([*words, '--seeds', '3'], capture_output=True, text=True, timeout=120,
-                          check=True)
+    assert 20 < len(first.splitlines()) < 7000
+    done = subprocess.run([*words, '--seeds', '3'], capture_output=True, text=True,
+                          timeout=PATIENCE, check=True)
     assert '3 runs of each' in done.stdout
     assert kept.read_text().startswith(first[:first.rindex('\n')])
 
@@ -407,7 +410,7 @@ def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
         0, Path('params.yaml').read_text().replace('params.yaml', ''))
 
 
-@pytest.mark.parametrize('name', ['quadrotor_roll', 'quadrotor_roll.bag'])
+@pytest.mark.parametrize('name', ['quadrotor_roll', *slow('quadrotor_roll.bag')])
 def test_init_guesses_the_example_bag(ctsid, name):
     bag = ROOT / 'bags' / name
     assert ctsid('init', bag, '-o', 'params.yaml')[0] == 0
@@ -846,10 +849,19 @@ def test_a_bag_in_which_nothing_moves_cannot_be_guessed(refusal, ctsid, tmp_path
 # --- real processes
 
 
+@pytest.fixture
+def interruptible():
+    """Let processes started here mind Ctrl-C, even if these tests run where it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def environment() -> dict[str, str]:
     return os.environ | {'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1'}
 
 
+@pytest.mark.usefixtures('interruptible')
 def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.01'))
     process = subprocess.Popen(
@@ -861,7 +873,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
             if 'window' in line and 'no window' not in line:
                 break
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=PATIENCE)
     finally:
         process.kill()
     assert process.returncode == 130, err
@@ -873,6 +885,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     assert 'Models along the bag' in out
 
 
+@pytest.mark.usefixtures('interruptible')
 def test_interrupted_before_anything_was_found(shared, tmp_path):
     process = subprocess.Popen(
         [sys.executable, '-c', 'import signal, sys; from ctsid_ros.replay import replay; '
@@ -881,7 +894,7 @@ def test_interrupted_before_anything_was_found(shared, tmp_path):
          shared / 'bag', '--params', shared / 'params.yaml', '--out', tmp_path / 'res'],
         env=environment(), cwd=tmp_path, text=True, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert out == ''
     assert 'there are no results' in err
@@ -892,27 +905,25 @@ def test_results_on_stdout_messages_on_stderr(shared, tmp_path):
     done = subprocess.run(
         [sys.executable, '-m', 'ctsid_ros.cli', 'identify', shared / 'bag', '--json', '--out',
          tmp_path / 'res'], env=environment(), capture_output=True, text=True, check=False,
-        timeout=60)
+        timeout=PATIENCE)
     assert done.returncode == 0
     assert json.loads(done.stdout)['accepted']
     assert 'the channels are guessed' in done.stderr
 
 
 def test_a_reader_that_has_enough_is_no_error(shared):
-    started = time.monotonic()
     done = subprocess.run(
         f'{sys.executable} -m ctsid_ros.cli params --markdown | head -n 1', shell=True,
-        env=environment(), capture_output=True, text=True, check=False, timeout=60)
+        env=environment(), capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.stdout.count('\n') == 1
     assert done.stderr == ''
-    assert time.monotonic() - started < 30
 
 
 def test_a_terminal_without_unicode_gets_what_it_can_show(shared):
     done = subprocess.run(
         [sys.executable, '-m', 'ctsid_ros.cli', 'show', shared / 'truth.json'],
         env=environment() | {'PYTHONIOENCODING': 'ascii'}, capture_output=True, check=False,
-        timeout=60)
+        timeout=PATIENCE)
     assert (done.returncode, done.stderr) == (0, b'')
     assert b'-1.500 ? 3.000j' in done.stdout
 
@@ -923,13 +934,14 @@ def test_blas_has_one_thread_before_numpy_comes(tmp_path):
     clean = {k: v for k, v in environment().items() if not k.endswith('_NUM_THREADS')}
     for given, expected in (({}, '1 1'), ({'OMP_NUM_THREADS': '4'}, '1 4')):
         done = subprocess.run([sys.executable, '-c', code], env=clean | given,
-                              capture_output=True, text=True, check=True, timeout=60)
+                              capture_output=True, text=True, check=True, timeout=PATIENCE)
         assert done.stdout.split() == expected.split()
 
 
 # --- real recordings
 
 
+@pytest.mark.slow
 def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
     bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'
     code, out, err = ctsid('identify', bag, '--params', ROOT / 'config/cubs2_roll.yaml',
