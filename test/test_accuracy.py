@@ -36,8 +36,9 @@ def rmse(e) -> np.ndarray:
 
 
 def show(what, e) -> None:
+    deviation = np.std(e, axis=0, ddof=min(1, len(e) - 1))
     print(f'\n{what}, {len(e)} runs: RMSE {rmse(e).round(6)}, standard deviation '
-          f'{np.std(e, axis=0, ddof=min(1, len(e) - 1)).round(6)}, bias {np.abs(e.mean(axis=0)).round(6)}, '
+          f'{deviation.round(6)}, bias {np.abs(e.mean(axis=0)).round(6)}, '
           f'worst {np.abs(e).max():.2g}')
 
 
