@@ -260,8 +260,8 @@ def test_a_state_too_few_is_noticed(method):
 
 def test_several_records_and_dead_time_are_checked():
     plant = PLANTS['hd51']
-    records = [held(np.random.default_rng(seed), plant, 50.0, 100.0, delay=0.08, snr=30)
-               for seed in (1, 2)]
+    records = [held(np.random.default_rng(seed), plant, 50.0, 100.0, delay=0.08, snr=30,
+                    duration=5.0) for seed in (1, 2)]
     found = identify(records, Settings(cross_check='ct-pbsid'))
     assert found.model.delay[0] == pytest.approx(0.08, abs=0.002)
     assert found.good

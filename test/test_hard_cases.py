@@ -97,6 +97,7 @@ def shaken(rng, force):
                               input_hold='zoh')
 
 
+@pytest.mark.slow
 def test_process_noise_is_seen_and_its_deviation_is_honest():
     truth = np.array([-0.6 - 2.94j, -0.6 + 2.94j])
     ratio, seen = [], 0.0

@@ -237,7 +237,7 @@ def test_dead_time_set_by_hand():
     assert right.held_out_fit.min() > 99.9
     np.testing.assert_allclose(match(right.model.poles, p.poles), p.poles, atol=5e-3)
     assert simulation(right.model, late).fit.min() > 99.0
-    wrong = identify(late, Settings(delay=0.5, order=2))
+    wrong = identify(late, QUICK.replace(delay=0.5, order=2))
     assert wrong.fit.max() < right.fit.min() - 5.0
 
 

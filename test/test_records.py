@@ -139,7 +139,7 @@ def test_noise_free_records_give_the_plant(seed):
     p = PLANTS['hd52']
     records = [shifted(running(rng, p, rate=200.0, duration=t), a, b)
                for t, a, b in ((6.0, 1.0, 5.0), (3.0, -2.0, 0.0), (4.0, 0.0, -90.0))]
-    model = identify(records).model
+    model = identify(records, QUICK).model
     np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=1e-4)
     omega = np.geomspace(0.5, 30.0, 9)
     true = [p.C @ np.linalg.solve(1j * w * np.eye(3) - p.A, p.B) + p.D for w in omega]
@@ -151,7 +151,7 @@ def test_held_inputs_of_other_rates_without_noise():
     p = plant([[-3.0, 2.0], [-2.0, -3.0]], [[1.0], [2.0]], [[1.0, 1.0]])
     records = [held(rng, p, rate_u, rate_y, duration=t)
                for rate_u, rate_y, t in ((20.0, 200.0, 8.0), (50.0, 120.0, 4.0))]
-    model = identify(records).model
+    model = identify(records, QUICK).model
     np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=2e-3)
 
 
