@@ -7,6 +7,7 @@ Most run with a few seeds always, all with 100 if marked slow; `-s` prints the f
 
 from __future__ import annotations
 
+import marks
 import numpy as np
 from plants import PLANTS, asynchronous, flown, held, match, paper, running
 import pytest
@@ -62,7 +63,8 @@ def test_table_1_of_the_paper(snr, fast, slow, settings, seeds):
 
 @pytest.mark.parametrize('seeds', FEW)
 @pytest.mark.parametrize('hold', ['smooth', pytest.param('linear', marks=pytest.mark.slow)])
-@pytest.mark.parametrize(('snr', 'limit'), [(80, 0.0005), (50, 0.002), (20, 0.05)])
+@pytest.mark.parametrize(('snr', 'limit'), [
+    (20, 0.05), *marks.slow((80, 0.0005), (50, 0.002))])
 def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
     """Nothing is set by hand: order, basis and tuning are found from the data."""
     e = errors(lambda rng: running(rng, PLANTS['hd52'], snr, hold=hold), HD52, seeds)

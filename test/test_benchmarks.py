@@ -38,6 +38,7 @@ def run(script: str, *options: object) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_floor_prints_a_row_for_every_size_and_judges_the_aim():
     printed = run('floor.py', '--counts', 200, 2000, '--orders', 40, 250, '--rounds', 1)
     rows = [line.split() for line in printed.splitlines() if line[:1].isdigit()]

@@ -291,7 +291,7 @@ def test_signals_may_each_have_their_own_stamps():
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=5e-3)
 
 
-@pytest.mark.parametrize('parts', [2, 5])
+@pytest.mark.parametrize('parts', [2, *slow(5)])
 def test_a_long_record_may_be_divided(parts):
     """Parts with one model and each its own state at the ends cost no accuracy."""
     rng = np.random.default_rng(12)
@@ -385,7 +385,7 @@ def test_small_gaps_are_survived_and_noted():
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=0.1)
 
 
-@pytest.mark.parametrize('seed', [0, 1, *slow(*range(2, 8))])
+@pytest.mark.parametrize('seed', [0, *slow(*range(1, 8))])
 def test_pure_noise_is_not_explained(seed):
     rng = np.random.default_rng(seed)
     t = jittered(rng, 100.0)
@@ -456,9 +456,9 @@ def nasty(kind: str, rng) -> Record:
     return Record.from_arrays(t, u, t, y, input_hold='zoh')
 
 
-NASTY = ('output is twice there', 'one step', 'one spike', 'huge', 'tiny', 'blows up',
-         'random walk', 'two input samples', 'bursts')
-NASTY_TOO = ('output is the input', 'input is twice there', 'coarse steps', 'ramp', 'steady sine',
+NASTY = ('output is twice there', 'one step', 'huge', 'blows up', 'two input samples', 'bursts')
+NASTY_TOO = ('one spike', 'tiny', 'random walk',
+             'output is the input', 'input is twice there', 'coarse steps', 'ramp', 'steady sine',
              'more channels than sense', 'microseconds', 'years', 'noise in both')
 
 
@@ -482,10 +482,9 @@ def test_any_order_may_be_asked_for(record, order):
 
 
 @pytest.mark.parametrize('options', [
-    {'nmax': 1}, {'past': 50}, {'beta': 1e6}, {'gamma': 1e-3}, {'max_order': 1},
-    {'delay': 60.0}, *slow(
-        {'nmax': 8}, {'nmax': 1200}, {'past': 1}, {'beta': 1e-6}, {'edge_margin': 20.0},
-        {'rank_tolerance': 1e-2}, {'held_out': 0.5}, {'delay': 9.9})])
+    {'nmax': 1}, {'gamma': 1e-3}, {'max_order': 1}, {'delay': 60.0}, *slow(
+        {'past': 50}, {'beta': 1e6}, {'nmax': 8}, {'nmax': 1200}, {'past': 1}, {'beta': 1e-6},
+        {'edge_margin': 20.0}, {'rank_tolerance': 1e-2}, {'held_out': 0.5}, {'delay': 9.9})])
 def test_no_settings_raise(record, options):
     found = identify(record, Settings(order=2).replace(**options))
     assert isinstance(found.status, Status)
@@ -550,7 +549,7 @@ def test_asynchronous_data_need_no_common_stamps():
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=0.2)
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
 def test_a_model_whose_poles_are_not_known_is_not_trusted(seed):
     """A static gain has no pole: that of a first-order model of it is anywhere."""
     rng = np.random.default_rng(seed)

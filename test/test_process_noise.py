@@ -92,7 +92,7 @@ WINDOWS = [(301, 8.0, 4), *((seed, start, order) for order in (4, 0) for seed, s
     (301, 12.0), (308, 12.0), (310, 4.0), (303, 12.0), (304, 12.0)))]
 
 
-@pytest.mark.parametrize(('seed', 'start', 'order'), [*WINDOWS[:3], *slow(*WINDOWS[3:])])
+@pytest.mark.parametrize(('seed', 'start', 'order'), [WINDOWS[0], *slow(*WINDOWS[1:])])
 def test_gusts_are_told_from_dynamics(seed, start, order):
     estimate = identify(gusty(seed, start), QUICK.replace(order=order))
     assert estimate.ok

@@ -13,7 +13,7 @@ from ctsid_core.model.validation import prediction, simulation
 # Output samples as they are, or a quarter of them lost and the other stamps off by up to 5 % of
 # the period. Lost samples of a held input would be another input: those are kept.
 WAYS = [pytest.param('zoh', None, id='zoh, uniform'),
-        pytest.param('linear', 0, id='linear, lost and jittered'),
+        pytest.param('linear', 0, id='linear, lost and jittered', marks=pytest.mark.slow),
         pytest.param('zoh', 0, id='zoh, lost and jittered', marks=pytest.mark.slow),
         pytest.param('linear', None, id='linear, uniform', marks=pytest.mark.slow)]
 

@@ -115,7 +115,7 @@ def test_a_sensor_of_noise_only_among_good_ones_is_named(seed):
 
 
 @pytest.mark.parametrize(('seed', 'share'), [
-    (0, 0.1), (4, 0.85), *slow((1, 0.3), (2, 0.5), (3, 0.7))])
+    (4, 0.85), *slow((0, 0.1), (1, 0.3), (2, 0.5), (3, 0.7))])
 def test_a_sensor_that_sticks_halfway_is_named(seed, share):
     def stick(y):
         y[int(share * len(y)):, 1] = y[int(share * len(y)), 1]
@@ -192,7 +192,7 @@ def test_the_usual_experiments_consist_of_more_than_one_frequency(signal):
     assert judged(with_inputs(0, of, 1, n=2)).excitation[0].frequencies > 2.5
 
 
-@pytest.mark.parametrize('seed', [0, 3, *slow(1, 2, 4, 5)])
+@pytest.mark.parametrize('seed', [3, *slow(0, 1, 2, 4, 5)])
 def test_an_order_that_is_too_low_is_told(seed):
     """Or what it misses is less than the noise, and no data can tell."""
     rng = np.random.default_rng([22, seed])
@@ -255,7 +255,7 @@ def test_the_agreement_is_of_both_models():
 # Counted.
 
 
-@pytest.mark.parametrize('seed', [0, 5, 29, *slow(1, 4, 8, 9, 20, 50)])
+@pytest.mark.parametrize('seed', [0, 29, *slow(1, 4, 5, 8, 9, 20, 50)])
 def test_noise_is_rejected(seed):
     assert judged(nothing(seed)[1]).grade is Grade.REJECT
 
