@@ -254,8 +254,10 @@ def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
     kept = tmp_path / 'runs.csv'
     study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                              start_new_session=True)
-    while study.poll() is None and not (kept.exists() and kept.read_text().count('\n') > 20):
+    for _ in range(round(PATIENCE / 0.1)):
         time.sleep(0.1)
+        if study.poll() is not None or kept.exists() and kept.read_text().count('\n') > 20:
+            break
     os.killpg(study.pid, signal.SIGINT)
     time.sleep(0.1)
     with suppress(ProcessLookupError):
