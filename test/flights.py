@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from bag_fixtures import START, Sent, array, imu, write_rosbag2
@@ -34,6 +35,12 @@ S = 10**9
 
 def flight(duration: float = 20.0, noise: float = 0.02, seed: int = 1) -> list[Sent]:
     """Return /cmd at 20 Hz without header, held, and /imu at 100 Hz with one; log 2 ms late."""
+    return list(_flight(duration, noise, seed))
+
+
+@lru_cache
+def _flight(duration: float, noise: float, seed: int) -> tuple[Sent, ...]:
+    """Make a flight once; nobody changes its messages."""
     rng = np.random.default_rng(seed)
     t_u = np.arange(0.0, duration, 0.05) + rng.uniform(0, 0.01, int(np.ceil(duration / 0.05)))
     t_y = np.arange(0.0, duration, 0.01) + rng.uniform(0, 0.003, int(np.ceil(duration / 0.01)))
@@ -45,7 +52,7 @@ def flight(duration: float = 20.0, noise: float = 0.02, seed: int = 1) -> list[S
     for t, v in zip(t_y, y, strict=True):
         stamp = START + round(t * S)
         sent.append(Sent('/imu', 'sensor_msgs/msg/Imu', stamp + 2_000_000, imu(stamp, v)))
-    return sorted(sent, key=lambda s: s.log_ns)
+    return tuple(sorted(sent, key=lambda s: s.log_ns))
 
 
 def spoilt(topic: str, spoil: Callable[[int, Sent], Sent | None],

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, random_plant
 import pytest
@@ -120,7 +121,7 @@ def test_balanced_states_swap_where_aligned_ones_do_not():
     assert steps(lambda system: align(system, reference), path).max() < 0.05
 
 
-@pytest.mark.parametrize('name', ['integrators', 'flying', 'unstable'])
+@pytest.mark.parametrize('name', ['flying', *slow('integrators', 'unstable')])
 def test_plants_pass_from_stable_to_unstable_without_a_jump(name):
     system = MODELS[name]
     rate = 0.1 * np.abs(system.poles).max()

@@ -84,7 +84,7 @@ def test_permission():
         done = subprocess.run(
             [sys.executable, '-c', code, repr([str(Path(__file__).parent.parent), *sys.path]),
              str(int(bool(user))), str(path), str(locked), str(locked / 'b.mcap')],
-            capture_output=True, text=True, check=True, timeout=600)
+            capture_output=True, text=True, check=True, timeout=300)
         locked.chmod(0o755)
     lines = done.stdout.splitlines()
     assert len(lines) == 3

@@ -63,10 +63,14 @@ def read(path: Path):
             yield log_ns, connection.topic, reader.deserialize(raw, connection.msgtype)
 
 
+@pytest.fixture(scope='module')
+def made(maker, flight):
+    return content(maker.messages(flight, maker.get_typestore(maker.Stores.ROS2_JAZZY)))
+
+
 @pytest.mark.parametrize('name', NAMES)
-def test_bag_holds_what_the_script_makes(maker, flight, name):
-    store = maker.get_typestore(maker.Stores.ROS2_JAZZY)
-    made, stored = content(maker.messages(flight, store)), content(read(BAGS / name))
+def test_bag_holds_what_the_script_makes(maker, made, name):
+    stored = content(read(BAGS / name))
     assert set(made) == set(stored) == {'/imu', '/command/torque'}
     for topic, (stamps, values) in made.items():
         np.testing.assert_array_equal(stored[topic][0], stamps)

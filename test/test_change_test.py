@@ -7,6 +7,7 @@ from dataclasses import replace
 import doctest
 import importlib
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, Plant, flown, held, match, noisy, paper, random_signal, running
 import pytest
@@ -98,8 +99,9 @@ STEADY = {
 }
 
 
-@pytest.mark.parametrize('seeds', [2, pytest.param(30, marks=pytest.mark.slow)])
-@pytest.mark.parametrize('name', STEADY)
+@pytest.mark.parametrize(('name', 'seeds'), [
+    ('not at rest', 1), ('asynchronous, held', 1), ('from rest', 1), ('gusts', 1),
+    *slow(*((name, 30) for name in STEADY))])
 def test_a_steady_plant_is_not_called_changed(name, seeds):
     make, settings = STEADY[name]
     found = [identify(make(np.random.default_rng(100 + seed)), settings) for seed in range(seeds)]
@@ -109,8 +111,8 @@ def test_a_steady_plant_is_not_called_changed(name, seeds):
     assert np.median(p) > 1e-4
 
 
-@pytest.mark.parametrize('factor', [1.3, 0.7])
-@pytest.mark.parametrize('share', [0.3, 0.7])
+@pytest.mark.parametrize(('share', 'factor'), [
+    (0.3, 1.3), (0.7, 0.7), *slow((0.3, 0.7), (0.7, 1.3))])
 def test_a_change_is_seen_and_said(share, factor):
     p = PLANTS['hd51']
     record = changing(np.random.default_rng(5), p, faster(p, factor), share)

@@ -26,6 +26,7 @@ from flights import (
     write_flight,
     write_params,
 )
+from marks import slow
 import numpy as np
 import pytest
 
@@ -42,6 +43,7 @@ from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
+PATIENCE = 300.0  # [s] for a process, on a machine that has much else to do
 FILES = ['estimates.csv', 'estimates.npz', 'model.json', 'report.html', 'report.md']
 
 
@@ -121,7 +123,7 @@ def test_reports_tell_deviations_and_the_experiment_that_helps(ctsid, shared):
                          '--out', 'res')
     assert code == 0
     assert re.search(r'3\.3\d+ ± 0\.0\d+ .* 0\.4\d+ ± 0\.0\d+', out)    # frequency and damping
-    assert re.search(r'rate \[rad/s\] +[12]\.\d+ ± 0\.0\d+', out)        # DC gain
+    assert re.search(r'rate \[rad/s\] +[12]\.\d+ ± 0\.0\d+', out)        # steady gain
     assert 'Which experiment would help' not in out
     report = Path('res/report.md').read_text()
     assert 'Which experiment would help' in report
@@ -171,7 +173,7 @@ def test_replay_identifies_every_window_and_tests_it_on_unseen_data(ctsid, share
     assert (table['realisation'] == 1).all()
     with np.load('res/estimates.npz') as arrays:
         np.testing.assert_array_equal(arrays['fresh_fit_rate [%]'], table['fresh_fit_rate_'])
-    assert 'All 1 true poles and pairs are identified' in out
+    assert 'All 1 true poles and pairs are found' in out
     assert '-1.500 ± 3.000j' in out
     assert sorted(p.name for p in Path('res').iterdir()) == FILES
 
@@ -226,14 +228,15 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     code, out, _ = ctsid('show', shared / 'truth.json')
     assert code == 0
     assert '-1.500 ± 3.000j' in out
-    assert re.search(r'rate \[rad/s\] +2\.000\n', out)  # the DC gain
+    assert re.search(r'rate \[rad/s\] +2\.000\n', out)  # the steady gain
     response = json.loads(ctsid('show', shared / 'truth.json', '--json')[1])['frequency_response']
     expected = TRUTH.frequency_response(response['omega'])[:, 0, 0]
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
 
 
 def test_study_prints_its_table(ctsid, tmp_path):
-    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--out', tmp_path)
+    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--jobs', '1', '--out',
+                           tmp_path)
     assert code == 0, err
     for method in ("paper's HD", 'ours', 'CT-PBSID'):
         assert len(re.findall(rf'dB +-\d.* {method} ', out)) == 8    # four SNRs, two poles
@@ -242,29 +245,31 @@ def test_study_prints_its_table(ctsid, tmp_path):
     assert ctsid('study', 'all', '--seeds', '0')[0] == 2
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures('interruptible')
 def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
     """A real process, a real Ctrl-C for it and all its children; no run is lost or run twice."""
-    words = [sys.executable, '-m', 'ctsid_ros.cli', 'study', 'hd-vs-ct', '--seeds', '60', '--out',
-             str(tmp_path)]
+    words = [sys.executable, '-m', 'ctsid_ros.cli', 'study', 'hd-vs-ct', '--seeds', '600',
+             '--out', str(tmp_path)]
     kept = tmp_path / 'runs.csv'
     study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                              start_new_session=True)
-    for _ in range(6000):
+    for _ in range(round(PATIENCE / 0.1)):
         time.sleep(0.1)
-        if kept.exists() and len(kept.read_text().splitlines()) > 20:
+        if study.poll() is not None or kept.exists() and kept.read_text().count('\n') > 20:
             break
     os.killpg(study.pid, signal.SIGINT)
     time.sleep(0.1)
     with suppress(ProcessLookupError):
         os.killpg(study.pid, signal.SIGINT)              # impatience does not make it hang
-    _, err = study.communicate(timeout=600)
+    _, err = study.communicate(timeout=PATIENCE)
     assert study.returncode == 130
     assert err.strip().endswith('ctsid: interrupted')
     assert 'Traceback' not in err
     first = kept.read_text()
-    assert 20 < len(first.splitlines()) < 700
-    done = subprocess.run([*words, '--seeds', '3'], capture_output=True, text=True, timeout=600,
-                          check=True)
+    assert 20 < len(first.splitlines()) < 7000
+    done = subprocess.run([*words, '--seeds', '3'], capture_output=True, text=True,
+                          timeout=PATIENCE, check=True)
     assert '3 runs of each' in done.stdout
     assert kept.read_text().startswith(first[:first.rindex('\n')])
 
@@ -343,7 +348,7 @@ def test_advise_tells_what_is_missing(ctsid, shared):
     assert re.search(r'5 s more\s+of\s+torque\s+at', out)
     code, out, _ = ctsid(*words, '--wanted', '90')
     assert code == 0
-    assert 'no further data are needed' in ' '.join(out.split())
+    assert 'nothing is missing' in out
     code, out, _ = ctsid(*words, '--json')
     document = json.loads(out)
     assert document['verb'] == 'advise'
@@ -407,7 +412,7 @@ def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
         0, Path('params.yaml').read_text().replace('params.yaml', ''))
 
 
-@pytest.mark.parametrize('name', ['quadrotor_roll', 'quadrotor_roll.bag'])
+@pytest.mark.parametrize('name', ['quadrotor_roll', *slow('quadrotor_roll.bag')])
 def test_init_guesses_the_example_bag(ctsid, name):
     bag = ROOT / 'bags' / name
     assert ctsid('init', bag, '-o', 'params.yaml')[0] == 0
@@ -846,10 +851,19 @@ def test_a_bag_in_which_nothing_moves_cannot_be_guessed(refusal, ctsid, tmp_path
 # --- real processes
 
 
+@pytest.fixture
+def interruptible():
+    """Let processes started here mind Ctrl-C, even if these tests run where it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def environment() -> dict[str, str]:
     return os.environ | {'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1'}
 
 
+@pytest.mark.usefixtures('interruptible')
 def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.01'))
     process = subprocess.Popen(
@@ -861,7 +875,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
             if 'window' in line and 'no window' not in line:
                 break
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=600)
+        out, err = process.communicate(timeout=PATIENCE)
     finally:
         process.kill()
     assert process.returncode == 130, err
@@ -873,6 +887,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     assert 'Models along the bag' in out
 
 
+@pytest.mark.usefixtures('interruptible')
 def test_interrupted_before_anything_was_found(shared, tmp_path):
     process = subprocess.Popen(
         [sys.executable, '-c', 'import signal, sys; from ctsid_ros.replay import replay; '
@@ -881,7 +896,7 @@ def test_interrupted_before_anything_was_found(shared, tmp_path):
          shared / 'bag', '--params', shared / 'params.yaml', '--out', tmp_path / 'res'],
         env=environment(), cwd=tmp_path, text=True, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE)
-    out, err = process.communicate(timeout=600)
+    out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert out == ''
     assert 'there are no results' in err
@@ -892,7 +907,7 @@ def test_results_on_stdout_messages_on_stderr(shared, tmp_path):
     done = subprocess.run(
         [sys.executable, '-m', 'ctsid_ros.cli', 'identify', shared / 'bag', '--json', '--out',
          tmp_path / 'res'], env=environment(), capture_output=True, text=True, check=False,
-        timeout=600)
+        timeout=PATIENCE)
     assert done.returncode == 0
     assert json.loads(done.stdout)['accepted']
     assert 'the channels are guessed' in done.stderr
@@ -901,7 +916,7 @@ def test_results_on_stdout_messages_on_stderr(shared, tmp_path):
 def test_a_reader_that_has_enough_is_no_error(shared):
     done = subprocess.run(
         f'{sys.executable} -m ctsid_ros.cli params --markdown | head -n 1', shell=True,
-        env=environment(), capture_output=True, text=True, check=False, timeout=600)
+        env=environment(), capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.stdout.count('\n') == 1
     assert done.stderr == ''
 
@@ -910,7 +925,7 @@ def test_a_terminal_without_unicode_gets_what_it_can_show(shared):
     done = subprocess.run(
         [sys.executable, '-m', 'ctsid_ros.cli', 'show', shared / 'truth.json'],
         env=environment() | {'PYTHONIOENCODING': 'ascii'}, capture_output=True, check=False,
-        timeout=600)
+        timeout=PATIENCE)
     assert (done.returncode, done.stderr) == (0, b'')
     assert b'-1.500 ? 3.000j' in done.stdout
 
@@ -921,13 +936,14 @@ def test_blas_has_one_thread_before_numpy_comes(tmp_path):
     clean = {k: v for k, v in environment().items() if not k.endswith('_NUM_THREADS')}
     for given, expected in (({}, '1 1'), ({'OMP_NUM_THREADS': '4'}, '1 4')):
         done = subprocess.run([sys.executable, '-c', code], env=clean | given,
-                              capture_output=True, text=True, check=True, timeout=600)
+                              capture_output=True, text=True, check=True, timeout=PATIENCE)
         assert done.stdout.split() == expected.split()
 
 
 # --- real recordings
 
 
+@pytest.mark.slow
 def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
     bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'
     code, out, err = ctsid('identify', bag, '--params', ROOT / 'config/cubs2_roll.yaml',

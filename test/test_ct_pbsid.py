@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 import plants
 import pytest
@@ -21,7 +22,7 @@ from ctsid_ros.studies.laguerre_filters import FILTERS
 from ctsid_ros.studies.monte_carlo import outcome, summary
 
 WAYS = ('projections', 'filters')
-BOTH = pytest.mark.parametrize('method', WAYS, indirect=True)
+BOTH = pytest.mark.parametrize('method', ['projections', *slow('filters')], indirect=True)
 OMEGA = np.geomspace(0.3, 30.0, 40)
 
 
@@ -92,8 +93,9 @@ def test_the_coefficients_obey_the_discrete_model(direction):
         x = m.A @ x + m.B @ u[k]
 
 
-@BOTH
-@pytest.mark.parametrize('name', ['hd51', 'hd52'])
+@pytest.mark.parametrize(('method', 'name'), [
+    ('projections', 'hd51'), ('projections', 'hd52'), ('filters', 'hd51'),
+    *slow(('filters', 'hd52'))], indirect=['method'])
 def test_exact_without_noise_in_a_window_of_a_running_plant(method, name):
     p = plants.PLANTS[name]
     record = plants.running(np.random.default_rng(5), p)

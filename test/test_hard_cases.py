@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plants and records on which a plausible method goes wrong without a word."""
 
+from marks import slow
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -97,6 +98,7 @@ def shaken(rng, force):
                               input_hold='zoh')
 
 
+@pytest.mark.slow
 def test_process_noise_is_seen_and_its_deviation_is_honest():
     truth = np.array([-0.6 - 2.94j, -0.6 + 2.94j])
     ratio, seen = [], 0.0
@@ -110,7 +112,7 @@ def test_process_noise_is_seen_and_its_deviation_is_honest():
     assert 0.5 < np.sqrt(np.mean(np.square(ratio))) < 1.8
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
 def test_an_oscillation_that_inputs_do_not_cause_is_not_explained(seed):
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 10.0, 0.01)

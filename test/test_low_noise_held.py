@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from itertools import product
+
+from marks import slow
 import numpy as np
 from plants import (
     PLANTS,
@@ -58,13 +61,16 @@ def errors(found, p: Plant):
     return off / np.abs(p.poles), off / found.pole_std[order]
 
 
-@pytest.mark.parametrize('snr', [pytest.param(60.0, marks=pytest.mark.slow), 90.0,
-                                 pytest.param(120.0, marks=pytest.mark.slow), None])
-@pytest.mark.parametrize('rates', RATES)
-@pytest.mark.parametrize('hold', ['zoh', 'linear'])
-@pytest.mark.parametrize('p', [FIRST, SECOND, pytest.param(MANY, marks=pytest.mark.slow)],
-                         ids=['degree 1', 'degree 2', '2 x 2'])
-def test_order_and_poles_to_the_noise(p, hold, rates, snr):
+SYSTEMS = {'degree 1': FIRST, 'degree 2': SECOND, '2 x 2': MANY}
+QUICK = [('degree 1', 'zoh', 'input slower', None), ('degree 2', 'linear', 'input faster', None),
+         ('degree 1', 'linear', 'same stamps', 90.0), ('degree 2', 'zoh', 'input slower', 90.0)]
+
+
+@pytest.mark.parametrize(('name', 'hold', 'rates', 'snr'), [*QUICK, *slow(*(
+    case for case in product(SYSTEMS, ('zoh', 'linear'), RATES, (60.0, 90.0, 120.0, None))
+    if case not in QUICK))])
+def test_order_and_poles_to_the_noise(name, hold, rates, snr):
+    p = SYSTEMS[name]
     found = identify(driven(p, hold, rates, snr), Settings(delay=0.0))
     assert found.ok
     assert found.model.n == len(p.poles)
@@ -76,8 +82,10 @@ def test_order_and_poles_to_the_noise(p, hold, rates, snr):
         assert relative.max() < 10.0 ** (-snr / 20.0)
 
 
-@pytest.mark.parametrize('hold', ['zoh', 'linear'])
-@pytest.mark.parametrize('rates', RATES)
+@pytest.mark.parametrize(('rates', 'hold'), [
+    ('same stamps', 'zoh'), ('input slower', 'linear'), *slow(
+        ('same stamps', 'linear'), ('input slower', 'zoh'), ('input faster', 'zoh'),
+        ('input faster', 'linear'))])
 def test_feedthrough_and_moderate_noise(hold, rates):
     p = PLANTS['hd52']
     found = identify(driven(p, hold, rates, 40.0), Settings(delay=0.0))
@@ -88,17 +96,18 @@ def test_feedthrough_and_moderate_noise(hold, rates):
     assert relative.max() < 3e-3
 
 
+@pytest.mark.slow
 def test_deviation_is_what_is_seen():
     z = [errors(identify(driven(FIRST, 'zoh', 'same stamps', 40.0, seed, duration=5.0),
                          Settings(delay=0.0, order=2)), FIRST)[1] for seed in range(10)]
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.6
 
 
-@pytest.mark.parametrize('order', [0, 4])
-def test_printed_example(order):
+@pytest.mark.parametrize(('order', 'seeds'), [(0, 1), *slow((0, 3), (4, 3))])
+def test_printed_example(order, seeds):
     """Of [TM] section V, in which a spline through the outputs loses the slow poles."""
     truth = study.response(study.plant())
-    for seed in range(3):
+    for seed in range(seeds):
         found = identify(study.example(seed), Settings(order=order, delay=0.0))
         assert found.model.n == 4
         assert study.relative(np.abs(study.response(found.model) - truth)[np.newaxis])[0] < 1e-4
@@ -117,7 +126,8 @@ def bouncing(seed: int, rate: float) -> Record:
     return Record.from_arrays(np.arange(301) / 50.0, u, t, y, input_hold='zoh')
 
 
-@pytest.mark.parametrize(('seed', 'rate'), [(0, 100.0), (1, 100.0), (1, 200.0), (7, 200.0)])
+@pytest.mark.parametrize(('seed', 'rate'), [
+    (1, 100.0), *slow((0, 100.0), (1, 200.0), (7, 200.0))])
 def test_bends_that_do_not_settle_are_given_up(seed, rate, monkeypatch):
     """No response of a linear model is what bends this output; models on the way may explode."""
     passes, bent = [], bending._bent

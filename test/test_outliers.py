@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, asynchronous, held, held_response, match, noisy, paper, random_plant
 import pytest
@@ -18,7 +19,7 @@ def uneven(rng, count: int, rate: float = 200.0):
     return (np.arange(count) + 0.45 * rng.uniform(-1, 1, count)) / rate
 
 
-def slow(t):
+def calm(t):
     return np.column_stack((np.sin(9.0 * t) + 0.4 * np.sin(21.0 * t), np.cos(3.0 * t)))
 
 
@@ -60,8 +61,9 @@ HONEST = {
 
 @pytest.mark.parametrize('name', HONEST)
 @pytest.mark.parametrize('closely', [False, True])
-def test_honest_motions_are_not_corrupt(name, closely):
-    for seed in range(3):
+@pytest.mark.parametrize('seeds', [1, *slow(10)])
+def test_honest_motions_are_not_corrupt(name, closely, seeds):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         t = uneven(rng, 2000)
         assert not spikes(t, HONEST[name](rng, t)[:, np.newaxis], closely=closely).any
@@ -72,7 +74,7 @@ def test_honest_motions_are_not_corrupt(name, closely):
 def test_spikes_and_bursts_are_found_and_bridged(size, length):
     rng = np.random.default_rng(length)
     t = uneven(rng, 2000)
-    clean = slow(t) + 0.01 * rng.standard_normal((2000, 2))
+    clean = calm(t) + 0.01 * rng.standard_normal((2000, 2))
     values, where = clean.copy(), np.zeros((2000, 2), dtype=bool)
     for first in range(40, 1900, 100):
         where[first:first + length, 0] = True
@@ -80,7 +82,7 @@ def test_spikes_and_bursts_are_found_and_bridged(size, length):
     found = spikes(t, values)
     np.testing.assert_array_equal(found.mask, where)
     np.testing.assert_array_equal(found.instead[~where], clean[~where])
-    assert np.std((found.instead - slow(t))[where]) < 0.02
+    assert np.std((found.instead - calm(t))[where]) < 0.02
 
 
 def test_an_output_that_follows_pulses_is_honest():
@@ -108,8 +110,10 @@ EXPERIMENTS = {
 SNR = {'little noise': 40}
 
 
-@pytest.mark.parametrize('length', [1, 5])
-@pytest.mark.parametrize('name', EXPERIMENTS)
+@pytest.mark.parametrize(('name', 'length'), [
+    ('from rest', 5), ('several inputs', 1), *slow(
+        ('from rest', 1), ('little noise', 1), ('little noise', 5), ('asynchronous', 1),
+        ('asynchronous', 5), ('several inputs', 5))])
 def test_corrupt_samples_do_not_move_the_estimate(name, length):
     rng = np.random.default_rng(3)
     record = EXPERIMENTS[name](rng)
@@ -128,21 +132,27 @@ def test_corrupt_samples_do_not_move_the_estimate(name, length):
         assert after.statistics[f'corrupt_samples.{output}'] >= 1
 
 
-def test_a_clean_record_is_used_as_it_is():
-    record = held(np.random.default_rng(1), PLANTS['hd52'], 50.0, 200.0, snr=30)
-    part = usable(record, Settings(trim=False))
-    assert part.record.outputs[0] is record.outputs[0]
-    estimate = identify(record, Settings(trim=False))
-    again, gain = part.cleaned(estimate.model)
+@pytest.fixture(scope='module')
+def clean() -> Record:
+    return held(np.random.default_rng(1), PLANTS['hd52'], 50.0, 200.0, snr=30)
+
+
+@pytest.fixture(scope='module')
+def model(clean):
+    return identify(clean, Settings(trim=False)).model
+
+
+def test_a_clean_record_is_used_as_it_is(clean, model):
+    part = usable(clean, Settings(trim=False))
+    assert part.record.outputs[0] is clean.outputs[0]
+    again, gain = part.cleaned(model)
     assert again is part
     assert gain == 1.0
 
 
-def test_what_a_model_explains_is_put_back():
+def test_what_a_model_explains_is_put_back(clean, model):
     """A sample that seemed corrupt, and is what the inputs make of it, is used after all."""
-    record = held(np.random.default_rng(1), PLANTS['hd52'], 50.0, 200.0, snr=30)
-    part = usable(record, Settings(trim=False))
-    model = identify(record, Settings(trim=False)).model
+    part = usable(clean, Settings(trim=False))
     found = part.corrupt_y[0]
     mask, instead = found.mask.copy(), found.instead.copy()
     mask[500, 0], instead[500, 0] = True, instead[500, 0] + 10.0 * np.std(instead[:, 0])
@@ -150,7 +160,7 @@ def test_what_a_model_explains_is_put_back():
     right, gain = wrong.cleaned(model)
     assert not right.corrupt_y[0].any
     assert gain == np.inf
-    np.testing.assert_array_equal(right.record.outputs[0].values, record.outputs[0].values)
+    np.testing.assert_array_equal(right.record.outputs[0].values, clean.outputs[0].values)
 
 
 def test_many_far_samples_are_not_a_few_corrupt_ones():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -11,7 +12,10 @@ from ctsid_core.model.validation import prediction, simulation
 
 # Output samples as they are, or a quarter of them lost and the other stamps off by up to 5 % of
 # the period. Lost samples of a held input would be another input: those are kept.
-SAMPLING = [pytest.param(None, id='uniform'), pytest.param(0, id='lost and jittered')]
+WAYS = [pytest.param('zoh', None, id='zoh, uniform'),
+        pytest.param('linear', 0, id='linear, lost and jittered', marks=pytest.mark.slow),
+        pytest.param('zoh', 0, id='zoh, lost and jittered', marks=pytest.mark.slow),
+        pytest.param('linear', None, id='linear, uniform', marks=pytest.mark.slow)]
 
 
 def halves(folder, name: str, period: float, hold: str, seed) -> tuple[Record, Record]:
@@ -35,8 +39,7 @@ def check(model, record) -> float:
     return fit
 
 
-@pytest.mark.parametrize('seed', SAMPLING)
-@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+@pytest.mark.parametrize(('hold', 'seed'), WAYS)
 def test_dryer(data_folder, hold, seed):
     """Two to three samples of dead time; a plain discrete PBSID of order 4 reaches 86 %."""
     first, second = halves(data_folder, 'dryer', 0.08, hold, seed)
@@ -45,8 +48,7 @@ def test_dryer(data_folder, hold, seed):
     assert check(estimate.model, second) >= 88.0
 
 
-@pytest.mark.parametrize('seed', SAMPLING)
-@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+@pytest.mark.parametrize(('hold', 'seed'), WAYS)
 def test_robot_arm(data_folder, hold, seed):
     """A plain discrete PBSID needs order 6 for 97 % and reaches 23 % with order 4."""
     first, second = halves(data_folder, 'robot_arm', 0.01, hold, seed)
@@ -59,10 +61,9 @@ def test_robot_arm(data_folder, hold, seed):
                                np.sort(estimate.model.natural_frequency), rtol=3e-3)
 
 
-@pytest.mark.parametrize(('seed', 'least'), [
-    pytest.param(None, 97.0, id='uniform'), pytest.param(0, 96.0, id='lost and jittered'),
-    pytest.param(1, 95.5, id='lost and jittered otherwise', marks=pytest.mark.slow)])
-@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+@pytest.mark.parametrize(('hold', 'seed', 'least'), [
+    ('linear', 0, 96.0), *slow(('zoh', None, 97.0), ('linear', None, 97.0), ('zoh', 0, 96.0),
+                               ('zoh', 1, 95.5), ('linear', 1, 95.5))])
 def test_robot_arm_with_nothing_set(data_folder, hold, seed, least):
     """Where samples are lost, interpolation would distort its second mode by a tenth and more."""
     first, second = halves(data_folder, 'robot_arm', 0.01, hold, seed)
@@ -89,9 +90,8 @@ def test_evaporator_five_steps_ahead(data_folder):
     assert (power <= [0.24, 0.39, 0.14]).all()
 
 
-@pytest.mark.parametrize('seed', SAMPLING)
-@pytest.mark.parametrize('hold', ['zoh', 'linear'])
-@pytest.mark.parametrize('order', [0, 2])
+@pytest.mark.parametrize(('hold', 'seed'), WAYS)
+@pytest.mark.parametrize('order', [0, *slow(2)])
 def test_ball_on_beam(data_folder, order, hold, seed):
     """Unstable, recorded in closed loop: simulation diverges, prediction does not."""
     first, second = halves(data_folder, 'ballbeam', 0.1, hold, seed)
@@ -136,8 +136,8 @@ def test_a_walking_leg_is_not_explained(data_folder, joints, leg):
     assert estimate.model is None
 
 
-@pytest.mark.parametrize('joint', [8, *(pytest.param(k, marks=pytest.mark.slow)
-                                        for k in range(12) if k != 8)])
+@pytest.mark.slow
+@pytest.mark.parametrize('joint', range(12))
 def test_a_walking_joint_is_not_explained(data_folder, joints, joint):
     """Of joint 9, which stands still in the part held out, that is not known: it is WEAK."""
     estimate = identify(joints(data_folder, [joint]))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bounds import Experiment, pole_bound
+from marks import slow
 import numpy as np
 from plants import PLANTS, held, match, plant, random_signal, running
 import pytest
@@ -64,6 +65,11 @@ def halves(whole) -> list[Record]:
 
 
 @pytest.fixture(scope='module')
+def one(whole):
+    return identify(whole)
+
+
+@pytest.fixture(scope='module')
 def both(halves):
     return identify(halves)
 
@@ -71,9 +77,9 @@ def both(halves):
 # Laws.
 
 
-@pytest.mark.parametrize('kind', [list, tuple])
-def test_a_list_of_one_record_is_that_record(whole, kind):
-    one, other = identify(whole), identify(kind([whole]))
+@pytest.mark.parametrize('kind', [list, *slow(tuple)])
+def test_a_list_of_one_record_is_that_record(whole, one, kind):
+    other = identify(kind([whole]))
     for name in MATRICES:
         assert getattr(one.model, name).tobytes() == getattr(other.model, name).tobytes()
     assert one.pole_std.tobytes() == other.pole_std.tobytes()
@@ -82,8 +88,7 @@ def test_a_list_of_one_record_is_that_record(whole, kind):
     assert other.records == ()
 
 
-def test_two_halves_tell_nearly_as_much_as_the_whole(whole, both):
-    one = identify(whole)
+def test_two_halves_tell_nearly_as_much_as_the_whole(one, both):
     assert both.ok
     assert both.model.n == one.model.n == 3
     np.testing.assert_allclose(match(both.model.poles, one.model.poles), one.model.poles,
@@ -129,13 +134,13 @@ def test_the_trim_of_the_model_is_that_of_the_record_that_ends_last(halves):
             np.testing.assert_allclose(level / size, wanted / size, atol=0.1)
 
 
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', [0, *slow(1)])
 def test_noise_free_records_give_the_plant(seed):
     rng = np.random.default_rng(seed)
     p = PLANTS['hd52']
     records = [shifted(running(rng, p, rate=200.0, duration=t), a, b)
                for t, a, b in ((6.0, 1.0, 5.0), (3.0, -2.0, 0.0), (4.0, 0.0, -90.0))]
-    model = identify(records).model
+    model = identify(records, QUICK).model
     np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=1e-4)
     omega = np.geomspace(0.5, 30.0, 9)
     true = [p.C @ np.linalg.solve(1j * w * np.eye(3) - p.A, p.B) + p.D for w in omega]
@@ -147,7 +152,7 @@ def test_held_inputs_of_other_rates_without_noise():
     p = plant([[-3.0, 2.0], [-2.0, -3.0]], [[1.0], [2.0]], [[1.0, 1.0]])
     records = [held(rng, p, rate_u, rate_y, duration=t)
                for rate_u, rate_y, t in ((20.0, 200.0, 8.0), (50.0, 120.0, 4.0))]
-    model = identify(records).model
+    model = identify(records, QUICK).model
     np.testing.assert_allclose(match(model.poles, p.poles), p.poles, rtol=2e-3)
 
 
@@ -289,7 +294,8 @@ def test_records_are_kept_in_the_file(both, tmp_path):
 # Not one plant.
 
 
-@pytest.mark.parametrize(('change', 'place'), [((1.3, 1.0), 0), ((1.0, 1.5), 2), ((1.0, -1.0), 1)])
+@pytest.mark.parametrize(('change', 'place'), [
+    ((1.3, 1.0), 0), *slow(((1.0, 1.5), 2), ((1.0, -1.0), 1))])
 def test_a_record_of_another_plant_is_named(change, place):
     p, rng = PLANTS['hd51'], np.random.default_rng(8)
     other = plant(change[0] * p.A, change[0] * change[1] * p.B, p.C)

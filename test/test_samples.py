@@ -145,6 +145,7 @@ def check_bursty(seeds: int, low: float, high: float) -> None:
     assert (rms > low).all(), rms
 
 
+@pytest.mark.slow
 def test_bursty_outputs_are_estimated_as_well_as_can_be():
     """A mean of 6 squares of unit normal variables lies below 3.4 in all but 0.25 %."""
     check_bursty(6, 0.25, 1.85)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -127,9 +128,8 @@ def test_uneven_or_separate_stamps_are_left_alone():
     assert uniform_samples(Record.from_arrays(t, u, uneven, y)) is None
 
 
-@pytest.mark.parametrize('seeds', [
-    pytest.param(2, id='few'), pytest.param(40, id='40', marks=pytest.mark.slow)])
-@pytest.mark.parametrize(('q', 'bound'), [(0.2, (0.068, 0.082)), (1.0, (0.32, 0.38))])
+@pytest.mark.parametrize(('q', 'bound', 'seeds'), [
+    (0.2, (0.068, 0.082), 1), *slow((0.2, (0.068, 0.082), 40), (1.0, (0.32, 0.38), 40))])
 def test_unstable_plant_with_process_noise(q, bound, seeds):
     """Nothing set but that there is no feedthrough; see docs/accuracy.md for the bound."""
     errors = []

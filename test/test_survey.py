@@ -18,7 +18,7 @@ from bag_fixtures import (
     vector,
     write_mcap,
 )
-from flights import S, flight, spoilt
+from flights import S, at, flight, spoilt, stamp_of
 import numpy as np
 import pytest
 import yaml
@@ -190,8 +190,9 @@ def test_what_looks_like_noise_is_not_an_output(tmp_path):
     rng = np.random.default_rng(0)
 
     def noisy(_: int, one: Sent) -> Sent:
-        one.message.angular_velocity.y = rng.standard_normal()
-        return one
+        changed = at(one, stamp_of(one))  # a message of its own: flights share theirs
+        changed.message.angular_velocity.y = rng.standard_normal()
+        return changed
 
     found = guessed(write_mcap(tmp_path / 'bag.mcap', spoilt('/imu', noisy, flight(10.0))))
     assert fields(found, 'output') == [('/imu', 'angular_velocity.x')]

@@ -101,7 +101,8 @@ def test_response_is_that_of_the_differential_equation(name, hold):
             now = sum(u[j, k] * t ** j / max(1, np.prod(np.arange(1, j + 1)))
                       for j in range(len(u)))
             return (basis.L @ x.reshape(-1, 2) + np.outer(basis.b, now)).ravel()
-        state = solve_ivp(slope, (0.0, h), state, rtol=1e-10, atol=1e-11).y[:, -1]
+        state = solve_ivp(slope, (0.0, h), state, method='DOP853', rtol=1e-10,
+                          atol=1e-11).y[:, -1]
         np.testing.assert_allclose(w[k + 1].ravel(), state, rtol=1e-6, atol=1e-7)
 
 

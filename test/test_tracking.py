@@ -74,9 +74,13 @@ def tracked(steady) -> list[Tracked]:
     return run(steady)
 
 
-def test_estimates_are_those_of_identify_in_other_states(steady, tracked):
-    for record, found in zip(steady, tracked, strict=True):
-        plain = identify(record, SETTINGS)
+@pytest.fixture(scope='module')
+def alone(steady) -> list[Estimate]:
+    return [identify(record, SETTINGS) for record in steady]
+
+
+def test_estimates_are_those_of_identify_in_other_states(alone, tracked):
+    for plain, found in zip(alone, tracked, strict=True):
         for f in fields(Estimate):
             if f.name not in ('model', 'pole_std', 'verdict', 'covariance'):
                 assert same_value(getattr(found.estimate, f.name), getattr(plain, f.name)), f.name
@@ -89,9 +93,9 @@ def test_estimates_are_those_of_identify_in_other_states(steady, tracked):
         np.testing.assert_allclose(found.estimate.pole_std, plain.pole_std, rtol=1e-9)
 
 
-def test_the_covariance_follows_the_states(steady, tracked):
-    for record, found in zip(steady, tracked, strict=True):
-        plain, moved = identify(record, SETTINGS), found.estimate
+def test_the_covariance_follows_the_states(alone, tracked):
+    for plain, found in zip(alone, tracked, strict=True):
+        moved = found.estimate
         for name in ('natural_frequency_std', 'damping_std', 'dc_gain_std', 'pole_covariance'):
             np.testing.assert_allclose(getattr(moved, name), getattr(plain, name), rtol=1e-7,
                                        atol=1e-12)
@@ -202,7 +206,7 @@ def changing(at: float, duration: float) -> Record:
 
 def test_once_a_change_is_known_no_window_that_straddles_it_is_accepted():
     whole, at = changing(12.0, 26.0), 12.0
-    starts = [1.0, *np.arange(5.0, 14.0), 14.0, 15.0]
+    starts = [1.0, 6.0, 8.0, 10.0, 11.0, 13.0, 14.0, 15.0]
     records = [whole.between(float(start), float(start) + 8.0) for start in starts]
     found = [t.estimate for t in run(records)]
     names = [e.status.name for e in found]
