@@ -123,7 +123,7 @@ def test_reports_tell_deviations_and_the_experiment_that_helps(ctsid, shared):
                          '--out', 'res')
     assert code == 0
     assert re.search(r'3\.3\d+ ± 0\.0\d+ .* 0\.4\d+ ± 0\.0\d+', out)    # frequency and damping
-    assert re.search(r'rate \[rad/s\] +[12]\.\d+ ± 0\.0\d+', out)        # steady gain
+    assert re.search(r'rate \[rad/s\] +[12]\.\d+ ± 0\.0\d+', out)        # DC gain
     assert 'Which experiment would help' not in out
     report = Path('res/report.md').read_text()
     assert 'Which experiment would help' in report
@@ -173,7 +173,7 @@ def test_replay_identifies_every_window_and_tests_it_on_unseen_data(ctsid, share
     assert (table['realisation'] == 1).all()
     with np.load('res/estimates.npz') as arrays:
         np.testing.assert_array_equal(arrays['fresh_fit_rate [%]'], table['fresh_fit_rate_'])
-    assert 'All 1 true poles and pairs are found' in out
+    assert 'All 1 true poles and pairs are identified' in out
     assert '-1.500 ± 3.000j' in out
     assert sorted(p.name for p in Path('res').iterdir()) == FILES
 
@@ -228,7 +228,7 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     code, out, _ = ctsid('show', shared / 'truth.json')
     assert code == 0
     assert '-1.500 ± 3.000j' in out
-    assert re.search(r'rate \[rad/s\] +2\.000\n', out)  # the steady gain
+    assert re.search(r'rate \[rad/s\] +2\.000\n', out)  # the DC gain
     response = json.loads(ctsid('show', shared / 'truth.json', '--json')[1])['frequency_response']
     expected = TRUTH.frequency_response(response['omega'])[:, 0, 0]
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
@@ -348,7 +348,7 @@ def test_advise_tells_what_is_missing(ctsid, shared):
     assert re.search(r'5 s more\s+of\s+torque\s+at', out)
     code, out, _ = ctsid(*words, '--wanted', '90')
     assert code == 0
-    assert 'nothing is missing' in out
+    assert 'no further data are needed' in ' '.join(out.split())
     code, out, _ = ctsid(*words, '--json')
     document = json.loads(out)
     assert document['verb'] == 'advise'
