@@ -152,6 +152,17 @@ def test_what_arrived_after_now_waits_for_what_may_still_come_from_before():
     assert samples['u'].samples.late == 0
 
 
+def test_a_computer_that_stalls_while_messages_are_handed_out_mixes_nothing_up():
+    config = replace(CONFIG, settings=CONFIG.settings.replace(window_max_delay=0.0))
+    messages = [Taken(EPOCH + k * 100 * MS, '/rate', rate(EPOCH + k * 100 * MS, 0.5))
+                for k in range(1, 50)]
+    feed = Feed(config, TYPES, lambda _: 1)
+    feed.take(messages, EPOCH, EPOCH + 5 * S)  # 5 s between the first and the last
+    feed.take([Taken(EPOCH + 50 * MS, '/cmd', command([1, 2]))], EPOCH + 6 * S)
+    samples = feed.counts().channels
+    assert (samples['u'].samples.accepted, samples['y'].samples.accepted) == (1, 49)
+
+
 def test_a_clock_set_back_holds_nothing_up():
     messages = arriving(2.0)
     back = [taken._replace(arrival_ns=taken.arrival_ns - 3600 * S) for taken in arriving(2.0, 3)]

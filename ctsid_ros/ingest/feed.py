@@ -118,7 +118,7 @@ class Feed:
         self._bound: dict[str, str] = {}  # fields whose open ranges are closed
         self._open_ingest()
 
-    def take(self, batch: Iterable[Taken], until_ns: int) -> list[Record]:
+    def take(self, batch: Iterable[Taken], until_ns: int, now_ns: int = 0) -> list[Record]:
         """
         Take what has come; return the windows that are due.
 
@@ -128,14 +128,17 @@ class Feed:
         until_ns : int
             Messages that arrived later wait for the next call: others that arrived before them
             may not have been handed out yet [ns].
+        now_ns : int, optional
+            The time when the last of the batch was handed out [ns], if that took long.
         """
         self._held += batch
         self._held.sort(key=attrgetter('arrival_ns'))
         ready: list[Taken] = []
         later: list[Taken] = []
+        horizon_ns = max(until_ns, now_ns) + _STEP_NS
         for taken in self._held:
             # What arrived long after "now" came before the clock was set back.
-            early = until_ns < taken.arrival_ns < until_ns + _STEP_NS
+            early = until_ns < taken.arrival_ns < horizon_ns
             (later if early else ready).append(taken)
         self._held = later
         self.largest_batch = max(self.largest_batch, len(ready))

@@ -137,8 +137,9 @@ class Intake:
         until_ns = time.time_ns() - _AHEAD_NS
         batch = list(self._drain())
         self._tick()  # after the messages, whose times lie between those of the ticks around them
+        now_ns = time.time_ns()
         with self.lock:
-            for record in self._feed.take(batch, until_ns):
+            for record in self._feed.take(batch, until_ns, now_ns):
                 self._deliver(record)
 
     def _tick(self) -> None:
