@@ -13,7 +13,7 @@ class CtsidError(Exception):
 
 
 class DataError(CtsidError, ValueError):
-    """Arrays or records that cannot mean what the caller intended."""
+    """Arrays or records that do not fit together."""
 
 
 class SettingsError(CtsidError, ValueError):

@@ -171,10 +171,10 @@ def test_a_second_method_without_a_model_is_no_silent_agreement():
 
 
 def test_a_verdict_never_gets_better():
-    weak = first_order(1.0, verdict=replace(GOOD, grade=Grade.WEAK, reason='A pole is vague.'))
+    weak = first_order(1.0, verdict=replace(GOOD, grade=Grade.WEAK, reason='A pole is uncertain.'))
     for factor in (1.0, 2.0):
         found = checked(weak, first_order(factor))
-        assert (found.verdict.grade, found.verdict.reason) == (Grade.WEAK, 'A pole is vague.')
+        assert (found.verdict.grade, found.verdict.reason) == (Grade.WEAK, 'A pole is uncertain.')
         assert found.verdict.agreement.agrees == (factor == 1.0)
     rejected = Estimate(status=Status.CHANGED, settings=Settings(),
                         rejected_model=weak.model)

@@ -133,9 +133,11 @@ def forecast(part: Usable, model: StateSpace, estimate: Estimate) -> Forecast:
     H, V = basis @ basis.T, (basis * known.size) @ (basis * known.size).T
     by_inputs, by_noise = H, np.zeros_like(H)
     if noisy:
-        quiet = _reduced(_rows(projection, m, settings.feedthrough, simulation(projection, m).x,
-                               noisy=True, s=projection.s), known)
-        by_inputs, by_noise = quiet @ quiet.T, (basis - quiet) @ (basis - quiet).T
+        states = simulation(projection, m).x
+        noise_free = _reduced(_rows(projection, m, settings.feedthrough, states, noisy=True,
+                                    s=projection.s), known)
+        rest = basis - noise_free
+        by_inputs, by_noise = noise_free @ noise_free.T, rest @ rest.T
     values, right = np.linalg.eig(m.A)
     order = np.lexsort((values.imag, np.abs(values)))
     left, right, n2 = np.linalg.inv(right)[order], right[:, order], m.A.size

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The same plant all the time: did it change within a record, or between records.
+Tests for a change of the plant within a record, or between records.
 
 Within: the test of `change_test.py` on each record alone. Between: the same score test, each
 record on one side and all others on the other. Records have nothing in common but the plant, so
@@ -34,7 +34,7 @@ from ctsid_core.settings import Settings
 @dataclass(frozen=True)
 class ChangedRecord:
     """
-    The record that speaks most for a change of the plant.
+    The record with the strongest evidence for a change of the plant.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class ChangedRecord:
 def most_likely_changed_record(projection: Projection, m: Matrices, settings: Settings,
                                layout: Layout) -> ChangedRecord:
     """
-    Return what speaks most for a change of the plant within a record or between records.
+    Return the strongest evidence for a change of the plant, within or between records.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _level(record: Projection, m: Matrices) -> float:
 
 def _without_nuisances(record: Projection, m: Matrices, settings: Settings, nmax: int,
                        factor: float) -> tuple[Array, Array, int]:
-    """Return derivatives by the plant and errors, less what is free, and how much that is."""
+    """Return derivatives by the plant and errors, nuisances projected out, and their number."""
     flat, error, plant = weighed(record, m, settings, nmax)
     norm = np.linalg.norm(flat, axis=0)
     other = ~plant & (norm > 0.0)

@@ -49,18 +49,18 @@ _SMOOTHING = 160      # real numbers over which the errors' power is averaged
 _BOTH = 0.01          # part of a direction's information that each side must have
 _DEFECTIVE = 1e10     # condition of the predictor's modes beyond which they are none
 _ENOUGH = 3           # errors to spare, per direction, on each side
-_SURE = 1e-5          # p-value below which no more than 1 % of steady windows lie
+_SIGNIFICANT = 1e-5   # p-value below which no more than 1 % of steady windows lie
 _LARGE = 0.03         # size: mild nonlinearities of real plants reach 0.02
-_LIKELY = 3e-4        # p-value that is enough
-_HUGE = 0.15          # if the size is this
-_TELLING = 0.1        # gain: what two plants leave unexplained, one plant need not explain either
-GROWS = 3.0           # growth rate times duration of a plant that is not told from a stable one
+_SUGGESTIVE = 3e-4    # p-value that is enough ...
+_HUGE = 0.15          # ... if the size is this
+_GAIN = 0.1           # gain: what two plants leave unexplained, one plant need not explain either
+GROWS = 3.0           # growth rate times duration, up to which a plant counts as stable
 
 
 @dataclass(frozen=True)
 class Change:
     """
-    The instant that speaks most for a change of the plant, and how much it says.
+    The most likely instant of a change of the plant, and the evidence for it.
 
     Parameters
     ----------
@@ -82,15 +82,15 @@ class Change:
     @property
     def matters(self) -> bool:
         """Whether it is certain, and so large that one model is wrong."""
-        certain = (self.p_value < _SURE and self.size > _LARGE) or (
-            self.p_value < _LIKELY and self.size > _HUGE)
-        return certain and self.gain > _TELLING
+        certain = (self.p_value < _SIGNIFICANT and self.size > _LARGE) or (
+            self.p_value < _SUGGESTIVE and self.size > _HUGE)
+        return certain and self.gain > _GAIN
 
 
 @dataclass(frozen=True)
 class Side:
     """
-    What one side of an instant says of the tested directions, all that is free taken out.
+    Information from one side of an instant on the tested directions, nuisances projected out.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Side:
     power : float
         Sum of their squares.
     spare : int
-        How many errors there are, less what is free.
+        Degrees of freedom: number of errors less that of nuisances.
     """
 
     information: Array
@@ -111,7 +111,7 @@ class Side:
 
 def most_likely_change(projection: Projection, m: Matrices, settings: Settings) -> Change:
     """
-    Return the instant at which a change of the plant is likeliest.
+    Return the instant at which a change of the plant is most likely.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def _sides(blocks: list[Array], step: Array, free: int) -> list[tuple[Array, Arr
 
 
 def _side(triangle: Array, free: int, count: int) -> Side:
-    """Return what a side says, from its triangle, once the columns that are free are taken out."""
+    """Return the information of a side, from its triangle, nuisances projected out."""
     left = triangle[free:, free:]
     directions, errors = left[:, :-1], left[:, -1]
     return Side(directions.T @ directions, directions.T @ errors, float(errors @ errors),
@@ -303,14 +303,14 @@ def _side(triangle: Array, free: int, count: int) -> Side:
 
 
 def response_to_inputs(projection: Projection, m: Matrices, nmax: int) -> float:
-    """Return the norm of what the predictor makes of the inputs, in units of the errors."""
+    """Return the norm of the predictor's response to the inputs, in units of the errors."""
     whiten, error = whitener(projection, m)
     amplitude = _noise_amplitude(whiten @ error, nmax)
     return float(np.linalg.norm(whiten @ _response(projection, m) / amplitude))
 
 
 def _response(projection: Projection, m: Matrices) -> Array:
-    """Return what the predictor makes of the inputs, as it moves (ny, 2 L)."""
+    """Return the predictor's response to the inputs, without constants (ny, 2 L)."""
     nothing = np.zeros_like
     predictor = Matrices(A=m.A - m.K @ m.C, B=m.B - m.K @ m.D, C=m.C, D=m.D, K=nothing(m.K),
                       tail=nothing(m.tail), x_trim=nothing(m.x_trim), y_trim=nothing(m.y_trim))

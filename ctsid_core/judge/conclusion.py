@@ -28,7 +28,7 @@ from ctsid_core.signals.stuck import stuck_outputs
 
 def conclude(part: Joint, solution: Solution, tested: HeldOut) -> Estimate:
     """
-    Return the estimate: the model of all channels, what is known of it, and the verdict.
+    Return the estimate: the model of all channels, its accuracy, and the verdict.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def conclude(part: Joint, solution: Solution, tested: HeldOut) -> Estimate:
     solution : Solution
         Made of them.
     tested : HeldOut
-        How a model of their first parts does on the last.
+        The fit of a model of their first parts on the last.
     """
     model = _to_statespace(part, solution)
     covariance = _covariance(part, solution, model)
@@ -80,7 +80,7 @@ def _remarks(part: Joint, evidence: Evidence) -> list[str]:
 
 def _evidence(part: Joint, solution: Solution, tested: HeldOut, poles: NDArray[np.complex128],
               deviation: Array) -> Evidence:
-    """Return what is known of a model, but for a change of the plant."""
+    """Return the evidence on a model, but for a change of the plant."""
     last, projection, m = part.parts[part.last], solution.projection, solution.matrices
     whole, resolution = last.whole, 2.0 * np.pi / part.length
     numbers = examine(projection, m, [p.record for p in part.parts], tested.density,
@@ -136,7 +136,7 @@ def _changed(part: Joint, differing: ChangedRecord) -> tuple[str, str]:
 
 
 def _shares(part: Joint, solution: Solution) -> tuple[RecordShare, ...]:
-    """Return what is each record's own."""
+    """Return trim, fit and weight of each record."""
     matrices, projection, shares = solution.matrices, solution.projection, []
     for i, (usable, p, m) in enumerate(zip(part.parts, projection.records,
                                            of_records(matrices, projection), strict=True)):

@@ -34,7 +34,7 @@ _SPAN = 1000.0        # between the last and the first of them, at most
 def cross_checked(found: Estimate, settings: Settings,
                   identify: Callable[[Settings], Estimate]) -> Estimate:
     """
-    Return an estimate whose verdict knows what the second method says, if one is asked for.
+    Return an estimate whose verdict has the agreement with a second method, if asked for.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ UNTESTED = ('The model has not been tested on held-out data: `validation.held_ou
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
     """
-    What is known of a model, for all channels of the record; `numbers` has the rest.
+    The evidence on a model, for all channels of the record; `numbers` has the rest.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Prediction:
 @dataclass(frozen=True)
 class Likelihood:
     """
-    What a model is worth, and what the derivatives of that need.
+    The likelihood of a model, and what its derivatives need.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ of motion, seen through the plant,
 
     |e|^2 = r + sum_i q_i |C (s I - A)^-1 g_i|^2,     q_i >= 0
 
-a linear regression. Causes are the modes, each shaken by itself, and the inputs. Their sum is the
+a linear regression. Causes are the modes, each driven separately, and the inputs. Their sum is the
 Q of a Riccati equation, which gives K. From there the maximum of the likelihood is near.
 """
 
@@ -83,13 +83,13 @@ def with_process_noise(projection: Projection, m: Matrices,
 
 
 def _surplus(power: Array, level: Array, weights: Array) -> float:
-    """Return how much likelier lines are with powers that vary than with the same for all."""
+    """Return how much more likely lines are with powers that vary than with one for all."""
     mean = np.full_like(power, np.average(power, weights=weights))
     return float(weights @ (np.log(mean / level) + power / mean - power / level))
 
 
 def _causes(m: Matrices) -> Array:
-    """Return what each mode and each input, shaken by white noise, adds to Q."""
+    """Return what each mode and each input, driven by white noise, adds to Q."""
     poles, modes = np.linalg.eig(m.A)
     columns = np.hstack((modes[:, poles.imag >= 0.0], m.B))
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -130,8 +130,8 @@ def _shares(shapes: Array, power: Array, lengths: list[int]) -> Array:
 
 
 def with_linear_entries(projection: Projection, m: Matrices, feedthrough: bool, *,
-           ends_only: bool = False) -> Matrices:
-    """Return the model with the B, D, trim and tail (or tail) that are best at all else."""
+                        ends_only: bool = False) -> Matrices:
+    """Return the model with the best B, D, trim and tail (or tail alone), given the rest."""
     prediction = predict(projection, m, resolvent(m.A - m.K @ m.C, projection.s))
     error = as_real(prediction.error)
     size = np.sqrt(np.mean(error ** 2, axis=1)) + 1e-150

@@ -20,7 +20,7 @@ def limit(method: str) -> float:
 @dataclass(frozen=True)
 class Agreement:
     """
-    How far the model of a second method is from the model, where it is farthest.
+    The largest difference between the model and that of a second method.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _HELP = 1.2             # scale over that without a model from which on the mode
 def against_model(model: StateSpace, record: Record, before: Sequence[Spikes],
                   inputs: Sequence[Array | None]) -> tuple[list[Spikes], float]:
     """
-    Find the corrupt samples of the outputs in what a model leaves of them.
+    Find the corrupt samples of the outputs in the residuals of a model.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def against_model(model: StateSpace, record: Record, before: Sequence[Spikes],
     -------
     found : list of Spikes
     gain : float
-        Power of what the model leaves with the samples of `before`, over that with the samples of
+        Power of the residuals with the samples of `before`, over that with the samples of
         `found`, or its inverse: the largest of all outputs.
     """
     seen = simulation(model, replace(record, outputs=tuple(

@@ -150,13 +150,13 @@ def _respond(model: StateSpace, record: Record, times: Array,
 def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'refit'] = 'model',
                initial_state: Literal['estimate', 'zero'] = 'estimate') -> Validation:
     """
-    Compare a record with what the model makes of its inputs alone.
+    Compare a record with the simulation of a model from its inputs alone.
 
     Parameters
     ----------
     model : StateSpace
     record : Record
-        Other than the one of the identification, for an honest judgement.
+        Other than the one of the identification, for an unbiased test.
     trim : {'model', 'refit'}
         Offsets of the outputs: the model's, or fitted to this record on top of them (if the
         robot may have been trimmed otherwise).
@@ -214,7 +214,7 @@ def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:
 
 def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validation:
     """
-    Compare a record with what the model predicts a number of samples ahead.
+    Compare a record with the predictions of a model a number of samples ahead.
 
     The sample j of an output is predicted from the samples of all outputs up to the stamp of
     its own sample j - `horizon_steps`, and from the inputs, which are taken as known throughout.
@@ -297,7 +297,7 @@ def residual_tests(model: StateSpace, record: Record, *,
                    residuals: Literal['simulation', 'prediction'] = 'simulation',
                    ) -> ResidualTests:
     """
-    Test what a model leaves unexplained, output by output at the output's own stamps.
+    Test the residuals of a model, output by output at the output's own stamps.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class Grade(Enum):
 @dataclass(frozen=True)
 class Excitation:
     """
-    What the data say about the response to one input.
+    How one input excites the plant, and how well the response to it is determined.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ _Mask = NDArray[np.bool_]
 @dataclass(frozen=True)
 class DeadTimeFit:
     """
-    Poles and dead times, and what they are worth.
+    Poles and dead times, and their likelihood.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ class DeadTimeSearch:
         return found if found.criterion < fit.criterion - MARGIN else fit
 
     def _from_grid(self, still: DeadTimeFit) -> list[DeadTimeFit]:
-        """Return the two likeliest of several starts with these poles, after two steps each."""
+        """Return the two most likely of several starts with these poles, after two steps each."""
         apart = self._reach(still.poles)
         count = min(int(self._longest / apart), _STARTS)
         fits = []

@@ -107,7 +107,7 @@ def with_dead_time(records: Sequence[Record], part: Joint, found: Solution,
 
 
 def _more_likely(hunt: DeadTimeSearch, rough: DeadTimeFit, found: Solution) -> bool:
-    """Return whether dead times are likelier than none if the errors are not white, too."""
+    """Return whether dead times are more likely than none if the errors are not white, too."""
     if not found.process_noise:
         return True
     projection = hunt.projection(rough.delays)

@@ -24,7 +24,7 @@ _STILL = 0.01         # of an input's motion in the whole: too little to tell a 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """
-    How a model of the first parts does on the last parts; NaN if nothing was held out.
+    The fit of a model of the first parts on the last parts; NaN if nothing was held out.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ class HeldOut:
 
     @property
     def left(self) -> float:
-        """What is left unexplained, geometric mean over the outputs [%]."""
+        """The unexplained part, geometric mean over the outputs [%]."""
         return float(np.exp(np.mean(np.log(np.maximum(100.0 - self.fit, 1e-9)))))
 
 
 def held_out(part: Joint, solution: Solution) -> HeldOut:
     """
-    Return how a model of the first part of every record does on the last part.
+    Return the fit of a model of the first part of every record on the last part.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def distorted(record: Record, model: StateSpace, process_noise: bool) -> tuple[s
     why : str
         '' if interpolation does no harm.
     most : ndarray, shape (ny,)
-        Of what an estimate from the raw samples may leave of the outputs' power to be believed: a
+        Of what an estimate from the raw samples may leave of the outputs' power to be accepted: a
         process noise that only seemed to be one goes with the interpolation.
 
     Notes

@@ -18,7 +18,7 @@ from ctsid_core.settings import Settings
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    A model of the moving channels, and how it was found.
+    A model of the moving channels, and how it was identified.
 
     Parameters
     ----------
@@ -34,14 +34,14 @@ class Solution:
     condition : float
         Of its regression.
     process_noise : bool
-        Whether it was found with its K, or by a simulation.
+        Whether it is an innovation form with its K, or an output-error model.
     choices : tuple of Choice
     layout : Layout
         How the records were projected.
     by_prediction : bool
         Whether the plant is unstable, with process noise: simulations mean nothing.
     noise_model_uncertain : bool
-        Whether process noise is believed for want of a better explanation only.
+        Whether process noise is accepted for lack of a better explanation only.
     orders : tuple of OrderTried
         Empty if the order was given.
     """

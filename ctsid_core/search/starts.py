@@ -5,7 +5,7 @@ Subspace models of one order as starts of the search for the most likely one.
 Two questions are answered here:
 
 - Unstable? Seen through a window, a pole in the right half plane always explains a little more.
-  It is believed only if simulations are much better with it than with the best stable model.
+  It is accepted only if simulations are much better with it than with the best stable model.
 - Process noise? The innovation form is believed if it is more likely by more than simulations
   lose with its poles, and these lose no more than gusts can cost; else its K has taken up plant
   dynamics.
@@ -40,7 +40,7 @@ UNSTABLE = 1.75              # how much better simulations must be to believe an
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """
-    A subspace model, and what the data say of it.
+    A subspace model, and its likelihood.
 
     Parameters
     ----------
@@ -130,11 +130,11 @@ class Pair:
     limit : float
         Largest real part that a pole may have: infinite if the plant is unstable [rad/s].
     process_noise : bool
-        Whether the second is to be believed.
+        Whether the second is accepted.
     tried : int
         How many candidates there were.
     lenient : bool
-        Whether process noise is believed even where simulations lose much by it.
+        Whether process noise is accepted even where simulations lose much by it.
     """
 
     simulating: Candidate
@@ -146,19 +146,19 @@ class Pair:
 
     @property
     def best(self) -> Candidate:
-        """The one to be believed."""
+        """The accepted one."""
         return self.predicting if self.process_noise else self.simulating
 
     def accepts_process_noise(self, m: Matrices, gain: float, simulated: OutputErrorFit) -> bool:
         """
-        Return whether process noise is to be believed.
+        Return whether process noise is accepted.
 
         Parameters
         ----------
         m : Matrices
             The model with process noise.
         gain : float
-            By which the data are likelier with it.
+            By which the data are more likely with it.
         simulated : OutputErrorFit
             The best simulation.
 
@@ -171,7 +171,7 @@ class Pair:
         Measured: less than 40 per state with gusts, more than 100 with model errors. Strong gusts
         cost more, unless lines count by the noise in them that K stands for; but they gain more
         than twice what they cost (measured: at most 0.45 of the gain at the right order, model
-        errors 0.56 and more). An unstable plant is told by predictions only.
+        errors 0.56 and more). An unstable plant is judged by predictions only.
         """
         if gain <= 0.0 or self.limit == np.inf:
             return gain > 0.0
@@ -190,7 +190,7 @@ class Pair:
         return weighted.fit(poles).cost - best < allowed
 
     def noise_model_uncertain(self, m: Matrices) -> bool:
-        """Return whether process noise is believed for want of a better explanation only."""
+        """Return whether process noise is accepted for lack of a better explanation only."""
         return not replace(self, lenient=False).accepts_process_noise(m, np.inf, self.refined)
 
     @cached_property

@@ -169,7 +169,7 @@ class Feed:
         return None if self._ingest is None else self._ingest.counts()
 
     def report(self) -> list[str]:
-        """Return a sentence on each thing that is not as it should be, and its cure."""
+        """Return a sentence on each fault, and its cure."""
         lines = [*self._broken, *(
             f'{topic}: {state.numbers.lost} messages were lost on the way; raise `ingest.depth`, '
             'lower the load of this computer, or check the network'

@@ -191,7 +191,7 @@ class Ingest:
         return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
 
     def report(self) -> list[str]:
-        """Return a sentence on each thing that is not as it should be, and its cure."""
+        """Return a sentence on each fault, and its cure."""
         return complaints(self.counts(), self._config)
 
     def _route(self, topic: _Topic, times: _Times, values: Sequence[float]) -> None:

@@ -72,7 +72,7 @@ class Played:
         As used: open ranges closed, types filled in.
     counts : IngestCounts
     complaints : tuple of str
-        A sentence on each thing that is not as it should be.
+        A sentence on each fault of the data.
     """
 
     config: Config

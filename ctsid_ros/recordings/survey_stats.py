@@ -64,7 +64,7 @@ class FieldStats:
     moves : bool
         Whether it is not constant.
     white : bool
-        Whether it looks like noise alone: neighbours know nothing of each other.
+        Whether it looks like white noise alone: neighbours are independent.
     monotone : bool
         Whether it only ever rises, by whole numbers: a counter or a clock.
     finite : float

@@ -160,7 +160,7 @@ class Outcome:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is not as it should be with the data."""
+        """Remarks on the data and the estimate."""
         several = len(self.sources) > 1
         own = [f'record {i}: {note}' if several else note
                for i, source in enumerate(self.sources, 1) for note in source.notes]
@@ -168,7 +168,7 @@ class Outcome:
 
     @property
     def complaints(self) -> tuple[str, ...]:
-        """Of these what the messages of the channels gave reason for."""
+        """Those of them on the messages of the channels."""
         return tuple(c for source in self.sources for c in source.data.complaints)
 
 

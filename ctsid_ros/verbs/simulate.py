@@ -121,7 +121,7 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
     periods = [s.period for s in outcome.data.record.outputs]
     for k, found in outcome.predicted.items():
         ahead = ' or '.join(dict.fromkeys(number(k * p, 2) for p in periods))
-        columns[f'prediction fit, {k} ahead ({ahead} s) [%]'] = found.fit
+        columns[f'fit {k} ahead ({ahead} s) [%]'] = found.fit
     rows = tuple((name, *(percent(v[i]) for v in columns.values()))
                  for i, name in enumerate(outcome.model.output_names))
     title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
