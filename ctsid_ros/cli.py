@@ -55,6 +55,7 @@ def _run(argv: Sequence[str]) -> int:
     import io
 
     from ctsid_core.errors import CtsidError
+    from ctsid_ros.errors import lacks_bag_package
 
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
         sys.stdout.reconfigure(errors='replace')
@@ -72,6 +73,12 @@ def _run(argv: Sequence[str]) -> int:
         return 0
     except (CtsidError, OSError) as error:
         print(f'ctsid: error: {error}', file=sys.stderr)
+        return 1
+    except ImportError as error:
+        missing = lacks_bag_package(error, 'reading bags')
+        if not missing:
+            raise
+        print(f'ctsid: error: {missing}', file=sys.stderr)
         return 1
     return code
 

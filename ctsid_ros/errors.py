@@ -8,3 +8,16 @@ from ctsid_core.errors import CtsidError
 
 class BagError(CtsidError, OSError):
     """A bag that cannot be read, or that lacks what was asked of it."""
+
+
+# Of no ROS release and needed for bags only, so that a node runs without them.
+BAG_PACKAGES = ('mcap', 'rosbags', 'lz4', 'zstandard')
+
+
+def lacks_bag_package(error: ImportError, what: str) -> str:
+    """Return what to install if an import failed for want of one of them, else ''."""
+    package = (error.name or '').partition('.')[0]
+    if package not in BAG_PACKAGES:
+        return ''
+    return (f'{what} needs the Python package {package}, which is not installed here: pip install '
+            f'{" ".join(BAG_PACKAGES)}')

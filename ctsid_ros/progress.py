@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 import sys
 from time import monotonic
 from typing import TextIO
@@ -34,7 +35,7 @@ def progress(title: str, *, quiet: bool = False, stream: TextIO | None = None
     stream = stream or sys.stderr
     if quiet:
         yield silent
-    elif stream.isatty():
+    elif stream.isatty() and find_spec('rich'):
         with _bar(title, stream) as advance:
             yield advance
     else:

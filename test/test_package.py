@@ -16,13 +16,14 @@ import pytest
 
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import dump_config
+from ctsid_ros.errors import BAG_PACKAGES
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_SOURCE = shutil.ignore_patterns(
     '.*', 'build', 'install', 'log', 'results', '*.egg-info', '__pycache__')
-# pip's names of what setup.py requires, by the rosdep keys of package.xml.
-ROSDEP = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'PyYAML': 'python3-yaml',
-          'rich': 'python3-rich', 'rosbags': 'python3-rosbags-pip'}
+# pip's names of what setup.py requires and the node needs, by the rosdep keys of package.xml.
+ROSDEP = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'PyYAML': 'python3-yaml'}
+LINTERS = ('ament_copyright', 'ament_flake8', 'ament_pep257', 'ament_xmllint')
 
 
 def setup_arguments() -> dict[str, ast.expr]:
@@ -73,8 +74,35 @@ def test_package_xml_names_what_setup_requires(manifest):
     names = {r.split('>')[0] for r in required}
     keys = {e.text for e in manifest.iter('exec_depend')}
     comment = (ROOT / 'package.xml').read_text()
-    assert {ROSDEP[n] for n in names & set(ROSDEP)} <= keys
+    assert {key for key in keys if key.startswith('python3-')} == set(ROSDEP.values())
+    assert set(ROSDEP) < names
+    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich'}
     assert [n for n in names - set(ROSDEP) if f'`{n}`' not in comment] == []
+
+
+def test_a_released_package_depends_on_no_key_for_pip(manifest):
+    keys = [e.text for e in manifest.iter() if e.tag.endswith('depend')]
+    assert [key for key in keys if key.endswith('-pip')] == []
+
+
+def test_every_linter_has_a_test(manifest):
+    keys = {e.text for e in manifest.iter('test_depend')}
+    assert keys == {'python3-pytest', *LINTERS}
+    assert [name for name in LINTERS if not (ROOT / f'test/test_{name}.py').exists()] == []
+
+
+def test_the_terms_of_contribution_are_those_of_ros_packages():
+    """ament_copyright compares them with these sentences."""
+    words = ' '.join((ROOT / 'CONTRIBUTING.md').read_text().split())
+    for sentence in (
+            'Any contribution that you make to this repository will be under the Apache 2 '
+            'License, as dictated by that [license](http://www.apache.org/licenses/LICENSE-2.0'
+            '.html): ~~~ 5. Submission of Contributions. Unless You explicitly state otherwise,',
+            'Contributors must sign-off each commit by adding a `Signed-off-by: ...` line to '
+            'commit messages to certify that they have the right to submit the code they are '
+            'contributing to the project according to the [Developer Certificate of Origin '
+            '(DCO)](https://developercertificate.org/).'):
+        assert sentence in words
 
 
 def test_every_package_folder_is_found_by_setup_and_typed():

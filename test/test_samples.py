@@ -116,8 +116,8 @@ def test_a_simulation_agrees_with_a_solver_of_others():
         if begin in t_y:
             wanted.append(C @ x + m.y_trim[:, 0])
         value = u[np.searchsorted(t_u, begin, side='right') - 1]
-        x = solve_ivp(lambda _, z: A @ z + B[:, 0] * value + m.x_trim[:, 0], (begin, end),  # noqa: B023
-                      x, rtol=1e-11, atol=1e-12).y[:, -1]
+        x = solve_ivp(lambda _, z: A @ z + B[:, 0] * value + m.x_trim[:, 0],  # noqa: B023
+                      (begin, end), x, rtol=1e-11, atol=1e-12).y[:, -1]
     np.testing.assert_allclose(outputs(stamps, m, responses(stamps, m)).T, wanted, atol=1e-8)
 
 

@@ -281,5 +281,3 @@ def test_well_excited_windows_are_good():
     print(grades)
     assert grades[Grade.GOOD] >= 190
     assert grades[Grade.REJECT] == 0
-
-

@@ -59,7 +59,7 @@ class HermiteLines:
     ones: Lines
 
     def lines(self, f: Array) -> Lines:
-        """Map rows of coefficients (m, nc) to lines (m, L)."""
+        """Map rows of coefficients, (m, nc), to lines, (m, L)."""
         return _lines(f, self.even, self.odd)
 
 
@@ -260,5 +260,3 @@ def by_delay(record: Record,
             signals.append(Signal(signal.time, signal.values[:, j:j + 1], signal.hold))
             shifts.append(delay)
     return signals, shifts
-
-

@@ -301,5 +301,3 @@ def _same_samples(one: Record, other: Record) -> bool:
     return one.epoch_ns == other.epoch_ns and all(
         np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
         for a, b in zip(one.outputs, other.outputs, strict=False))
-
-

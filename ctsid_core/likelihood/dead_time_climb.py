@@ -137,4 +137,3 @@ def _step(projection: Projection, m: Matrices, feedthrough: bool,
     step[moves] = found
     along = -(right[kept].T @ ((inside @ found) / s[kept])) / norm
     return step, along, float((late[:, moves].T @ error) @ found)
-

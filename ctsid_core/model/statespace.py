@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     import scipy.signal
 
 
-
 def _unset() -> Array:
     return np.empty(0)
 

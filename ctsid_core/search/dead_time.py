@@ -359,5 +359,5 @@ def intervals(record: Record) -> list[float]:
 
 
 def _interval(signal: Signal) -> float:
-    """A held signal is known between its samples."""
+    """Return its sample interval; a held signal is known between its samples."""
     return 0.0 if signal.hold == 'zoh' else signal.period

@@ -3,18 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 import time
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
 from ctsid_core.errors import StorageError
 from ctsid_core.model.storage import save_model
 from ctsid_core.signals.record import Record
+from ctsid_ros.errors import lacks_bag_package
 from ctsid_ros.ingest.feed import Feed
 from ctsid_ros.ingest.sim_clock import SimClock
 from ctsid_ros.messages.health import Health
@@ -23,7 +25,10 @@ from ctsid_ros.node.diagnosis import IngestDiagnosis, diagnose_identification
 from ctsid_ros.node.intake import Intake
 from ctsid_ros.node.plan import Plan
 from ctsid_ros.node.session import Identified, Session
-from ctsid_ros.recordings.writer import BagWriter
+
+if TYPE_CHECKING:
+    from ctsid_ros.decoding.message_types import MessageType
+    from ctsid_ros.recordings.writer import BagWriter
 
 _STOP = 0.3  # time for a thread to end [s]
 Answer = tuple[bool, str]  # of a service: whether it did it, and a sentence
@@ -142,7 +147,7 @@ def begin(node: Node, plan: Plan, publish: Callable[[Identified], None]) -> Run:
     with ExitStack() as undo:  # what has begun, if the rest cannot
         recorder = None
         if settings.ingest_record:
-            recorder = BagWriter(settings.ingest_record, plan.types)
+            recorder = _recorder(settings.ingest_record, plan.types)
             undo.callback(recorder.close)
             log.info(f'recording the messages to {recorder.path}')
         feed = Feed(plan.config, plan.types, publishers, recorder, clock)
@@ -153,6 +158,17 @@ def begin(node: Node, plan: Plan, publish: Callable[[Identified], None]) -> Run:
         undo.pop_all()
     return Run(node.get_fully_qualified_name(), feed, intake, session,
                IngestDiagnosis(plan.config, time.time_ns()), recorder)
+
+
+def _recorder(path: str, types: Mapping[str, MessageType]) -> BagWriter:
+    try:
+        from ctsid_ros.recordings.writer import BagWriter
+    except ImportError as error:
+        missing = lacks_bag_package(error, '`ingest.record`')
+        if not missing:
+            raise
+        raise StorageError(f'{missing}; or leave it empty') from error
+    return BagWriter(path, types)
 
 
 def _submit(record: Record, session: Session, feed: Feed, *, requested: bool = False) -> None:

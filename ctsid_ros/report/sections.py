@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +15,6 @@ from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests, Validation
 from ctsid_core.model.verdict import Grade
-from ctsid_ros.config.channels import Channel
-from ctsid_ros.recordings.playback import Played
-from ctsid_ros.replay.replay import Result
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
 from ctsid_ros.report.figures import (
     bode_figures,
@@ -28,6 +26,11 @@ from ctsid_ros.report.figures import (
 )
 from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.report.tracks import Mode, match, modes, modes_of
+
+if TYPE_CHECKING:
+    from ctsid_ros.config.channels import Channel
+    from ctsid_ros.recordings.playback import Played
+    from ctsid_ros.replay.replay import Result
 
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
