@@ -2,7 +2,7 @@
 """
 Tests for a change of the plant within a record, or between records.
 
-Within: the test of `change_test.py` on each record alone. Between: the same score test, each
+Within: the test of `change_score.py` on each record alone. Between: the same score test, each
 record on one side and all others on the other. Records have nothing in common but the plant, so
 that their sides need no instants: lines will do.
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from ctsid_core.bases.projection import Projection, of_records
 from ctsid_core.bases.records import Layout
-from ctsid_core.judge.change_test import (
+from ctsid_core.judge.change_score import (
     GROWS,
     Change,
     Side,

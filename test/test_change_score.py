@@ -17,7 +17,7 @@ from ctsid_core import Record, Settings, Status, identify
 from ctsid_core.bases.hermite import project_record
 from ctsid_core.bases.instants import at_instants, instants
 from ctsid_core.bases.projection import as_real
-from ctsid_core.judge.change_test import Change
+from ctsid_core.judge.change_score import Change
 
 CLOSED_LOOP = Settings(feedthrough=False)
 
