@@ -37,3 +37,28 @@ def test_readme_commands_are_verbs_of_the_tool(capsys):
     for verb in verbs:
         assert main([verb, '--help']) == 0
         assert verb in capsys.readouterr().out
+
+
+PAGES = sorted([*(ROOT / 'docs').glob('*.md'), *ROOT.glob('*.md'), ROOT / 'benchmarks/README.md'])
+
+
+def mentions(page: Path) -> list[tuple[str, str]]:
+    """Return each `path/file.py:name` or `path/file.py` of a page: its file and its name."""
+    found = re.findall(r'`([\w/]+\.py)(?::([\w.]+))?`', page.read_text())
+    return [(path, name) for path, name in found if 'NAME' not in path]
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda p: p.name)
+def test_code_that_a_page_names_is_there(page):
+    wrong = []
+    for path, name in mentions(page):
+        files = [f for f in (ROOT / path, page.parent / path, ROOT / 'ctsid_core' / path,
+                             ROOT / 'ctsid_ros' / path) if f.exists()]
+        files = files or list((ROOT / 'ctsid_core').rglob(path)) \
+            or list((ROOT / 'ctsid_ros').rglob(path))
+        last = name.rpartition('.')[2]
+        if not files or (last and not any(
+                re.search(rf'(def|class) {last}\b|^ *{last}\b.*[:=]', f.read_text(), re.M)
+                for f in files)):
+            wrong.append(f'{path}:{name}')
+    assert wrong == []
