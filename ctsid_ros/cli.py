@@ -84,7 +84,7 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser of a command line: with its verb only, or with all if it names none."""
+    """Return the parser of a command line, with the verbs that it needs."""
     import argparse
     from importlib import import_module
 
@@ -104,7 +104,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument('--version', action=Version, nargs=0,
                         help="show program's version number and exit")
     verbs = parser.add_subparsers(metavar='VERB', required=True)
-    for name in argv[:1] if argv[:1] and argv[0] in VERBS else VERBS:
+    for name in _wanted(argv):
         verb = import_module(f'ctsid_ros.verbs.{name}')
         own = verbs.add_parser(name, help=verb.HELP, epilog=verb.EPILOG,
                                description=f'{verb.HELP[0].upper()}{verb.HELP[1:]}.',
@@ -112,6 +112,13 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         verb.add_arguments(own)
         own.set_defaults(command=verb.command)
     return parser
+
+
+def _wanted(argv: Sequence[str]) -> Sequence[str]:
+    """Return the verb that a command line names, or all for their list; each takes its time."""
+    if argv[:1] == ['--version']:
+        return ()
+    return argv[:1] if argv and argv[0] in VERBS else VERBS
 
 
 if __name__ == '__main__':

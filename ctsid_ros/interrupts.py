@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import signal
 import sys
+from time import monotonic
 from types import FrameType
 
 _AGAIN = 0.02  # s until it is looked again whether modules still load
+_PAUSE = 1.0  # s in which a further one, as of a key that is held, does not break off the ending
 _LOADER = '<frozen importlib._bootstrap>'
+_deaf_until = 0.0  # of the clock `monotonic`
 
 
 @contextmanager
@@ -25,18 +28,24 @@ def interruptible() -> Iterator[None]:
     if sys.platform == 'win32' or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield
         return
-    signal.signal(signal.SIGALRM, _interrupt)
-    signal.signal(signal.SIGINT, _interrupt)
+    _handle(_interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Python ends: nothing catches it any more
+        _handle(signal.SIG_IGN)  # Python ends: nothing catches it any more
+
+
+def _handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    for number in (signal.SIGALRM, signal.SIGINT):
+        signal.signal(number, handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    global _deaf_until
     if _loading(frame):
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-    else:
+    elif monotonic() > _deaf_until:
+        _deaf_until = monotonic() + _PAUSE
         raise KeyboardInterrupt
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ctsid_core.errors import SettingsError
 
 if TYPE_CHECKING:
+    from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.recordings.playback import Interval
@@ -130,6 +131,15 @@ def read_params(path: str) -> Config:
     except SettingsError as error:
         faults = [fault if path in fault else f'{path}: {fault}' for fault in error.faults]
         raise SettingsError(faults) from None
+
+
+def read_truth(args: argparse.Namespace) -> StateSpace | None:
+    """Return the model that --truth names, if it is given."""
+    if not args.truth:
+        return None
+    from ctsid_core.model.storage import load_model
+
+    return load_model(args.truth)
 
 
 def say(text: str) -> None:

@@ -39,6 +39,7 @@ from ctsid_ros.verbs.arguments import (
     interval_of,
     named,
     read_params,
+    read_truth,
     say,
     seconds,
     span,
@@ -174,11 +175,10 @@ class Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, print."""
-    from ctsid_core.model.storage import load_model
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.grouping import recordings
 
-    truth = load_model(args.truth) if args.truth else None
+    truth = read_truth(args)
     intervals = _intervals(args)
     groups = recordings(args.bag, _topics(args))
     with open_bag(groups[0]) as bag:

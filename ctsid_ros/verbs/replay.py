@@ -34,6 +34,7 @@ from ctsid_ros.verbs.arguments import (
     config_for,
     interval_of,
     named,
+    read_truth,
     say,
     tell,
     zero_ns,
@@ -68,11 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Replay, write, print."""
-    from ctsid_core.model.storage import load_model
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.replay.replay import Replay
 
-    truth = load_model(args.truth) if args.truth else None
+    truth = read_truth(args)
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
