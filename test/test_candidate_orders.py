@@ -99,4 +99,4 @@ def test_next_data_decide_between_orders_about_as_likely(data_folder):
     assert table[3].criterion == 0.0 < table[4].criterion < 20.0
     assert table[4].held_out_fit == pytest.approx(tested.fit[0])
     assert table[4].held_out_fit > table[3].held_out_fit + 5.0
-    assert [c for c in found.choices if c.name == 'order' and 'held out' in c.why]
+    assert [c for c in found.choices if c.name == 'order' and 'held-out data' in c.why]

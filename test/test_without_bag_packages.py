@@ -72,7 +72,7 @@ def test_the_node_identifies(identifier):
     live, start = identifier
     from robot import Robot, motion, params
     node = start(params())
-    robot = Robot(live, motion(6.5))
+    robot = Robot(live, motion(6.5), node.name)
     robot.send(5.5)
     (model,) = node.wait_models(1)
     assert model.ok
