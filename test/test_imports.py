@@ -19,6 +19,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from marks import slow
 import pytest
 
 import ctsid_core
@@ -172,10 +173,10 @@ def among(found: set[str], *packages: str) -> list[str]:
                   if any(f'{name}.'.startswith(f'{package}.') for package in packages))
 
 
-@pytest.mark.parametrize('before', ['import ctsid_core.identify', 'import ctsid_core',
-                                    'from ctsid_core.identify import identify',
-                                    'from ctsid_core import identify',
-                                    'from ctsid_core import *'])
+@pytest.mark.parametrize('before', [
+    'import ctsid_core.identify', 'from ctsid_core import identify', *slow(
+        'import ctsid_core', 'from ctsid_core.identify import identify',
+        'from ctsid_core import *')])
 def test_identify_is_the_function_whatever_was_imported_before(before):
     loaded(f"""
 {before}

@@ -60,7 +60,7 @@ def busy(live):
     robot = Robot(live, motion(8.5, rates=(400.0, 400.0)), node.name)
     robot.send(8.0, speed=15.0)
     node.wait_health('identification', lambda h: int(h.values.get('windows', 0)), 'a window')
-    assert not node.models
+    assert not node.models, [e.verdict.reason for e in node.estimates()]
     robot.send(speed=5.0)
     return node
 
