@@ -33,7 +33,7 @@ from ctsid_core.likelihood.refine import (
     refine_output_error,
     whitener,
 )
-from ctsid_core.linear.free_entries import FreeEntries
+from ctsid_core.linear.free_entries import GAUGE, FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.resolvent import resolvent
@@ -42,7 +42,6 @@ from ctsid_core.linear.types import Array
 _ROUNDS = 8
 _HALVINGS = 4
 _CLIMB = 6            # steps of the model after each step of the dead times
-_RANK = 1e-7          # relative singular value below which a direction is gauge
 _ARRIVED = 1e-3       # promised gain of -2 log likelihood that is not worth a step
 
 
@@ -128,7 +127,7 @@ def _step(projection: Projection, m: Matrices, feedthrough: bool,
     norm[norm == 0.0] = np.inf
     q, r = np.linalg.qr(columns / norm)
     left, s, right = svd(r)
-    kept = s > _RANK * s[0]
+    kept = s > GAUGE * s[0]
     basis = q @ left[:, kept]
     inside = basis.T @ late[:, moves]
     beyond = late[:, moves] - basis @ inside

@@ -21,14 +21,13 @@ from ctsid_core.likelihood.delay_columns import delay_columns
 from ctsid_core.likelihood.process_noise import with_linear_entries
 from ctsid_core.likelihood.refine import whitened, whitener
 from ctsid_core.likelihood.window_ends import line_distance
-from ctsid_core.linear.free_entries import FreeEntries
+from ctsid_core.linear.free_entries import GAUGE, FreeEntries
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.model.covariance import Entries
 
-_RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
 _WIDTHS = (9, 27, 81)  # lines over which the power of residuals is averaged; or over all
 _PASSES = 3           # of a regression that weights outputs by what the last one left of them
 _RESOLVED = 2.0       # distances of lines: a notch of the noise that is narrower is filled
@@ -244,5 +243,5 @@ def _directions(rows: Array) -> tuple[Array, Array, Array]:
     norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
     norm[norm == 0.0] = np.inf
     _, s, right = svd(triangle(rows.T / norm))
-    kept = s > _RANK * s[0]
+    kept = s > GAUGE * s[0]
     return s[kept], right[kept], norm

@@ -27,7 +27,7 @@ from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.resolvent import Resolvent, resolvent
 from ctsid_core.linear.types import Array, Lines
 
-_FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
+ROUNDING = 1e-20        # error power below this fraction of the output's counts as rounding
 OWN = 1e-12           # share of each output's error power that no other output can predict
 
 
@@ -153,7 +153,7 @@ def log_det(projection: Projection, covariance: Array) -> Array:
 def least_power(projection: Projection) -> Array:
     """Return the power of each output below which errors are rounding (ny,)."""
     y = as_real(projection.y)
-    floor: Array = _FLOOR * np.einsum('ij,ij->i', y, y) / y.shape[1] + 1e-300
+    floor: Array = ROUNDING * np.einsum('ij,ij->i', y, y) / y.shape[1] + 1e-300
     return floor
 
 

@@ -41,7 +41,7 @@ from ctsid_core.linear.types import Array, Lines
 
 _REDUNDANT = 1e-9     # the trim acts through every state alike, and through y: dependent
 _DAMPING = 1e-5       # of an innovation form's first step, relative
-_WORK = 1e9           # multiplications of one step beyond which models are not refined
+MOST_WORK = 1e9           # multiplications of one step beyond which models are not refined
 
 
 def realise_poles(projection: Projection, poles: NDArray[np.complex128],
@@ -204,7 +204,7 @@ def distinct(poles: NDArray[np.complex128]) -> bool:
 
 def affordable(projection: Projection, n: int) -> bool:
     """Return whether models of order n, with so many signals, are refined at all."""
-    return equation_work(projection, n) < _WORK
+    return equation_work(projection, n) < MOST_WORK
 
 
 def by_parameter(columns: Array) -> Array:

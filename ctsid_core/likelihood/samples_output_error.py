@@ -21,7 +21,9 @@ from ctsid_core.likelihood.levenberg_marquardt import (
     climb,
     normal_equations,
 )
-from ctsid_core.linear.free_entries import FreeEntries
+from ctsid_core.likelihood.prediction_errors import ROUNDING
+from ctsid_core.likelihood.refine import MOST_WORK
+from ctsid_core.linear.free_entries import GAUGE, FreeEntries
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import svd
@@ -37,11 +39,8 @@ from ctsid_core.model.mode_responses import (
 )
 from ctsid_core.signals.record import Record
 
-_FLOOR = 1e-20        # error power below this fraction of the output's counts as rounding
-_RANK = 1e-7          # relative singular value of the Jacobian below which a direction is gauge
-_GROWTH = 5.0         # time constants for which an unstable pole may grow over the record
+MOST_GROWTH = 5.0         # time constants for which an unstable pole may grow over the record
 _PASSES = 2           # of a regression that weights outputs by what the last one left of them
-_WORK = 1e9           # multiplications of one step beyond which models are not refined
 
 
 @dataclass(frozen=True)
@@ -150,8 +149,8 @@ def climb_in_time(stamps: Stamps, start: Matrices, feedthrough: bool, *, limit: 
     model = replace(start, K=np.zeros_like(start.K), tail=np.zeros((len(start.A), 1)))
     length = float(stamps.times[-1] - stamps.times[0])
     size, samples = _parameters(model, feedthrough), stamps.counts.sum()
-    if not (size < samples and samples * size ** 2 < _WORK
-            and np.max(np.linalg.eigvals(model.A).real) * length < _GROWTH):
+    if not (size < samples and samples * size ** 2 < MOST_WORK
+            and np.max(np.linalg.eigvals(model.A).real) * length < MOST_GROWTH):
         return None
     best = _linear(stamps, model, feedthrough)
     if best is None:
@@ -166,7 +165,7 @@ def climb_in_time(stamps: Stamps, start: Matrices, feedthrough: bool, *, limit: 
 
     entries = FreeEntries.of(best, feedthrough)
     found, cost = climb(best, likelihood, curvature, entries.moved,
-                        limit=min(limit, _GROWTH / length), steps=steps, damping=LEAST_DAMPING,
+                        limit=min(limit, MOST_GROWTH / length), steps=steps, damping=LEAST_DAMPING,
                         rival=rival)
     return (found, cost) if cost < rival else None
 
@@ -198,7 +197,7 @@ def errors_in_time(stamps: Stamps, m: Matrices) -> tuple[Array, ...] | None:
 
 def _floor(stamps: Stamps) -> Array:
     power = np.concatenate([np.mean(y ** 2, axis=1) for y in stamps.y])
-    floor: Array = _FLOOR * power + 1e-300
+    floor: Array = ROUNDING * power + 1e-300
     return floor
 
 
@@ -243,7 +242,7 @@ def with_covariance(stamps: Stamps, m: Matrices, cost: float,
     norm = np.sqrt(np.einsum('ij,ij->i', rows, rows))
     norm[norm == 0.0] = np.inf
     _, s, right = svd(triangle((rows / norm[:, np.newaxis]).T))
-    kept = s > _RANK * s[0]
+    kept = s > GAUGE * s[0]
     spare = max(1.0 - float(np.count_nonzero(kept)) / len(error), len(m.C) / len(error))
     root = right[kept] / s[kept, np.newaxis] / norm / np.sqrt(spare)
     return InTime(m, cost, fit.power() / spare, root, float(stamps.times[0]))

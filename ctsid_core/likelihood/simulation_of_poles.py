@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.bases.projection import Projection, as_real
+from ctsid_core.likelihood.prediction_errors import ROUNDING
 from ctsid_core.linear.tall_qr import factors, triangle
 from ctsid_core.linear.types import Array, Lines
 
-_FLOOR = 1e-20        # residual power below this fraction of the output's counts as rounding
 _HALVINGS = 6
 _SLOW = 0.1           # |pole| times window below which a pole is slow
 _AXIS = 1e-12         # stands for s - p on a line that a pole lies on
@@ -114,7 +114,7 @@ class OutputError:
         self._y = y / np.sqrt(self._power)[:, np.newaxis]
         self._outputs = self._y.view(np.complex128)
         level = self._y @ as_real(self._ones).T @ as_real(self._ones)
-        self._moving = np.maximum(np.sum((self._y - level) ** 2, axis=1), _FLOOR)
+        self._moving = np.maximum(np.sum((self._y - level) ** 2, axis=1), ROUNDING)
 
     def fit(self, poles: NDArray[np.complex128], steps: int = 0,
             limit: float = np.inf) -> OutputErrorFit:
@@ -179,7 +179,7 @@ class OutputError:
         left = np.array([triangle(one.T)[-ny:, -ny:] for one in found])
         squares = np.einsum('kij,kij->kj', left, left)
         return np.asarray(self._count * np.log(
-            np.maximum(squares, _FLOOR) / self._count).sum(axis=1))
+            np.maximum(squares, ROUNDING) / self._count).sum(axis=1))
 
     def _climb(self, factors: Array, steps: int, limit: float) -> Array:
         regressors = self._regressors(factors)
@@ -225,7 +225,7 @@ class OutputError:
         ny, lines = len(self._y), self._count
         left = triangle(regressors.T)[-ny:, -ny:]
         squares = np.einsum('ij,ij->j', left, left)
-        return lines * float(np.log(np.maximum(squares, _FLOOR) / lines).sum()), squares
+        return lines * float(np.log(np.maximum(squares, ROUNDING) / lines).sum()), squares
 
     def _weights(self, regressors: Array) -> tuple[Array, Array, Array, Array]:
         """Return regressors, weights theta, an orthonormal basis q of them, and the residual."""
@@ -311,7 +311,7 @@ class OutputError:
             part = (theta[:, own] @ rows[own]).view(np.complex128)
             changes.append(as_real(-self._s * part))
         found, left = _solved(_columns(changes, q, residual), residual)
-        before, after = (np.maximum(np.sum(r ** 2, axis=1), _FLOOR) for r in (residual, left))
+        before, after = (np.maximum(np.sum(r ** 2, axis=1), ROUNDING) for r in (residual, left))
         delays = np.zeros(len(late))
         delays[late] = found[len(places):] / self._top
         step = _placed(found[:len(places)], places, factors)
@@ -328,7 +328,7 @@ def _columns(changes: list[Array], q: Array, residual: Array) -> Array:
 
 
 def _sizes(residual: Array) -> Array:
-    size: Array = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), _FLOOR))[:, np.newaxis]
+    size: Array = np.sqrt(np.maximum(np.sum(residual ** 2, axis=1), ROUNDING))[:, np.newaxis]
     return size
 
 

@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array, Mask
 
+GAUGE = 1e-7          # relative singular value of derivatives by all entries, below which a
+                      # direction changes the realisation only
+
 
 @dataclass(frozen=True)
 class FreeEntries:

@@ -20,6 +20,7 @@ from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.projection import Projection, as_real, of_records
 from ctsid_core.bases.records import Joint
 from ctsid_core.likelihood.prediction_errors import prediction_errors
+from ctsid_core.likelihood.samples_output_error import MOST_GROWTH
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.estimate import Choice, Estimate
@@ -35,7 +36,6 @@ _STAYS = 0.03         # the same from one pass to the next
 _SHRINKS = 0.5        # of the power by which lines change: at most this from pass to pass
 _ROUNDING = 1e-22     # of an output's power, that counts as noise
 _PASSES = 8           # two or three are usual
-_GROWTH = 5.0         # time constants for which an unstable pole may grow over a record
 _BAND = 0.8           # of the Nyquist frequency, beyond which a mode is none of the plant's
 _LITTLE = 1e-3        # power of an output, that stable modes may leave unexplained
 _NO_WORSE = np.log(1.05)      # of the power of the samples that the last model leaves more
@@ -135,7 +135,7 @@ def _matters(part: Joint, found: Solution) -> bool:
     for p, m in zip(part.parts, of_records(found.matrices, found.projection), strict=True):
         model = moving_model(m, own_delays(p, found.settings).delays(p.record.nu))
         if not (np.isfinite(m.A).all()
-                and np.max(model.poles.real) * p.record.duration < _GROWTH):
+                and np.max(model.poles.real) * p.record.duration < MOST_GROWTH):
             return _explained(_bent(part, found))
         seen = simulation(model, p.record)
         smooth = np.array([s.hold == 'smooth' for s in p.record.outputs for _ in range(s.width)])
@@ -171,7 +171,7 @@ def _modes(m: Matrices, p: Usable) -> ComplexArray:
     poles = np.linalg.eigvals(m.A).astype(complex) if np.isfinite(m.A).all() else \
         np.empty(0, dtype=complex)
     own = poles[(poles.imag >= 0.0) & (poles.imag < top)
-                & (poles.real * p.record.duration < _GROWTH)]
+                & (poles.real * p.record.duration < MOST_GROWTH)]
     spare = -np.geomspace(1.0 / p.record.duration, top, SPARE)
     return np.concatenate((own[np.argsort(np.abs(own), kind='stable')], spare))
 

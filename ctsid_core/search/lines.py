@@ -25,7 +25,7 @@ _ROUNDS = 2             # of removing corrupt samples by the model found without
 _REWEIGHTED = 2         # rounds of weighting records by the noise that a model finds in them
 _CLOSE = 20.0           # of Schwarz's criterion: orders about as likely
 _BETTER = 0.8           # errors on data held out, over those of the likelier order, that win
-_LITTLE = 1.1           # errors' power over that without outliers that changes no choice
+LITTLE = 1.1           # errors' power over that without outliers that changes no choice
 
 
 def estimate(part: Joint, settings: Settings, first: int,
@@ -112,7 +112,7 @@ def without_outliers(part: Joint, solution: Solution,
         cleaned, gain = part.cleaned([
             moving_model(m, own_delays(usable, solution.settings).delays(usable.record.nu))
             for usable, m in zip(part.parts, matrices, strict=True)])
-        large = gain > _LITTLE
+        large = gain > LITTLE
         order = solution.settings.order
         again = None if cleaned is part else estimate(cleaned, settings, order) if large else \
             estimate(cleaned, solution.settings, order, solution.layout)

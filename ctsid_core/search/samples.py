@@ -13,6 +13,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
 from ctsid_core.model.verdict import EXPLAINED
+from ctsid_core.search.lines import LITTLE
 from ctsid_core.search.samples_model import (
     SamplesSolution,
     distorted,
@@ -22,8 +23,6 @@ from ctsid_core.search.samples_model import (
 )
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import Settings
-
-_LITTLE = 1.1           # errors' power over that without outliers that changes no choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ def _without_outliers(part: Usable, settings: Settings, delay: tuple[float, ...]
     cleaned, gain = part.cleaned(moving_model(solution.fit.matrices, delay))
     if cleaned is part:
         return part, solution
-    fresh = solve_samples(cleaned.record, delay, settings) if gain > _LITTLE else \
+    fresh = solve_samples(cleaned.record, delay, settings) if gain > LITTLE else \
         refit_samples(cleaned.record, delay, settings, solution)
     return (part, solution) if fresh is None else (cleaned, fresh)
 

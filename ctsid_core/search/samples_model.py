@@ -20,7 +20,12 @@ from ctsid_core.bases.quadrature import (
     smooth_values,
     spline_degree,
 )
-from ctsid_core.likelihood.samples_output_error import InTime, errors_in_time, refine_in_time
+from ctsid_core.likelihood.samples_output_error import (
+    MOST_GROWTH,
+    InTime,
+    errors_in_time,
+    refine_in_time,
+)
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
@@ -37,7 +42,6 @@ _NOTICED = 0.01       # distortion of an output, over its motion, that is worth 
 _DISTORTED = 0.1      # of what a model leaves of an output that comes from interpolation
 _BELIEVED = 0.7       # of what a model with process noise leaves, that one without may leave
 _ENDS = 6             # samples that a trial of interpolation leaves out at either end
-_GROWTH = 5.0         # time constants for which an unstable pole may grow over the record
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,8 @@ def distorted(record: Record, model: StateSpace, process_noise: bool) -> tuple[s
     if all(s.hold != 'smooth' or _dense(s, record, model) for s in record.outputs):
         return '', most
     seen = simulation(model, record)
-    if not np.isfinite(seen.y_hat).all() or np.max(model.poles.real) * record.duration > _GROWTH:
+    explodes = np.max(model.poles.real) * record.duration > MOST_GROWTH
+    if explodes or not np.isfinite(seen.y_hat).all():
         return '', most
     left = np.nanmean((seen.y - seen.y_hat) ** 2, axis=0)
     power = np.zeros(model.ny)
