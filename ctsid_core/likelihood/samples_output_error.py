@@ -148,8 +148,8 @@ def climb_in_time(stamps: Stamps, start: Matrices, feedthrough: bool, *, limit: 
     """
     model = replace(start, K=np.zeros_like(start.K), tail=np.zeros((len(start.A), 1)))
     length = float(stamps.times[-1] - stamps.times[0])
-    size, samples = _parameters(model, feedthrough), stamps.counts.sum()
-    if not (size < samples and samples * size ** 2 < MOST_WORK
+    entries, samples = FreeEntries.of(model, feedthrough), stamps.counts.sum()
+    if not (entries.count < samples and samples * entries.count ** 2 < MOST_WORK
             and np.max(np.linalg.eigvals(model.A).real) * length < MOST_GROWTH):
         return None
     best = _linear(stamps, model, feedthrough)
@@ -163,17 +163,10 @@ def climb_in_time(stamps: Stamps, start: Matrices, feedthrough: bool, *, limit: 
     def curvature(m: Matrices, fit: _Fit) -> NormalEquations:
         return normal_equations(*_whitened(stamps, m, fit, feedthrough))
 
-    entries = FreeEntries.of(best, feedthrough)
     found, cost = climb(best, likelihood, curvature, entries.moved,
                         limit=min(limit, MOST_GROWTH / length), steps=steps, damping=LEAST_DAMPING,
                         rival=rival)
     return (found, cost) if cost < rival else None
-
-
-def _parameters(m: Matrices, feedthrough: bool) -> int:
-    n, ny = len(m.A), len(m.C)
-    direct = m.B.shape[1] * feedthrough + m.y_trim.shape[1]
-    return int(n * (n + m.B.shape[1] + 1 + m.x_trim.shape[1] + ny) + ny * direct)
 
 
 def _fit(stamps: Stamps, m: Matrices) -> _Fit | None:
