@@ -14,7 +14,7 @@ import pytest
 from ctsid_core import Record, Settings, StateSpace, identify
 from ctsid_core.errors import SettingsError, StorageError
 from ctsid_core.judge.cross_check import agreement, cross_checked
-from ctsid_core.judge.rules import UNTESTED, in_sequence
+from ctsid_core.judge.rules import UNTESTED, in_sequence, weakened
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate, Status
@@ -275,7 +275,7 @@ def test_several_records_and_dead_time_are_checked():
     Agreement('hd-pbsid', False, 0.01, 0.3, 'u', 2.0, 'u', 1 / 30),
     Agreement('gobf', False, problem='TOO_SHORT. Take more.')])
 def test_it_is_stored_to_the_last_bit(seen):
-    found = first_order(1.0, verdict=replace(GOOD, agreement=seen).weakened)
+    found = first_order(1.0, verdict=weakened(replace(GOOD, agreement=seen)))
     text = to_json(found)
     again = from_json(text)
     assert to_json(again) == text

@@ -16,6 +16,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -31,8 +32,8 @@ PACKAGES = {
     'ctsid_core': ['errors', 'linear', 'settings', 'signals', 'model', 'bases', 'subspace',
                    'likelihood', 'search', 'judge', 'advice', 'identify', 'sequence'],
     'ctsid_ros': ['errors', 'blas', 'interrupts', 'progress', 'decoding', 'config', 'ingest',
-                  'recordings', 'replay', 'messages', 'report', 'node', 'verbs', 'cli', 'studies',
-                  'examples'],
+                  'recordings', 'replay', 'messages', 'report', 'node', 'studies', 'examples',
+                  'verbs', 'cli'],
 }
 ROS = ('rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
        'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs')
@@ -44,7 +45,7 @@ USERS = {
     'control': ['ctsid_core.model.statespace'],
     'lz4': ['ctsid_ros.recordings.*'],
     'mcap': ['ctsid_ros.recordings.*'],
-    'rich': ['ctsid_ros.cli', 'ctsid_ros.progress'],
+    'rich': ['ctsid_ros.progress'],
     'rosbags': ['ctsid_ros.recordings.*'],
     'yaml': ['ctsid_ros.config.parameter_file', 'ctsid_ros.recordings.*'],
     'zstandard': ['ctsid_ros.recordings.*'],
@@ -222,3 +223,14 @@ def test_the_list_names_every_package():
 def test_every_module_of_verbs_is_a_verb():
     files = {path.stem for path in (ROOT / 'ctsid_ros/verbs').glob('[a-z]*.py')}
     assert files - {'arguments'} == set(VERBS)
+
+
+def test_the_page_shows_the_packages_in_this_order():
+    page = (ROOT / 'docs/architecture.md').read_text().partition('## Why so')[0]
+    cells = [row.split('|')[1] for row in page.splitlines() if row.startswith('| `')]
+    shown = [name.removesuffix('.py').removesuffix('/')
+             for cell in cells for name in re.findall(r'`([\w.]+/?)`', cell)]
+    assert sorted(shown) == sorted(name for names in PACKAGES.values() for name in names)
+    for names in PACKAGES.values():
+        inner = [name for name in names if name not in ('errors', 'settings')]
+        assert [name for name in shown if name in inner] == inner

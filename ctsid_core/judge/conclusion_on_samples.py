@@ -16,15 +16,12 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, pole_deviation, spread
 from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
+from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Verdict
 from ctsid_core.search.samples import OnSamples, density
 from ctsid_core.search.samples_model import SamplesSolution
 from ctsid_core.search.solution import Solution
 from ctsid_core.settings import Settings
 from ctsid_core.signals.stuck import stuck_outputs
-
-_UNEXAMINED = ('With samples that come in bursts, whether part of the response is not modelled '
-               'cannot be tested; test the model on other data before using it.')
 
 
 def conclude_on_samples(found: OnSamples) -> Estimate:
@@ -39,8 +36,6 @@ def conclude_on_samples(found: OnSamples) -> Estimate:
         pole_deviation(covariance, model)
     evidence = _evidence(part, solution, model, deviation, numbers)
     status, verdict = judge(evidence)
-    if numbers is None and status is Status.OK:
-        verdict = replace(verdict, grade=Grade.WEAK, reason=_UNEXAMINED)
     corrupt, counts = part.corrupt()
     notes = [f'output {part.whole.output_names[j]} is not explained: fit {evidence.worst[j]:.0f} %'
              for j in part.y if evidence.worst[j] < EXPLAINED]
@@ -91,6 +86,7 @@ def _evidence(part: Usable, solution: SamplesSolution, model: StateSpace, deviat
         stuck=stuck_outputs(whole), fit=everywhere(solution.simulated),
         held_out=everywhere(solution.unseen), poles=model.poles, deviation=deviation,
         resolution=resolution, change='', process_noise=False,
+        unexamined=numbers is None,
         numbers=replace(
             known, missing=everywhere(known.missing),
             missing_p_value=everywhere(known.missing_p_value),

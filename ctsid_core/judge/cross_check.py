@@ -20,13 +20,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.judge.rules import weakened
 from ctsid_core.linear.types import Array
-from ctsid_core.model.cross_check_result import DEVIATIONS, RELATIVE, Agreement, limit
+from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import UNCHECKED, Settings
 from ctsid_core.subspace.methods import METHODS
 
+RELATIVE = 0.05       # of the response, above which a difference matters
+DEVIATIONS = 3.0      # above which it is not chance ...
+EFFICIENT = 2.0       # ... if the second method is at the maximum of the likelihood
 _FREQUENCIES = 60     # compared for each input
 _SPAN = 1000.0        # between the last and the first of them, at most
 
@@ -48,7 +52,7 @@ def cross_checked(found: Estimate, settings: Settings,
         return found
     other = identify(_second_settings(settings, found.model))
     verdict = replace(found.verdict, agreement=agreement(found, other, settings.cross_check))
-    return replace(found, verdict=verdict.weakened)
+    return replace(found, verdict=weakened(verdict))
 
 
 def _second_settings(settings: Settings, model: StateSpace) -> Settings:
@@ -90,7 +94,7 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     except np.linalg.LinAlgError:                       # an undamped pole at one of them
         return Agreement(method, False, problem=problem or 'a response is not finite.')
     late, dead_time = _later(first, second, one, other)
-    beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= limit(method))
+    beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= _limit(method))
     seen = np.where(np.isfinite(found.relative), found.relative, np.inf)
     at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
     return Agreement(method, not (problem or late or beyond.any()), float(found.relative[at]),
@@ -155,3 +159,8 @@ def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array
         return np.full(len(omega), np.nan)
     changes = estimate.covariance.response_changes(model, omega)[..., j]
     return np.sqrt(np.sum((scale * np.abs(changes)) ** 2, axis=(0, 2)))
+
+
+def _limit(method: str) -> float:
+    """Return how many standard deviations a second method may differ by."""
+    return EFFICIENT if METHODS[method].refines else DEVIATIONS

@@ -38,6 +38,8 @@ _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that 
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations
 
+_UNEXAMINED = ('With samples that come in bursts, whether part of the response is not modelled '
+               'cannot be tested; test the model on other data before using it.')
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
             'inputs move in one part of the window only; wait for the next window, or test it on '
             'other data.')
@@ -67,6 +69,8 @@ class Evidence:
     process_noise : bool
     enough : float
         Fit above which an output counts as explained [%].
+    unexamined : bool
+        Whether samples come in bursts, whose residuals no test of a projection can examine.
     numbers : Verdict
         With the numbers that have a place in it.
     """
@@ -85,6 +89,7 @@ class Evidence:
     process_noise: bool
     numbers: Verdict
     enough: float = EXPLAINED
+    unexamined: bool = False
 
     @property
     def worst(self) -> Array:
@@ -165,6 +170,8 @@ def _right_but_slow(e: Evidence) -> bool:
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:
+    if e.unexamined:            # first: the numbers that other rules ask for are not known
+        yield _UNEXAMINED
     yield from _of_inputs(e)
     for i in np.flatnonzero(e.worst < e.enough):
         yield (f'The inputs explain little of output {e.output_names[i]} (fit '
@@ -274,6 +281,33 @@ def _why_unusable(status: Status, record: Record) -> str:
     return str(status.value)
 
 
+def weakened(verdict: Verdict) -> Verdict:
+    """Return a verdict, WEAK instead of GOOD if a second method does not agree."""
+    seen = verdict.agreement
+    if verdict.grade is not Grade.GOOD or seen is None or seen.agrees:
+        return verdict
+    return replace(verdict, grade=Grade.WEAK, reason=seen.weakness)
+
+
+def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
+    """
+    Return an estimate rejected, because an earlier window has shown a change within this one.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With a model.
+    share : float
+        Part of its window before the change.
+    """
+    words = f'an earlier window has shown a change of the plant at {100 * share:.0f} % of this one'
+    return replace(
+        estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
+        notes=(*estimate.notes, words), verdict=replace(
+            estimate.verdict, grade=Grade.REJECT, reason=f'{words.capitalize()}; wait until the '
+            'change has left the window.'))
+
+
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
                 before: int = 0) -> Estimate:
     """
@@ -295,7 +329,8 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         return replace(estimate, verdict=verdict)
     if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
         verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the previous '
-                          'model simulates the new data of this window well.').weakened
+                          'model simulates the new data of this window well.')
+        verdict = weakened(verdict)
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
                    *_moves(model.n, before, moved)]

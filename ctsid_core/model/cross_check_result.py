@@ -6,16 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-RELATIVE = 0.05       # of the response, above which a difference matters
-DEVIATIONS = 3.0      # above which it is not chance ...
-EFFICIENT = 2.0       # ... if the second method is at the maximum of the likelihood
-_EFFICIENT = 'hd-pbsid'
-
-
-def limit(method: str) -> float:
-    """Return how many standard deviations a second method may differ by."""
-    return EFFICIENT if method == _EFFICIENT else DEVIATIONS
-
 
 @dataclass(frozen=True)
 class Agreement:

@@ -8,7 +8,7 @@ each number means, `docs/verdict.md` where each threshold was measured.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -102,13 +102,6 @@ class Verdict:
     fresh_ratio: Array = field(default_factory=lambda: np.empty(0))
     moved: float = float('nan')
     agreement: Agreement | None = None
-
-    @property
-    def weakened(self) -> Verdict:
-        """The same, WEAK instead of GOOD if a second method does not agree."""
-        if self.grade is not Grade.GOOD or self.agreement is None or self.agreement.agrees:
-            return self
-        return replace(self, grade=Grade.WEAK, reason=self.agreement.weakness)
 
 
 UNJUDGED = Verdict(grade=Grade.WEAK, reason='Nobody has judged this model; test it on data that '

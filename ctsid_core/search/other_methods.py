@@ -50,7 +50,7 @@ def identify_by(method: Method, part: Joint,
 
     Parameters
     ----------
-    method : callable
+    method : Method
     part : Joint
     settings : Settings
         `refine` does not count, nor do dead times that are to be found: they are 0.

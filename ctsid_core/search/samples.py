@@ -57,7 +57,7 @@ def solve_bursty_samples(part: Joint, settings: Settings) -> OnSamples | None:
         return None
     usable = part.parts[0]
     why = in_bursts(usable.record)
-    solution = _solve(usable, settings, why) if why else None
+    solution = _solve(usable, settings) if why else None
     return None if solution is None else OnSamples(*solution, settings, why)
 
 
@@ -72,11 +72,11 @@ def solve_if_distorted(part: Joint, found: Solution) -> OnSamples | None:
     why, most = distorted(usable.record, moving_model(found.matrices, delay), found.process_noise)
     # Its order was chosen of distorted data.
     free = found.settings.replace(order=0) if found.orders else found.settings
-    solution = _solve(usable, free, why, most, found.matrices) if why else None
+    solution = _solve(usable, free, most, found.matrices) if why else None
     return None if solution is None else OnSamples(*solution, found.settings, why, found)
 
 
-def _solve(part: Usable, settings: Settings, why: str, most: Array | None = None,
+def _solve(part: Usable, settings: Settings, most: Array | None = None,
            start: Matrices | None = None) -> tuple[Usable, SamplesSolution] | None:
     """
     Return the samples used and their model; None if no model of these is acceptable.
@@ -85,8 +85,6 @@ def _solve(part: Usable, settings: Settings, why: str, most: Array | None = None
     ----------
     part : Usable
     settings : Settings
-    why : str
-        Reason for it, for the user.
     most : ndarray, shape (moving outputs,), optional
         Mean square that a model may leave of the outputs.
     start : Matrices, optional

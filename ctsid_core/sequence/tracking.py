@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.identify import identify
-from ctsid_core.judge.rules import in_sequence
+from ctsid_core.judge.rules import in_sequence, rejected_over_change
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
-from ctsid_core.model.verdict import Grade
 from ctsid_core.sequence.alignment import aligning, referring
 from ctsid_core.sequence.mode_rows import Rows, follow
 from ctsid_core.settings import Settings
@@ -152,13 +151,7 @@ class Tracker:
             self._changed_ns = min(found_ns, self._changed_ns) if straddles else found_ns
         elif estimate.model is not None and straddles:
             share = (self._changed_ns - estimate.start_ns) / (estimate.end_ns - estimate.start_ns)
-            words = f'an earlier window has shown a change of the plant at {100 * share:.0f} % ' \
-                    'of this one'
-            return replace(
-                estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
-                notes=(*estimate.notes, words), verdict=replace(
-                    estimate.verdict, grade=Grade.REJECT, reason=f'{words.capitalize()}; wait '
-                    'until the change has left the window.'))
+            return rejected_over_change(estimate, share)
         return estimate
 
 

@@ -50,8 +50,6 @@ class Method:
         From the records, the settings and the orders that are wanted to all models that the
         method has to offer: of every order and every tuning that the settings leave open. Orders
         that the data are too short for are left out.
-    domain : str
-        What it works on.
     looks_for_dead_time : bool
         Whether dead times that are not given are looked for; else they count as 0.
     refines : bool
@@ -60,7 +58,6 @@ class Method:
     """
 
     models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
-    domain: str
     looks_for_dead_time: bool = False
     refines: bool = False
 

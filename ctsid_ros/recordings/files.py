@@ -15,17 +15,15 @@ import yaml
 import zstandard
 
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings import mcap_file as bag_mcap
-from ctsid_ros.recordings import ros1_file as bag_ros1
-from ctsid_ros.recordings import sqlite_file as bag_sqlite
+from ctsid_ros.recordings import mcap_file, ros1_file, sqlite_file
 from ctsid_ros.recordings.recording import Payload, Recording
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.bag', '.bag.active')
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 Scan = Callable[[Path, ExitStack], Recording]
-SCANS: dict[bytes, Scan] = {bag_mcap.MAGIC: bag_mcap.scan_mcap,
-                            bag_sqlite.MAGIC: bag_sqlite.scan_sqlite,
-                            bag_ros1.MAGIC: bag_ros1.scan_ros1}
+SCANS: dict[bytes, Scan] = {mcap_file.MAGIC: mcap_file.scan_mcap,
+                            sqlite_file.MAGIC: sqlite_file.scan_sqlite,
+                            ros1_file.MAGIC: ros1_file.scan_ros1}
 LOOKS = {b'ULog': 'a PX4 ULog', b'\x1f\x8b': 'a gzip archive (unpack it first)',
          b'PK\3\4': 'a zip archive (unpack it first)', b'BZh': 'a bzip2 archive (unpack it first)',
          b'\xfd7zXZ': 'an xz archive (unpack it first)', b'\x89HDF': 'an HDF5 file',

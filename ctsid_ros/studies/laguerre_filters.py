@@ -16,4 +16,4 @@ def by_filtering(part: Joint, settings: Settings, orders: Sequence[int]) -> list
     return models(part, settings, orders, 'back')
 
 
-FILTERS = Method(by_filtering, domain='Laguerre filters')
+FILTERS = Method(by_filtering)

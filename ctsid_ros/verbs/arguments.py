@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.recordings.playback import Interval
 
-ACCEPTED, FAILED, NO_MODEL, INTERRUPTED = 0, 1, 3, 130
+ACCEPTED, NO_MODEL, INTERRUPTED = 0, 3, 130
 _DAY = 86_400 * 10**9
 
 
