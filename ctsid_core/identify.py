@@ -124,5 +124,5 @@ def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Es
         if on_samples := solve_if_distorted(part, solution):
             return conclude_on_samples(on_samples)
         return conclude(part, *confirm_order(part, solution, settings))
-    except np.linalg.LinAlgError as error:       # of the data's making: a node must not die of it
+    except np.linalg.LinAlgError as error:       # of the data's making: no caller must die of it
         return failed_estimate(error, settings, part.notes)

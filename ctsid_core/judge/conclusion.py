@@ -12,8 +12,8 @@ from ctsid_core.bases.all_channels import spread_out, whole_model, whole_trim
 from ctsid_core.bases.projection import as_real, of_records
 from ctsid_core.bases.records import Joint
 from ctsid_core.judge.change import ChangedRecord, most_likely_changed_record
-from ctsid_core.judge.evidence import examine
-from ctsid_core.judge.rules import PREDICTED, Evidence, judge, pole_uncertainty
+from ctsid_core.judge.evidence import Evidence, examine
+from ctsid_core.judge.rules import PREDICTED, judge, pole_uncertainty
 from ctsid_core.likelihood.information import entry_changes
 from ctsid_core.likelihood.prediction_errors import line_fit, predicted_fit, prediction_errors
 from ctsid_core.linear.types import Array

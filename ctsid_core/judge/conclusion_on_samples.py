@@ -9,8 +9,8 @@ import numpy as np
 
 from ctsid_core.bases.all_channels import spread_out, whole_model
 from ctsid_core.bases.preparation import Usable
-from ctsid_core.judge.evidence import examine
-from ctsid_core.judge.rules import Evidence, judge, pole_uncertainty
+from ctsid_core.judge.evidence import Evidence, examine
+from ctsid_core.judge.rules import judge, pole_uncertainty
 from ctsid_core.likelihood.information import entries_of
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, pole_deviation, spread

@@ -10,17 +10,17 @@ first: the first that applies is the reason. Each threshold and where it was mea
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.judge.evidence import Evidence
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.signals.stuck import Stuck
 
 PREDICTED = 10.0        # the same for one-step predictions: by chance it is 1
 _UNRELATED = 10.0       # fit [%] below which nothing of an output is
@@ -45,58 +45,6 @@ UNTESTED = ('The model has not been tested on held-out data: `validation.held_ou
             'other data.')
 
 
-@dataclass(frozen=True, kw_only=True)
-class Evidence:
-    """
-    The evidence on a model, for all channels of the record; `numbers` has the rest.
-
-    Parameters
-    ----------
-    input_names, output_names : tuple of str
-    fixed_inputs, fixed_outputs : tuple of int
-        Places of the channels that are constant over the window.
-    stuck : tuple of Stuck
-        Outputs that stop moving within it.
-    fit, held_out : ndarray, shape (ny,)
-        [%]; NaN for constant outputs.
-    poles : ndarray, shape (n,)
-    deviation : ndarray, shape (n,)
-        Standard deviations, in the same order [rad/s].
-    resolution : float
-        Slowest frequency that the window resolves [rad/s].
-    change : str
-        What to do about a change of the plant; empty if there was none.
-    process_noise : bool
-    enough : float
-        Fit above which an output counts as explained [%].
-    unexamined : bool
-        Whether samples come in bursts, whose residuals no test of a projection can examine.
-    numbers : Verdict
-        With the numbers that have a place in it.
-    """
-
-    input_names: tuple[str, ...]
-    output_names: tuple[str, ...]
-    fixed_inputs: tuple[int, ...]
-    fixed_outputs: tuple[int, ...]
-    stuck: tuple[Stuck, ...]
-    fit: Array
-    held_out: Array
-    poles: NDArray[np.complex128]
-    deviation: Array
-    resolution: float
-    change: str
-    process_noise: bool
-    numbers: Verdict
-    enough: float = EXPLAINED
-    unexamined: bool = False
-
-    @property
-    def worst(self) -> Array:
-        """The lower of the fits, of each output [%]."""
-        return np.asarray(np.fmin(self.fit, self.held_out))
-
-
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
     for status, reason in _rejections(evidence):
@@ -113,8 +61,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
         yield Status.CHANGED, e.change
     if e.fixed_outputs:
         yield Status.NO_RESPONSE, (
-            f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor, its '
-            'topic and field, or leave it out.')
+            f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor '
+            'and that it is the right signal, or leave it out.')
     for one in e.stuck:
         yield Status.NO_RESPONSE, (
             f'Output {e.output_names[one.output]} keeps exactly the same value from '
@@ -150,8 +98,8 @@ def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
         least = int(dead[np.argmin(e.worst[dead])])
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[least]} does not follow the inputs (fit '
-            f'{max(e.worst[least], -999.0):.0f} %) while others do; check its sensor, topic and '
-            'field, or leave it out.')
+            f'{max(e.worst[least], -999.0):.0f} %) while others do; check its sensor and '
+            'that it is the right signal, or leave it out.')
 
 
 def _right_but_slow(e: Evidence) -> bool:
@@ -277,7 +225,7 @@ def _why_unusable(status: Status, record: Record) -> str:
                 'inputs, or choose a window in which they move.')
     if status is Status.NO_RESPONSE:
         return (f'No output moves within the window ({", ".join(record.output_names)}); check '
-                'that the right topics and fields are used.')
+                'that the right signals are used.')
     return str(status.value)
 
 

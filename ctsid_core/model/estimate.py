@@ -37,7 +37,7 @@ class Status(Enum):
                      'which they move.')
     NO_RESPONSE = ('An output does not move within the window, or is stuck; check that its sensor '
                    'works and the right signals are used, or leave it out.')
-    GAPS = ('Too much of the window lies in gaps of the data; find out why messages are '
+    GAPS = ('Too much of the window lies in gaps of the data; find out why samples are '
             'missing, or choose another window.')
     UNEXPLAINED = ('No linear model explains all outputs by the inputs; check the choice of '
                    'inputs and outputs, the dead time and the order, or the plant is not linear '

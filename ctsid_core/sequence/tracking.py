@@ -226,7 +226,7 @@ def _fresh(past: _Past, record: Record) -> _Test:
         return none
     try:
         found = simulation(past.model, record)
-    except np.linalg.LinAlgError:  # of the data's making: a node must not die of it
+    except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
     pairs = list(zip(found.y.T, found.y_hat.T, strict=True))

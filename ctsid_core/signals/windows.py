@@ -16,7 +16,7 @@ often `SlidingWindow.due` is called:
   counted, however long the gap.
 - A sample is *astray* if it lies more than a length ahead of everything, or if it lies behind the
   watermark and its own group has jumped back to it. One or two are dropped and counted. Three in
-  a row that agree are believed: ahead is a gap; back is a clock that restarted or a bag that
+  a row that agree are believed: ahead is a gap; back is a clock that restarted or a recording that
   looped, which ends the old stream (its last windows become due) and starts a new one.
 """
 
