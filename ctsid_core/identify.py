@@ -19,8 +19,8 @@ from ctsid_core.search.bends_passes import bends, explains_as_well, with_bends
 from ctsid_core.search.dead_time_choice import choose_dead_time
 from ctsid_core.search.lines import choose_noise_model, confirm_order, estimate, without_outliers
 from ctsid_core.search.order import FIRST
-from ctsid_core.search.other_methods import identify_by
 from ctsid_core.search.samples import solve_bursty_samples, solve_if_distorted
+from ctsid_core.search.unrefined import identify_by
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.subspace.methods import METHODS

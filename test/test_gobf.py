@@ -19,7 +19,7 @@ from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.gobf_subspace import dynamics, filter_records, observe, realise
+from ctsid_core.subspace.gobf_equations import dynamics, filter_records, observe, realise
 from ctsid_ros.studies import takenaka_malmquist as study
 from ctsid_ros.studies.experiments import flexible, from_rest, quadrotor, running
 from ctsid_ros.studies.local_polynomials import derivatives, local_polynomials

@@ -27,7 +27,7 @@ from ctsid_core.likelihood.refine import (
 from ctsid_core.likelihood.simulation_of_poles import OutputError
 from ctsid_core.search.order import Search
 from ctsid_core.search.selection import most_likely
-from ctsid_core.subspace.pbsid import Tuning, realise, regress, stack_levels
+from ctsid_core.subspace.pbsid_equations import Tuning, realise, regress, stack_levels
 
 NOISY = Settings(feedthrough=False)
 

@@ -22,21 +22,21 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
-PREDICTED = 10.0        # the same for one-step predictions: by chance it is 1
+PREDICTED = 10.0        # fit [%] of one-step predictions below which an output is not explained
 _UNRELATED = 10.0       # fit [%] below which nothing of an output is
 _POLE_STD = 0.5         # standard deviation of a pole over its size: beyond, it is not known
 _RESPONSE_STD = 0.05    # the same of the response to an input
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _ONE_SINE = 1.5         # effective number of frequencies of an input
-_UNMODELLED = 0.02      # of the response
-_SIGNIFICANT = 1e-5     # p-value of it ...
-_NOT_WHITE = 1e-6       # p-value of whiteness
-_ENOUGH = 0.01          # ... and what is enough where errors are not white
+_UNMODELLED = 0.02      # unmodelled response, over the response
+_SIGNIFICANT = 1e-5     # p-value of an unmodelled response that is believed ...
+_ENOUGH = 0.01          # ... and where the errors are not white, too
+_NOT_WHITE = 1e-6       # p-value of white errors, below which they are not
 _CLEAR = 80.0           # fit [%] of a model that clearly explains its own data
 _HELD_OUT_RATIO = 4.0   # power of the errors on held-out data over that on the model's own
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
-_MOVED = 3.0            # standard deviations
+_MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
 _UNEXAMINED = ('With samples that come in bursts, whether part of the response is not modelled '
                'cannot be tested; test the model on other data before using it.')
@@ -187,7 +187,7 @@ def _summary(e: Evidence) -> str:
     worst, std = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
     return (f'Every test is passed: the standard deviation is at most {100 * std:.2g} % of the '
             f'response to each input and {100 * e.numbers.pole_uncertainty:.2g} % of each pole; '
-            f'the fit, also on held-out data, is at least {worst:.0f} %.')
+            f'the fit, also on held-out data, is at least {np.floor(worst):.0f} %.')
 
 
 def _listed(names: tuple[str, ...]) -> str:

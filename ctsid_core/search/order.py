@@ -32,7 +32,7 @@ from ctsid_core.linear.matrices import Matrices
 from ctsid_core.search.starts import UNSTABLE, Candidate, Pair, best_pair, realised, several, worth
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.hd_pbsid import Subspaces
-from ctsid_core.subspace.pbsid import Tuning
+from ctsid_core.subspace.pbsid_equations import Tuning
 
 FIRST = 2                    # order that the search begins with
 _PATIENCE = 2                 # orders beyond the best one that are tried before giving up

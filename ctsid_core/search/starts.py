@@ -26,7 +26,7 @@ from ctsid_core.likelihood.prediction_errors import noise_power
 from ctsid_core.likelihood.refine import best_simulation
 from ctsid_core.likelihood.simulation_of_poles import OutputError, OutputErrorFit
 from ctsid_core.linear.matrices import Matrices
-from ctsid_core.subspace.pbsid import Subspace, realise
+from ctsid_core.subspace.pbsid_equations import Subspace, realise
 
 _COLOURED = 64.0              # per state: how much less likely gusts make the true simulation
 _PAID = 0.5                   # of the gain: the most that simulations lose by strong gusts

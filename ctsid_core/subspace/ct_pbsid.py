@@ -43,8 +43,8 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.subspace.method import MethodModel, plain_matrices
-from ctsid_core.subspace.pbsid import Levels, Tuning, realise, regress
+from ctsid_core.subspace.interface import MethodModel, plain_matrices
+from ctsid_core.subspace.pbsid_equations import Levels, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried

@@ -20,8 +20,8 @@ from ctsid_core.errors import SettingsError
 from ctsid_core.linear.types import ComplexArray
 from ctsid_core.model.residue_fit import simulated
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.gobf_subspace import filter_records, observe, realise, sample_times
-from ctsid_core.subspace.method import MethodModel, plain_matrices
+from ctsid_core.subspace.gobf_equations import filter_records, observe, realise, sample_times
+from ctsid_core.subspace.interface import MethodModel, plain_matrices
 
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
 _SLOWEST = 10.0                 # times the inverse of the record's length: the least largest pole

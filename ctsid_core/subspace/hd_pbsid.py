@@ -2,8 +2,8 @@
 """
 HD-PBSID: predictor-based subspace identification on Hermite lines ([HD] section 4).
 
-The equations are those of `pbsid.py`. Here is what the papers leave open: a grid of the shift
-beta and of the past window p, from the length and the band of the data.
+The equations are those of `pbsid_equations.py`. Here is what the papers leave open: a grid of the
+shift beta and of the past window p, from the length and the band of the data.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.records import Joint
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.method import MethodModel, plain_matrices
-from ctsid_core.subspace.pbsid import (
+from ctsid_core.subspace.interface import MethodModel, plain_matrices
+from ctsid_core.subspace.pbsid_equations import (
     Levels,
     Subspace,
     Tuning,

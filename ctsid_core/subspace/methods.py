@@ -9,7 +9,7 @@ A method is a function in a file of its own, a row here, and its name among the 
 from __future__ import annotations
 
 from ctsid_core.subspace import ct_pbsid, gobf, hd_pbsid
-from ctsid_core.subspace.method import Method
+from ctsid_core.subspace.interface import Method
 
 METHODS: dict[str, Method] = {
     'hd-pbsid': Method(hd_pbsid.by_lines,

@@ -216,7 +216,7 @@ def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
     rows = tuple((y, number(tests.whiteness[i], 2),
                   *(number(v, 2) for v in tests.independence[i]))
                  for i, y in enumerate(model.output_names))
-    head = ('output', 'whiteness p-value',
+    head = ('output', 'residual whiteness p-value',
             *(f'independence of {u}, p-value' for u in model.input_names))
     return Section('Residual tests', (
         'The residuals are the measured minus the simulated output. A p-value below 0.01 means '

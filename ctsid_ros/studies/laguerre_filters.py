@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ctsid_core.bases.records import Joint
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.ct_pbsid import models
-from ctsid_core.subspace.method import Method, MethodModel
+from ctsid_core.subspace.interface import Method, MethodModel
 
 
 def by_filtering(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:

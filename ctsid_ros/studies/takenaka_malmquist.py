@@ -25,7 +25,7 @@ from ctsid_core.model.simulation import Pieces, input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.gobf_subspace import KINKS, filter_records, observe, realise
+from ctsid_core.subspace.gobf_equations import KINKS, filter_records, observe, realise
 from ctsid_ros.report.svg import Axes, Curve
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.clouds import phase

@@ -37,7 +37,7 @@ from ctsid_core.search.selection import measurement_noise_gain
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.starts import UNSTABLE, several, worth
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.method import Method, MethodModel
+from ctsid_core.subspace.interface import Method, MethodModel
 
 _SURE = 1e-9          # relative singular value of what the ends and the trim can do
 _LOOKED_AT = 3        # models of an order, those with the best poles
