@@ -268,8 +268,8 @@ def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     estimate, model, sources = outcome.estimate, outcome.model, outcome.sources
     fits = [t.test.fit for t in outcome.tests]
     fit = np.min(fits, axis=0) if fits else np.empty(0)
-    start, end = sources[0].span
-    what = f'{round(start, 1) + 0.0:.1f} to {end:.1f} s' if len(sources) == 1 else f'{len(sources)} records'
+    start, end = (round(t, 1) + 0.0 for t in sources[0].span)        # no -0.0
+    what = f'{start:.1f} to {end:.1f} s' if len(sources) == 1 else f'{len(sources)} records'
     title = f'Model of {what}: ' + (estimate.status.value if estimate.ok else
                                     estimate.status.name)
     sections = [channel_section(sources[0].data)]
