@@ -10,6 +10,7 @@ was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is ac
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from ctsid_ros.blas import use_one_thread
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
+    from types import FrameType
 
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
@@ -42,6 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; return the exit code."""
     if argv is not None:
         return _run(argv)
+    if sys.platform != 'win32' and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _leave)
     try:
         from ctsid_ros.interrupts import interruptible  # before all that takes long to load
 
@@ -49,6 +53,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _run(sys.argv[1:])
     except KeyboardInterrupt:  # too early, or too late, to be told
         return 130
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """End the program at once: an exception could be swallowed while modules are imported."""
+    os._exit(130)
 
 
 def _run(argv: Sequence[str]) -> int:

@@ -18,9 +18,12 @@ ROOT = Path(__file__).resolve().parent.parent
 BAG = ROOT / 'bags/quadrotor_roll'
 PATIENCE = 300  # s
 # What the command `ctsid` does, and a word when it begins: before, Python itself is interrupted.
+# Between the word and the call of main() as well, but for the handler.
 PROGRAM = """
-import os, sys
+import os, signal, sys
 from ctsid_ros.cli import main
+if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
 os.write(1, b'+')
 sys.exit(main())
 """
@@ -85,6 +88,30 @@ def test_ctrl_c_may_be_pressed_again_and_again(tmp_path):
     code, text = interrupted(READ, tmp_path, 0.05, times=20)
     assert 'Traceback' not in text
     assert code == 130
+
+
+def test_ctrl_c_before_the_command_can_handle_it_is_not_lost(tmp_path):
+    """Python itself swallows what is raised at some moments of an import."""
+    program = """
+import os, signal, sys
+from ctsid_ros.cli import main
+
+class Swallows:
+    def find_spec(name, *_):
+        try:
+            if name == 'ctsid_ros.interrupts':
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            pass
+
+sys.meta_path.insert(0, Swallows)
+sys.exit(main())
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', program, 'params'], cwd=tmp_path, text=True, check=False,
+        env=os.environ | {'PYTHONPATH': str(ROOT)}, capture_output=True, timeout=PATIENCE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+    assert (done.returncode, done.stdout, done.stderr) == (130, '', '')
 
 
 def test_who_ignores_ctrl_c_is_obeyed(tmp_path):

@@ -85,6 +85,32 @@ def test_what_arrived_before_a_jump_back_belongs_to_the_time_before():
     assert clock.at(EPOCH + 105 * MS) == S + 5 * MS
 
 
+def test_what_arrived_before_a_jump_ahead_belongs_to_the_time_before():
+    clock = SimClock()
+    for k in range(2):
+        clock.tick(EPOCH + k * 10 * MS, S + k * 10 * MS)
+    for k in range(2, 4):
+        clock.tick(EPOCH + k * 10 * MS, 500 * S + k * 10 * MS)
+        assert clock.at(EPOCH + 15 * MS) == S + 15 * MS
+        assert clock.at(EPOCH + 20 * MS) == 500 * S + 20 * MS
+        assert clock.at(EPOCH + 25 * MS) == 500 * S + (20 if k == 2 else 25) * MS
+
+
+def test_simulated_time_that_is_always_fast_does_not_jump():
+    clock = SimClock()
+    for k in range(4):
+        clock.tick(EPOCH + k * 10 * MS, S + k * 5 * S)
+    assert clock.at(EPOCH + 15 * MS) == S + 15 * S // 2
+    assert clock.at(EPOCH + 35 * MS) == S + 35 * S // 2
+
+
+def test_messages_of_clock_that_were_lost_are_no_jump():
+    clock = SimClock()
+    for at in (0, 10 * MS, 3 * S):
+        clock.tick(EPOCH + at, S + at)
+    assert clock.at(EPOCH + 2 * S) == 3 * S
+
+
 def test_simulated_time_before_the_first_tick_is_not_known():
     clock = SimClock()
     clock.tick(EPOCH, 1)
@@ -111,6 +137,19 @@ def test_a_clock_of_the_computer_set_back_begins_anew():
     assert clock.at(EPOCH - 3600 * S + 20 * MS) == 0
     clock.tick(EPOCH - 3600 * S + 39 * MS, 10 * S + 50 * MS)  # of another publisher
     assert clock.at(EPOCH - 3600 * S + 35 * MS) == 10 * S + 35 * MS
+
+
+@pytest.mark.parametrize('back', [30 * MS, 500 * MS])
+def test_a_clock_of_the_computer_set_back_by_little_begins_anew(back):
+    clock = SimClock()
+    for k in range(30):
+        shift = back if k >= 25 else 0
+        clock.tick(EPOCH - shift + k * 10 * MS, S + k * 10 * MS)
+        if k > 25:
+            assert clock.at(EPOCH - shift + k * 10 * MS - 5 * MS) == S + k * 10 * MS - 5 * MS
+        if k not in (0, 25):  # where the rate is not known
+            assert clock.at(EPOCH - shift + k * 10 * MS + 5 * MS) == S + k * 10 * MS + 5 * MS
+    assert clock.at(EPOCH - back + 240 * MS) == 0
 
 
 def test_only_so_many_ticks_are_kept():

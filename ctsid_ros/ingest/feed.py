@@ -27,9 +27,8 @@ from ctsid_ros.decoding.message_types import MessageType
 from ctsid_ros.ingest.counts import IngestCounts
 from ctsid_ros.ingest.ingest import Ingest, decoded
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
-from ctsid_ros.ingest.sim_clock import SimClock
+from ctsid_ros.ingest.sim_clock import STEP_NS, SimClock
 
-_STEP_NS = 10**9  # arrival times that go back by more are of a clock that was set back
 _WAITING = 20_000  # messages kept until the lengths of all arrays are known
 _TIMES = 4096  # arrivals remembered, for the latency
 
@@ -135,7 +134,7 @@ class Feed:
         self._held.sort(key=attrgetter('arrival_ns'))
         ready: list[Taken] = []
         later: list[Taken] = []
-        horizon_ns = max(until_ns, now_ns) + _STEP_NS
+        horizon_ns = max(until_ns, now_ns) + STEP_NS
         for taken in self._held:
             # What arrived long after "now" came before the clock was set back.
             early = until_ns < taken.arrival_ns < horizon_ns
@@ -213,7 +212,7 @@ class Feed:
         log_ns = arrival_ns if self._clock is None else self._clock.at(arrival_ns)
         if log_ns == 0:
             return 0
-        if self._last_ns - _STEP_NS < log_ns <= self._last_ns:
+        if self._last_ns - STEP_NS < log_ns <= self._last_ns:
             log_ns = self._last_ns + 1
         self._last_ns = log_ns
         return log_ns

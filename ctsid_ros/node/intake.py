@@ -148,7 +148,7 @@ class Intake:
         while taken := self._ticks.handle.take_message(Clock, False):
             message, info = taken
             now = message.clock
-            self._clock.tick(info['received_timestamp'], now.sec * 10**9 + now.nanosec)
+            self._clock.tick(_arrival_ns(info), now.sec * 10**9 + now.nanosec)
 
     def _drain(self) -> Iterator[Taken]:
         for topic, subscription in self._subscriptions.items():
@@ -161,8 +161,13 @@ class Intake:
 
 
 def _taken(topic: str, raw: bytes, info: Mapping[str, Any]) -> Taken:
-    return Taken(info['received_timestamp'] or time.time_ns(), topic, raw,
-                 info['source_timestamp'] or 0, info['publication_sequence_number'])
+    return Taken(_arrival_ns(info), topic, raw, info['source_timestamp'] or 0,
+                 info['publication_sequence_number'])
+
+
+def _arrival_ns(info: Mapping[str, Any]) -> int:
+    """Return when a message arrived, or the time now where the middleware does not say."""
+    return info['received_timestamp'] or time.time_ns()
 
 
 def _not_called(_: object) -> None:
