@@ -16,7 +16,7 @@ from ctsid_core import Settings, identify
 
 HD52 = PLANTS['hd52'].poles                    # -1 - i, -1 + i, -5, but for rounding of A
 SEEDS = [pytest.param(5, id='few'), pytest.param(100, id='100', marks=pytest.mark.slow)]
-FEW = [pytest.param(1, id='one'), pytest.param(100, id='100', marks=pytest.mark.slow)]
+FEW = [pytest.param(2, id='few'), pytest.param(100, id='100', marks=pytest.mark.slow)]
 PLAIN = Settings(order=3, refine=False)
 
 
