@@ -234,3 +234,11 @@ def test_the_page_shows_the_packages_in_this_order():
     for names in PACKAGES.values():
         inner = [name for name in names if name not in ('errors', 'settings')]
         assert [name for name in shown if name in inner] == inner
+
+
+def test_one_place_grades():
+    """What is read from a file, or judged by nobody, has its grade from there."""
+    grading = {name for name, path in modules().items() if name.startswith('ctsid_core')
+               and re.search(r'grade=', path.read_text(encoding='utf-8'))}
+    assert grading == {'ctsid_core.judge.rules', 'ctsid_core.model.estimate',
+                       'ctsid_core.model.model_json', 'ctsid_core.model.verdict'}
