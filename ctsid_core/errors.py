@@ -12,6 +12,10 @@ class CtsidError(Exception):
     """Base of all errors that ctsid raises on purpose."""
 
 
+class Cancelled(Exception):  # noqa: N818  # nothing has gone wrong
+    """An identification was broken off because its caller said so."""
+
+
 class DataError(CtsidError, ValueError):
     """Arrays or records that do not fit together."""
 

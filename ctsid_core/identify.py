@@ -3,34 +3,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.bases.records import Unusable, check_alike, join_records
+from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
+from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import conclude
-from ctsid_core.judge.conclusion_on_samples import conclude_on_samples
 from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.rules import failed_estimate, unusable_estimate
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.search.bends_passes import bends, explains_as_well, with_bends
-from ctsid_core.search.dead_time_choice import choose_dead_time
-from ctsid_core.search.lines import choose_noise_model, confirm_order, estimate, without_outliers
-from ctsid_core.search.order import FIRST
-from ctsid_core.search.samples import solve_bursty_samples, solve_if_distorted
-from ctsid_core.search.unrefined import identify_by
+from ctsid_core.search.solve import solve
+from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.subspace.methods import METHODS
 
-_NO_SEARCH = ('dead time is not looked for in outputs that come in bursts, and counts as 0; give '
-              'it if there is one')
-
 
 def identify(record: Record | Sequence[Record], settings: Settings | None = None, *,
-             like: StateSpace | None = None) -> Estimate:
+             like: StateSpace | None = None, cancelled: Callable[[], bool] | None = None,
+             ) -> Estimate:
     """
     Identify a continuous-time state-space model from one record, or from several of one plant.
 
@@ -42,9 +36,10 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     settings : Settings, optional
         What is not to be found from the data; by default everything is.
     like : StateSpace, optional
-        A model of data alike, of the window before for example: the search for the order begins
-        with its order. That saves time; the model is the same, bit by bit, unless another order
-        explains the data about as well.
+        Of no effect since version 0.2: the search from order 1 upwards needs no start. Kept for
+        callers of version 0.1.
+    cancelled : callable, optional
+        Asked again and again on the way; once it returns True, the identification is broken off.
 
     Returns
     -------
@@ -57,6 +52,8 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
         If `settings.delay` does not fit the number of inputs.
     DataError
         If several records differ in the number, names or units of their channels.
+    Cancelled
+        If `cancelled` said so.
 
     Notes
     -----
@@ -64,7 +61,7 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 
     Of several records: the trim and the noise of the model are those of the record that ends last
     (of several, the last given), those of all are in `Estimate.records`. The order does not matter
-    otherwise. What is held out is the last part of every record; of four and more, whole ones.
+    otherwise. What is held out are parts of every record; of four and more, whole ones.
 
     References
     ----------
@@ -86,43 +83,30 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     records = (record,) if isinstance(record, Record) else tuple(record)
     check_alike(records)
     settings = settings or Settings()
-    result = _identify(records, settings, like.n if like else FIRST)
+    effort = Effort(settings.budget, cancelled)
+    result = _identify(records, settings, effort)
     result = replace(result, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
                      end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
-    return cross_checked(result, settings, lambda other: _identify(records, other, FIRST))
+    return cross_checked(result, settings, lambda other: _identify(records, other, effort))
 
 
-def _identify(records: tuple[Record, ...], settings: Settings, first: int) -> Estimate:
-    known = settings.with_known_delays()
-    part = join_records(records, known)
+def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -> Estimate:
+    effort.check()
+    part = join_records(records, settings.with_known_delays())
     if isinstance(part, Unusable):
         return unusable_estimate(part.status, records[0], settings, part.notes)
-    too_short = unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
-    method = METHODS[settings.method]
     try:
-        if not method.refines:
-            tried = identify_by(method, part, settings)
-            return conclude(*tried) if tried else too_short
-        if on_samples := solve_bursty_samples(part, known):
-            result = conclude_on_samples(on_samples)
-            unknown = any(settings.unknown_delays(records[0].nu))
-            return replace(result, notes=(*result.notes, _NO_SEARCH)) if unknown else result
-        solution = estimate(part, known, first)
-        if solution is None:
-            return too_short
-        plain = part, solution
-        part, solution = with_bends(part, solution, known)
-        clean, solution = without_outliers(part, solution, known)
-        if clean is not part:
-            part, solution = with_bends(clean, solution, known)
-        if bends(part) and (on_samples := solve_if_distorted(*plain)):
-            result = conclude_on_samples(on_samples)
-            if explains_as_well(result, part, solution):
-                return result
-        solution = choose_noise_model(part, solution, known, first)
-        part, solution = choose_dead_time(records, plain, (part, solution), settings)
-        if on_samples := solve_if_distorted(part, solution):
-            return conclude_on_samples(on_samples)
-        return conclude(part, *confirm_order(part, solution, settings))
+        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):     # of absurd sizes
+            return _solved(part, records, settings, effort)
     except np.linalg.LinAlgError as error:       # of the data's making: no caller must die of it
         return failed_estimate(error, settings, part.notes)
+
+
+def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
+            effort: Effort) -> Estimate:
+    method = METHODS[settings.method]
+    solution = solve(part, settings, effort) if method.refines and settings.refine else \
+        solve_by(method, part, settings, effort)
+    if solution is None:
+        return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
+    return conclude(solution, effort)

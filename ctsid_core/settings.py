@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from ctsid_core.errors import SettingsError
 
+OF_STRIDE = 0.8  # budget of a window: the rest is for publishing, and for estimates of work
 Hold = Literal['zoh', 'linear', 'smooth']
 METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
 UNCHECKED = 'none'
@@ -149,16 +150,21 @@ class Settings:
         name='laguerre.pole', unit='rad/s', low=0.0, high=1e12, auto='chosen from the data',
         when='A few times the fastest pole of interest, in steps of two if the model is poor.')
     held_out: float = parameter(
-        0.3, 'Share of every window, at its end, that is held out: a model of the rest is '
-        'tested on it; 0: no test.',
+        0.3, 'Share of every window, in three parts, that is held out: a model of the rest '
+        'is tested on it; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,
-        when='Set it to 0 to halve the computing time, if models are tested elsewhere.')
+        when='Set it to 0 to save a little time, if models are tested elsewhere.')
     cross_check: str = parameter(
         UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
         'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',
         choices=(UNCHECKED, *METHODS),
         when='Set it to hd-pbsid where another method is used and there is time for it; it '
         'estimates dead times, too.')
+    budget: float = parameter(
+        0.0, 'Processor time that one identification may take, counted in work done, so that it '
+        'ends at the same place on every computer.', unit='s', low=0.0, high=1e6,
+        auto=f'{OF_STRIDE:g} of window.stride in the node and in replays, else no limit',
+        when='Raise it, or window.stride, if models are wanted that take longer to find.')
     window_length: float = parameter(
         10.0, 'Length of the sliding window.', name='window.length', unit='s', low=1e-3,
         high=1e5, structural=True,
@@ -208,6 +214,10 @@ class Settings:
             return self.replace(delay=tuple(
                 0.0 if isinstance(d, str) else d for d in self.delay))
         return self.replace(delay=0.0) if isinstance(self.delay, str) else self
+
+    def for_windows(self) -> Settings:
+        """Return a copy for consecutive windows, with a budget that suits their stride."""
+        return self if self.budget else self.replace(budget=OF_STRIDE * self.window_stride)
 
     def _each(self, nu: int) -> tuple[float | str, ...]:
         if not isinstance(self.delay, tuple):

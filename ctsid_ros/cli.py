@@ -66,6 +66,8 @@ def _run(argv: Sequence[str]) -> int:
     from ctsid_core.errors import CtsidError
     from ctsid_ros.errors import lacks_bag_package
 
+    if argv and not argv[0].startswith('-') and argv[0] not in VERBS:
+        return _unknown(argv[0])
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
         sys.stdout.reconfigure(errors='replace')
     try:
@@ -90,6 +92,16 @@ def _run(argv: Sequence[str]) -> int:
         print(f'ctsid: error: {missing}', file=sys.stderr)
         return 1
     return code
+
+
+def _unknown(word: str) -> int:
+    from difflib import get_close_matches
+
+    near = get_close_matches(word, VERBS, n=1, cutoff=0.5)
+    hint = f'nearest: {near[0]}' if near else f'the verbs are {", ".join(VERBS)}'
+    print(f'usage: ctsid [-h] [--version] VERB ...\nctsid: error: {word!r} is no verb; {hint} '
+          '(ctsid --help)', file=sys.stderr)
+    return 2
 
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:

@@ -10,7 +10,6 @@ from plants import PLANTS, random_signal
 import pytest
 from scipy.linalg import expm
 
-from ctsid_core.model.mode_sensitivity import output_sensitivities
 from ctsid_core.model.simulation import respond
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.record import Signal
@@ -18,6 +17,7 @@ from ctsid_ros.studies.bounds import (
     innovation_bound,
     innovations,
     output_error_bound,
+    pole_slopes,
     stationary_gain,
 )
 
@@ -69,53 +69,37 @@ def test_long_record_of_noise_through_one_lag():
     np.testing.assert_allclose(bound, [law], rtol=0.03)
 
 
+@pytest.mark.parametrize('hold', ['zoh', 'smooth'])
 @pytest.mark.parametrize('name', ['hd52', 'flexible'])
-def test_derivatives_are_those_of_differences(name):
-    model = statespace(name)
-    rng = np.random.default_rng(1)
-    inputs, x0 = [excitation(model.nu, 'smooth')], rng.standard_normal(model.n)
-    model = replace(model, x_trim=rng.standard_normal(model.n),
-                    y_trim=rng.standard_normal(model.ny))
+def test_the_bound_is_that_of_derivatives_by_differences(name, hold):
+    """By all entries of A, B, C, D, the first state and the trim of the outputs."""
+    model, rng = statespace(name), np.random.default_rng(1)
+    inputs, x0 = [excitation(model.nu, hold)], rng.standard_normal(model.n)
     times = np.sort(rng.uniform(0.0, 10.0, 80))
-    y, columns, _ = output_sensitivities(model, x0, inputs, times)
-    np.testing.assert_allclose(y, simulated(model, x0, inputs, times), rtol=1e-9, atol=1e-9)
+    noise = rng.uniform(0.5, 2.0, model.ny)
+    parts = [model.A, model.B, model.C, model.D, x0, np.zeros(model.ny)]
+    flat = np.concatenate([part.ravel() for part in parts])
 
-    def moved(at, sign):
-        """Entry `at` of x0, [B x_trim], C, [D y_trim]."""
-        parts = [x0, np.column_stack((model.B, model.x_trim)), model.C,
-                 np.column_stack((model.D, model.y_trim))]
-        flat = np.concatenate([part.ravel() for part in parts])
-        flat[at] += sign * 1e-4
-        start, B, C, D = (part.reshape(old.shape) for part, old in zip(
+    def outputs(flat):
+        A, B, C, D, x, level = (part.reshape(old.shape) for part, old in zip(
             np.split(flat, np.cumsum([part.size for part in parts])[:-1]), parts, strict=True))
-        changed = StateSpace(model.A, B[:, :-1], C, D[:, :-1], x_trim=B[:, -1], y_trim=D[:, -1])
-        return simulated(changed, start, inputs, times)
+        return simulated(StateSpace(A, B, C, D, y_trim=level), x, inputs, times)
 
-    for at in range(columns.shape[2] - model.n):
-        slope = (moved(at, 1.0) - moved(at, -1.0)) / 2e-4
-        np.testing.assert_allclose(columns[:, :, model.n + at], slope, rtol=1e-5,
-                                   atol=1e-6 * np.abs(slope).max())
-
-
-def test_derivatives_by_poles_are_those_of_differences():
-    A = np.zeros((3, 3))
-    A[:2, :2], A[2, 2] = [[-1.0, 2.0], [-2.0, -1.0]], -5.0
-    rng = np.random.default_rng(2)
-    model = StateSpace(A, rng.standard_normal((3, 1)), rng.standard_normal((2, 3)))
-    inputs, x0 = [excitation(hold='zoh')], rng.standard_normal(3)
-    columns = output_sensitivities(model, x0, inputs, T)[1]
-    by_hand = {'real': [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]],
-               'imag': [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
-               'lone': [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]}
-    slopes = []
-    for move in by_hand.values():
-        up, down = (simulated(replace(model, A=A + sign * 1e-4 * np.array(move)), x0, inputs, T)
-                    for sign in (1.0, -1.0))
-        slopes.append((up - down) / 2e-4)
-    found = sorted((columns[:, :, i] for i in range(3)), key=lambda c: np.abs(c).sum())
-    wanted = sorted(slopes, key=lambda c: np.abs(c).sum())
-    for one, other in zip(found, wanted, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(other).max())
+    rows = []
+    for one in np.eye(len(flat)):
+        slope = (outputs(flat + 1e-5 * one) - outputs(flat - 1e-5 * one)) / 2e-5
+        rows.append((slope / noise).ravel())
+    rows = np.array(rows).T
+    size = np.linalg.norm(rows, axis=0)
+    left, s, right = np.linalg.svd(rows / size, full_matrices=False)
+    kept = s > 1e-7 * s[0]
+    change = np.zeros((2 * model.n, len(flat)))
+    change[:, :model.A.size] = pole_slopes(model)
+    spread = (right[kept] / s[kept, np.newaxis] / size) @ change.T
+    spread = np.sum(spread ** 2, axis=0)
+    by_hand = np.sqrt(spread[:model.n] + spread[model.n:])
+    bound = output_error_bound(model, x0, inputs, times, noise)
+    np.testing.assert_allclose(bound, by_hand, rtol=1e-4)
 
 
 def test_scaling_with_noise_and_length():

@@ -41,6 +41,7 @@ from ctsid_core.settings import METHODS
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
+from ctsid_ros.report.tables import percent
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE = 300.0  # [s] for a process, on a machine that has much else to do
@@ -311,7 +312,7 @@ def test_compare_is_of_methods_whatever_the_settings(ctsid, shared):
 
 def test_compare_tells_what_cannot_be(ctsid, shared):
     words = 'compare', shared / 'bag', '--params', shared / 'params.yaml'
-    for more, said in ((('--start', '1000'), 'nothing of the bag lies in the interval'),
+    for more, said in ((('--start', '1000'), 'nothing of the bag lies after 1000 s: the bag is'),
                        (('--start', 'x'), "'x' is not a number of seconds")):
         code, out, err = ctsid(*words, *more)
         assert (code, out) == (1 if said.startswith('nothing') else 2, '')
@@ -535,7 +536,7 @@ def test_flights_of_different_plants_are_not_joined(ctsid, shared, tmp_path, day
     other = write_mcap(tmp_path / 'other.mcap', moved(weak, 3_600.0))
     code, out, _ = ctsid('identify', days[0], other, '--params', shared / 'params.yaml', '--quiet')
     assert code == 3
-    assert 'records 1 and 2 show different plants' in ' '.join(out.split())
+    assert 'The plant changed' in ' '.join(out.split())
 
 
 def test_the_same_recording_twice_is_refused(refusal, shared, tmp_path, days):
@@ -584,6 +585,92 @@ def test_wrong_usage_is_2(ctsid, words):
     code, out, err = ctsid(*words)
     assert (code, out) == (2, '')
     assert 'usage: ctsid' in err
+
+
+@pytest.mark.parametrize(('word', 'hint'), [
+    ('identfy', 'nearest: identify'), ('simulat', 'nearest: simulate'),
+    ('qqq', 'the verbs are info, init, identify')])
+def test_an_unknown_verb_gets_the_nearest(ctsid, word, hint):
+    code, out, err = ctsid(word, 'bag')
+    assert (code, out) == (2, '')
+    assert f"'{word}' is no verb; {hint}" in err
+
+
+def test_a_start_behind_the_end_is_said_without_infinity(refusal, shared):
+    for verb in ('identify', 'replay', 'advise'):
+        err = refusal(verb, shared / 'bag', '--params', shared / 'params.yaml', '--start', 100)
+        assert 'nothing of the bag lies after 100 s: the bag is 20.0 s long; choose an earlier' \
+            in err
+        assert 'inf' not in err
+
+
+def test_the_dead_time_that_was_looked_for_is_shown_and_not_asked_for(ctsid, shared, tmp_path):
+    code, out, _ = ctsid('identify', shared / 'bag', '--params', shared / 'params.yaml', '--out',
+                         'res')
+    assert code == 0
+    delay = load_model('res/model.json').delay[0]
+    shown = re.search(r'input +torque .* zoh +(\S+ \(.*?\)|\S+) ', out)[1]
+    auto = read_config(shared / 'params.yaml').inputs[0].delay == 'auto'
+    assert shown == (f'{delay:.3g} (found)' if auto else f'{delay:.3g}')
+    for order in ('', '    method: ct-pbsid\n'):
+        text = PARAMS.replace('delay: 0.0', 'delay: auto').rstrip() + f'\n{order}'
+        params = write_params(tmp_path / 'p.yaml', text)
+        code, out, _ = ctsid('identify', shared / 'bag', '--params', params, '--out', 'other',
+                             '--force')
+        advice = Path('other/report.md').read_text(encoding='utf-8')
+        assert ('0 (not looked for)' in out) == bool(order), out
+        assert (' (found)' in out) == (not order), out
+        assert ('The model has no dead time' in advice) == bool(order)
+
+
+def test_the_fit_and_the_deviations_are_the_same_wherever_they_stand(ctsid, shared):
+    params = shared / 'params.yaml'
+    ctsid('identify', shared / 'bag', '--params', params, '--out', 'res')
+    estimate = load_estimate('res/model.json')
+    page = Path('res/report.html').read_text(encoding='utf-8')
+    assert re.findall(r'Fit: (\S+) %', page) == [percent(estimate.fit[0])]
+    _, out, _ = ctsid('advise', shared / 'bag', '--params', params, '--json')
+    for pole in json.loads(out)['poles']:
+        near = np.argmin(abs(estimate.model.poles - complex(*pole['pole'])))
+        assert pole['std'] == pytest.approx(estimate.pole_std[near])
+    ctsid('replay', shared / 'bag', '--params', params, '--out', 'windows')
+    page = Path('windows/report.html').read_text(encoding='utf-8')
+    assert re.findall(r'Fit: (\S+) %', page) == [
+        percent(load_estimate('windows/model.json').fit[0])]
+
+
+def test_the_budget_of_the_command_line_is_that_of_the_model(ctsid, shared):
+    words = shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res', '--force'
+    for verb, default in (('identify', 0.0), ('replay', 2.0)):  # 0.8 of the stride
+        for more, budget in (((), default), (('--budget', '30'), 30.0)):
+            assert ctsid(verb, *words, *more)[0] == 0
+            assert load_estimate('res/model.json').settings.budget == budget
+    code, _, err = ctsid('identify', *words, '--budget', '-1')
+    assert code == 2
+    assert '--budget' in err
+
+
+@pytest.mark.parametrize('verb', ['identify', 'replay'])
+def test_a_terminal_shows_what_is_done(shared, tmp_path, verb):
+    pytest.importorskip('rich')
+    ours, theirs = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'ctsid_ros.cli', verb, shared / 'bag', '--params',
+         shared / 'params.yaml', '--out', tmp_path / 'res'], stdout=subprocess.DEVNULL,
+        env=environment() | {'TERM': 'xterm', 'COLUMNS': '200'}, stderr=theirs)
+    os.close(theirs)
+    shown = b''
+    with suppress(OSError):  # the end of a terminal
+        while part := os.read(ours, 4096):
+            shown += part
+    os.close(ours)
+    assert process.wait(PATIENCE) == 0
+    text = re.sub(rb'\x1b\[[0-9;?]*[A-Za-z]', b'', shown).decode()
+    if verb == 'identify':
+        assert re.search(r'identifying one model of 20 s of data, \d+ samples', text)
+    else:
+        assert re.search(r'[1-9] of [67] windows, fit', text), text
+    assert 'ctsid: error' not in text
 
 
 def test_help_and_version(ctsid):
@@ -707,7 +794,7 @@ def test_a_header_of_another_clock_is_told_with_its_cure(ctsid, refusal, shared,
         '/imu', lambda _, s: at(s, stamp_of(s) - START + S)))  # as a simulator stamps
     for verb in ('identify', 'replay'):
         err = refusal(verb, bag, '--params', shared / 'params.yaml')
-        assert 'if that is a clock that differs, set `stamp` to log' in err
+        assert 'so the clocks are not one; set `stamp` to log for all channels' in err
     params = write_params(tmp_path / 'p.yaml', PARAMS.replace('.x, unit', '.x, stamp: log, unit'))
     assert ctsid('identify', bag, '--params', params)[0] == 0
     ctsid('init', bag, '-o', 'guess.yaml')
@@ -770,11 +857,28 @@ def test_data_that_no_model_explains_are_rejected_with_the_reason(ctsid, shared,
         s, stamp_of(s), rng.standard_normal())))
     code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
     assert code == 3
-    assert 'NOT ACCEPTED' in out
-    assert load_estimate('res/model.json').model is None
+    assert 'REJECTED (UNEXPLAINED)' in out
+    estimate = load_estimate('res/model.json')
+    assert estimate.model is None
+    for text in (out, Path('res/report.md').read_text(encoding='utf-8')):
+        assert ' '.join(text.split()).count(estimate.verdict.reason) == 1
+    assert 'The model is rejected, and what follows' in Path('res/report.md').read_text(
+        encoding='utf-8')
     code, out, err = ctsid('simulate', 'res/model.json', bag)
-    assert code == 1
-    assert 'no accepted model' in err
+    assert (code, out) == (1, '')
+    assert f'no accepted model (UNEXPLAINED): {estimate.verdict.reason}' in err
+    assert 'Add --rejected to simulate' in err
+    code, out, _ = ctsid('simulate', 'res/model.json', bag, '--rejected')
+    assert code == 3
+    assert out.startswith('REJECTED (UNEXPLAINED)\n  ')
+    assert estimate.verdict.reason in ' '.join(out.split())
+    code, out, _ = ctsid('simulate', 'res/model.json', bag, '--rejected', '--json')
+    found = json.loads(out)
+    assert (code, found['accepted'], found['reason']) == (3, False, estimate.verdict.reason)
+    code, out, _ = ctsid('advise', bag, '--params', shared / 'params.yaml')
+    assert code == 3
+    assert out.startswith('REJECTED (UNEXPLAINED)\n  ')
+    assert ' '.join(out.split()).count(estimate.verdict.reason) == 1
 
 
 def test_a_window_longer_than_the_bag(refusal, shared):

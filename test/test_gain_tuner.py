@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Grade, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
@@ -45,11 +46,26 @@ def test_good_model_meets_no_objection():
     ({'pole_std': np.array([0.02, 5.0, 0.3, 0.3])}, 'deviation of 5, 25 % of its size'),
     ({'pole_std': np.array([0.02, np.nan, 0.3, 0.3])}, 'is not known'),
     ({'pole_std': np.empty(0)}, 'is not known'),
+    ({'start_ns': 108 * S}, 'ends before it begins'),
+    ({'start_ns': 109 * S}, 'ends before it begins'),
+    ({'model': replace(TRUTH, noise=np.array([[-1e-4]]))}, 'not positive semidefinite'),
     ({'fit': np.array([65.0])}, 'fit on the window is 65 %'),
     ({'held_out_fit': np.array([-20.0])}, 'fit on data held out is -20 %'),
 ])
 def test_what_is_objected_to(changes, words):
     assert words in objection(replace(GOOD, **changes), FRESH, 109 * S, LIMITS)
+
+
+def test_noise_of_several_outputs_has_to_be_a_covariance():
+    two = StateSpace(TRUTH.A, TRUTH.B, np.vstack([TRUTH.C] * 2), input_names=('torque',),
+                     output_names=('a', 'b'))
+    limits = replace(LIMITS, outputs=('a', 'b'))
+    for noise, good in (([[1, 1], [1, 1]], True), ([[1, 0.2], [0.2, 0]], False),
+                        ([[1, 0.2], [0.1, 1]], False), ([[0, 0], [0, 0]], True)):
+        why = objection(replace(GOOD, model=replace(two, noise=1e-4 * np.array(noise))), FRESH,
+                        109 * S, limits)
+        assert (why == '') is good, why
+        assert good or 'positive semidefinite' in why
 
 
 def test_collapse_of_the_model_before_is_objected_to():
@@ -136,3 +152,26 @@ def test_parameters_that_do_not_fit_are_said_and_not_fatal(live):
     verdict = tuned.give(encoded(GOOD))
     assert verdict.startswith('Refused: `weights.outputs` has 2 numbers, but the model wants 1')
     assert tuned.program.alive
+
+
+def test_age_counts_again_after_the_design(monkeypatch):
+    rclpy = pytest.importorskip('rclpy')
+    from live import claim_domain
+
+    from ctsid_ros.examples.tuner_node import GainTuner
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    domain, claim = claim_domain()
+    rclpy.init(args=[], domain_id=domain)
+    node = GainTuner()
+    try:
+        for second, refused in ((110 * S, False), (114 * S, True)):
+            times = iter((109 * S, second))
+            node._now_ns = lambda: next(times)  # noqa: B023
+            verdict, gains = node._tune(GOOD, FRESH)
+            assert (gains is None) is refused, verdict
+        assert verdict == ('Refused after the design, which took its time: the window of the '
+                           'model ended 6.0 s ago, on the clock of this node.')
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+        claim.close()

@@ -29,8 +29,9 @@ from ctsid_ros.cli import VERBS
 ROOT = Path(__file__).resolve().parent.parent
 # From the bottom; a module may import from its own package and from those before it.
 PACKAGES = {
-    'ctsid_core': ['errors', 'linear', 'settings', 'signals', 'model', 'bases', 'subspace',
-                   'likelihood', 'search', 'judge', 'advice', 'identify', 'sequence'],
+    'ctsid_core': ['errors', 'effort', 'linear', 'settings', 'signals', 'model', 'bases',
+                   'subspace', 'likelihood', 'search', 'judge', 'advice', 'identify',
+                   'sequence'],
     'ctsid_ros': ['errors', 'blas', 'interrupts', 'progress', 'decoding', 'config', 'ingest',
                   'recordings', 'replay', 'messages', 'report', 'node', 'studies', 'examples',
                   'verbs', 'cli'],

@@ -194,9 +194,9 @@ def test_everything_is_counted_per_channel_and_reported():
     assert replace(p, non_finite=1) == q
     assert (u.accepted, u.late) == (75, 0)
     text = '\n'.join(ingest.report())
-    for part in ('`p`: 2 of', 'not finite', '`q`: 1 of', 'came too late, up to 1e+07 s',
-                 '`window.max_delay` (0.1 s)', 'stamp of another', 'far from all others',
-                 'could not be decoded'):
+    for part in ('`p`: 2 of', 'not finite', '`q`: 1 of', 'came too late, up to 0.5 s',
+                 '`window.max_delay` (0.1 s)', 'stamp of another', 'could not be decoded',
+                 'far from all others, up to 1e+07 s ahead'):
         assert part in text
     assert '`u`' not in text
 
@@ -310,3 +310,63 @@ def test_real_recording_agrees_with_reading_it_by_hand(data_folder):
     counts = ingest.counts().channels
     assert (counts['stick'].source, counts['x'].source) == ('log', 'header')
     assert counts['x'].samples.accepted == len(by_hand['/cub1/pose'])
+
+
+def pushed(stamps, values=(1.0,), clock=None, **changes):
+    """Return what is said of 'u' if its stamps are so, beside a good output at 100 Hz."""
+    ingest = make(replace(U, **changes), P)
+    for k in range(300):
+        ingest.push('/imu', 0, 0, EPOCH + k * S // 100, (float(k),))
+        if k % 10 == 5:
+            ingest.push('/cmd', 0 if clock is None else clock, 0, stamps(k), values)
+    return [line for line in ingest.report() if line.startswith('`u`')]
+
+
+@pytest.mark.parametrize(('stamps', 'values', 'words'), [
+    (lambda k: EPOCH + k * S // 100, (math.nan,),
+     ['not one of 30 samples is a finite number in', 'of /cmd; check the sensor, or choose']),
+    (lambda k: EPOCH + 3600 * S + k * S // 100, (1.0,),
+     ['their stamps are 3.6e+03 s ahead of all others', 'clocks are not one; set `stamp` to log']),
+    (lambda k: EPOCH - 3600 * S + k * S // 100, (1.0,),
+     ['their stamps are 3.6e+03 s behind those of other channels', 'clocks are not one']),
+    (lambda k: EPOCH - S + k * S // 100, (1.0,),
+     ['comes in time: they are up to 1 s behind', 'raise `window.max_delay` (0.1 s)']),
+    (lambda k: EPOCH + S // 2, (1.0,), ['are', 'behind']),
+    (lambda k: EPOCH + k * S // 100, (), ['not one of 30 samples could be decoded']),
+])
+def test_a_channel_without_one_good_sample_gets_the_right_advice(stamps, values, words):
+    text = ' '.join(pushed(stamps, values))
+    assert all(word in text for word in words), text
+
+
+def test_stamps_that_are_all_zero_get_the_right_advice():
+    line, = pushed(lambda k: 0, stamp='header')
+    assert 'not one of 30 samples has a stamp in its header; set `u.stamp` to auto or log' in line
+    line, = pushed(lambda k: 0, stamp='log')
+    assert 'simulated time is not known; check that /clock is published' in line
+    line, = pushed(lambda k: 0, stamp='publish')
+    assert 'set `u.stamp` to log' in line
+
+
+def test_one_stamp_an_hour_ahead_does_not_colour_what_is_late():
+    ingest = make(U, P)
+    play(ingest, seconds=3.0)
+    end = EPOCH + 3 * S
+    ingest.push('/imu', 0, 0, end + 3600 * S, (1.0,))
+    ingest.push('/imu', 0, 0, end + 1, (1.0,))
+    ingest.push('/imu', 0, 0, end - S // 2, (1.0,))
+    samples = ingest.counts().channels['p'].samples
+    assert samples.worst_late == pytest.approx(-0.5)
+    assert samples.worst_astray == pytest.approx(3600.0, abs=0.1)
+    ingest.forget_worst()
+    samples = ingest.counts().channels['p'].samples
+    assert (samples.late, samples.worst_late, samples.worst_astray) == (1, 0.0, 0.0)
+
+
+def test_a_channel_that_another_of_its_topic_drops_is_not_said_to_be_silent():
+    ingest = make(U, P, Q)
+    for k in range(100):
+        ingest.push('/cmd', 0, 0, EPOCH + k * S // 100, (1.0,))
+        ingest.push('/imu', 0, 0, EPOCH + k * S // 100, (math.nan, 1.0))
+    line, = ingest.report()
+    assert line.startswith('`p`: not one of 100 samples is a finite number in ')

@@ -16,6 +16,7 @@ import pytest
 
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.verdict import Grade
 from ctsid_core.settings import Settings
 from ctsid_ros.examples.demo_table import Truth, judge, line, summary
 from ctsid_ros.examples.quadrotor_roll import Plant
@@ -65,6 +66,15 @@ def test_straddling_windows_may_be_right_of_either_plant():
         assert (window.phase, window.right) == ('straddling', right)
     assert judge(estimate(116, AFTER), TRUTHS).phase == 'after'
     assert not judge(estimate(116, BEFORE), TRUTHS).right
+
+
+def test_a_line_has_the_grade_of_a_model_or_why_there_is_none():
+    weak = estimate(100, BEFORE)  # nobody has judged it
+    good = replace(weak, verdict=replace(weak.verdict, grade=Grade.GOOD))
+    for given, word in ((weak, 'WEAK'), (good, 'GOOD'), (estimate(100, None), 'UNEXPLAINED')):
+        assert line(judge(given, TRUTHS), 100 * S).split()[3] == word
+    lines, _ = summary([judge(estimate(110, BEFORE), TRUTHS), judge(estimate(111, None), TRUTHS)])
+    assert 'straddling it: 2 windows: 1 WEAK and right, 1 UNEXPLAINED' in lines
 
 
 def windows(*more) -> list:

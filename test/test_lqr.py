@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import thread_time
 
 import numpy as np
 import pytest
 
 from ctsid_core.errors import DataError
 from ctsid_core.model.statespace import StateSpace
-from ctsid_ros.examples.lqr import Weights, compute_gains, corners, design, disc_margin
+from ctsid_ros.examples import margins
+from ctsid_ros.examples.lqr import Weights, compute_gains, design
+from ctsid_ros.examples.margins import moved_matrices, moved_poles, worst_margin
 from ctsid_ros.examples.quadrotor_roll import Plant
 
 ROLL = Plant().true_model()
@@ -27,6 +30,15 @@ def two_by_two(D: float = 0.0, delay: tuple[float, ...] = ()) -> tuple[StateSpac
         noise=np.array([[0.02, 0.004], [0.004, 0.05]]))
     stable = compute_gains(replace(model, delay=()), Weights((1.0, 1.0), (1.0, 1.0))).observer
     return replace(model, K=stable), Weights((1.0, 3.0), (0.5, 2.0))
+
+
+def disc_margin(model: StateSpace, gains, weights: Weights) -> float:
+    return margins.disc_margin(model, gains.controller, np.array(weights.inputs),
+                               np.array(weights.outputs))
+
+
+def corners(model: StateSpace, pole_std: np.ndarray) -> list[StateSpace]:
+    return [replace(model, A=A) for A in moved_matrices(model, moved_poles(model, pole_std))]
 
 
 def closed_poles(model: StateSpace, gains) -> np.ndarray:
@@ -120,7 +132,7 @@ def test_margin_bears_the_gains_it_promises():
 
 def test_corners_move_the_poles_by_three_deviations():
     std = np.array([0.1, 0.5, 0.2, 0.2])
-    found = list(corners(ROLL, std))
+    found = corners(ROLL, std)
     assert len(found) == 3 * 3 * 5
     assert np.allclose(found[0].A, ROLL.A)
     assert sum(np.allclose(np.linalg.eigvals(m.A).imag.max(), ROLL.poles.imag.max(), rtol=1e-9)
@@ -137,10 +149,49 @@ def test_corners_move_the_poles_by_three_deviations():
 
 def test_many_modes_are_tried_in_some_corners_only():
     many = StateSpace(np.diag(-np.arange(1.0, 13.0)), np.ones((12, 1)), np.ones((1, 12)))
-    found = list(corners(many, 0.01 * np.ones(12)))
+    found = corners(many, 0.01 * np.ones(12))
     assert len(found) == 500
-    assert np.allclose(found[7].A, next(
-        m for i, m in enumerate(corners(many, 0.01 * np.ones(12))) if i == 7).A)
+    assert np.allclose(found[0].A, many.A)
+    assert np.allclose(found[7].A, corners(many, 0.01 * np.ones(12))[7].A)
+
+
+@pytest.mark.parametrize('delay', [(), (0.01, 0.02)])
+def test_the_worst_corner_is_that_of_all_margins_one_by_one(delay):
+    model, weights = two_by_two(0.2, delay)
+    gains = compute_gains(model, weights)
+    poles = moved_poles(model, 0.002 * abs(model.poles))
+    alone = [disc_margin(replace(model, A=A), gains, weights)
+             for A in moved_matrices(model, poles)]
+    assert len(alone) == 15
+    corner, worst = worst_margin(model, poles, gains.controller, np.array(weights.inputs),
+                                 np.array(weights.outputs))
+    assert worst == pytest.approx(min(alone), rel=1e-6)
+    assert alone[corner] == pytest.approx(min(alone), rel=1e-6)
+    assert 0.0 < worst < 0.99 * alone[0]
+    three = StateSpace(ROLL.A[:3, :3] - 30 * np.eye(3), np.eye(3), np.eye(3))
+    own = compute_gains(three, Weights((1.0,) * 3, (1.0,) * 3))
+    loop = -own.controller.frequency_response(np.geomspace(1e-2, 1e4, 20_000)) @ \
+        three.frequency_response(np.geomspace(1e-2, 1e4, 20_000))
+    half = np.linalg.inv(np.eye(3) + loop) - np.eye(3) / 2
+    assert margins.disc_margin(three, own.controller, np.ones(3), np.ones(3)) == pytest.approx(
+        1 / np.linalg.norm(half, 2, axis=(1, 2)).max(), rel=1e-3)
+
+
+def test_poles_that_cannot_be_moved_one_by_one_are_refused():
+    chain = StateSpace([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], noise=[[1e-4]])
+    found = design(chain, np.array([0.01, 0.01]), Weights((1.0,), (1.0,)))
+    assert found.gains is None
+    assert 'so close together' in found.verdict
+
+
+def test_all_corners_of_six_poles_do_not_take_long():
+    rng = np.random.default_rng(0)
+    many = StateSpace(np.diag(-2.0 ** np.arange(-1, 5)), rng.standard_normal((6, 2)),
+                      rng.standard_normal((2, 6)), delay=(0.01, 0.02))
+    start = thread_time()
+    found = design(many, 0.03 * abs(many.poles), Weights((1.0, 1.0), (1.0, 1.0)), 0.05)
+    assert found.gains is not None, found.verdict
+    assert thread_time() - start < 2.0  # 0.5 s on a server
 
 
 def test_sure_model_is_accepted():

@@ -85,6 +85,7 @@ def test_junk_is_counted_and_told_and_never_fatal(live):
     assert all(estimate.ok for estimate in node.wait_models(3))
     said = node.wait_health('ingest', lambda h: h.values['/imu messages'] == str(
         robot.sent['imu']), 'all messages')
+    told = max(node.health('ingest'), key=lambda h: len(h.message))
     found = {key: int(value) for key, value in said.values.items() if key.split()[-1] in (
         'non_finite', 'wrong_width', 'bad_stamp', 'duplicate', 'late', 'astray')}
     shared = {'non_finite': None, 'bad_stamp': 2, 'duplicate': 1, 'late': 4}
@@ -92,13 +93,35 @@ def test_junk_is_counted_and_told_and_never_fatal(live):
                      'torque astray': 1,
                      **{f'{name} {key}': count for name in 'pq' for key, count in shared.items()
                         if count}}
-    assert said.level == Level.WARN
+    assert told.level == Level.WARN
     for sentence in ('`p`: 3 of', '`q`: 1 of', 'are not finite', 'arrays are too short',
                      'have a stamp of zero', 'have the stamp of another', 'came too late',
                      'stamps far from all others'):
-        assert sentence in said.message
+        assert sentence in told.message
     assert said.values['resets'] == '0'
     assert node.program.alive
+
+
+def test_a_warning_ends_when_its_cause_has(live):
+    node = live.identifier(params('ingest.timeout: 60.0', length=2.0))
+    robot = Robot(live, motion(30.0), node.name)
+    robot.send(1.0)
+    robot.publish('command', EPOCH + 3600 * S, [7.0])
+    robot.send(2.0)
+    said = node.wait_health('ingest', lambda h: 'torque astray' in h.values, 'the stray one')
+    assert said.level == Level.WARN
+    assert '`torque`: 1 of' in said.message
+    assert 'samples of the last 2 s have stamps far from all others, up to 3.6e+03 s ahead' in \
+        said.message
+    assert 'too late' not in said.message
+    for _ in range(100):
+        robot.send(robot.sent['command'] / 50.0 + 0.1, speed=1.0)
+        if (said := node.health('ingest')[-1]).level == Level.OK:
+            break
+    assert (said.level, said.message) == (Level.OK, 'messages come in')
+    assert said.values['torque astray'] == '1'
+    assert said.values['torque astray in the last window'] == '0'
+    assert int(said.values['p samples in the last window']) < int(said.values['p samples'])
 
 
 def test_a_missing_package_and_wrong_fields_are_named_at_configure(live):
@@ -118,3 +141,18 @@ def test_a_missing_package_and_wrong_fields_are_named_at_configure(live):
     said = node.wait_health('ingest', lambda h: h.level == Level.ERROR, 'an error')
     assert 'not configured' in said.message
     assert node.program.alive
+
+
+def test_a_parameter_file_that_is_missing_is_said_in_plain_words(live):
+    program = live.start('-m', 'ctsid_ros.node', '--ros-args', '--params-file', 'nowhere.yaml')
+    assert program.process.wait(180.0) == 1
+    assert program.log.startswith('identifier: the parameter file nowhere.yaml does not exist')
+    assert 'Traceback' not in program.log
+
+
+def test_a_rate_of_work_that_is_none_is_said_at_configure(live):
+    live.env['CTSID_WORK_RATE'] = 'fast'
+    node = live.identifier(params())
+    live.wait(lambda: 'not configured' in node.log, 'the refusal')
+    assert "the environment variable CTSID_WORK_RATE is 'fast'; set it to a positive" in node.log
+    assert 'by a fault of ctsid' not in node.log

@@ -51,7 +51,7 @@ def test_nothing_is_lost_while_identification_takes_longer_than_the_stride(live)
     skipped, windows = (int(said.values[key]) for key in ('skipped windows', 'windows'))
     assert windows == int(values['windows']) > 15
     assert 0 < skipped < windows
-    assert f'{skipped} windows were skipped' in said.message
+    assert any('windows were skipped' in h.message for h in node.health('identification'))
     computing = [data['computing_seconds'] for data in node.metadata()]
     assert np.median(computing) > 0.05  # the stride
     numbers = [data['window'] for data in node.metadata()]

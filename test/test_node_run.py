@@ -106,3 +106,27 @@ def test_a_publisher_is_told_of_once_it_has_a_name_or_stays_without(node, monkey
     ends['/u'][0].node_namespace, ends['/u'][0].node_name = '/', 'camera'
     assert 'the publisher `/camera` of /u sends other' in next(intake.faults())
     assert intake.stop(180.0)
+
+
+def test_two_publishers_of_one_topic_are_named(node):
+    made = plan('')
+    intake = Intake(node, Feed(made.config, made.types, lambda _: 1), made.classes,
+                    NodeSettings(), lambda _: None)
+    others = [Node(name, context=node.context) for name in ('left', 'right')]
+    publishers = [other.create_publisher(made.classes['/u'], '/u', 10) for other in others]
+    while not all(publisher.get_subscription_count() for publisher in publishers):
+        pass
+    while len(found := [end.node_name for end in node.get_publishers_info_by_topic('/u')]) < 2:
+        pass
+    assert sorted(found) == ['left', 'right']
+    fault, = intake.faults()
+    assert fault.startswith('2 publishers are on /u, whose samples are mixed into the same '
+                            'channels: the publisher `/')
+    assert '`/left`' in fault
+    assert '`/right`' in fault
+    others[0].destroy_node()
+    while len(node.get_publishers_info_by_topic('/u')) > 1:
+        pass
+    assert list(intake.faults()) == []
+    others[1].destroy_node()
+    assert intake.stop(180.0)

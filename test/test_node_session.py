@@ -9,6 +9,7 @@ import pytest
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
+from ctsid_ros.node.diagnosis import diagnose_identification
 from ctsid_ros.node.session import Session
 
 SETTINGS = Settings(order=1, held_out=0.0)
@@ -87,8 +88,8 @@ def test_a_reset_at_the_end_leaves_nothing(session, heard):
 def test_a_window_under_way_is_void_after_a_reset(session, heard, monkeypatch):
     begun, go, take = Event(), Event(), Tracker.take
 
-    def slowly(tracker, record):
-        tracked = take(tracker, record)
+    def slowly(tracker, record, cancelled):
+        tracked = take(tracker, record, cancelled)
         begun.set()  # the tracker remembers it now
         assert go.wait(PATIENCE)
         return tracked
@@ -106,3 +107,41 @@ def test_a_window_under_way_is_void_after_a_reset(session, heard, monkeypatch):
     assert np.isnan(result.tracked.fresh_fit).all()  # there is no model before it
     assert result.tracked.realisation == 2
     assert session.progress.skipped == 0
+
+
+@pytest.mark.parametrize('end', ['reset', 'stop'])
+def test_a_window_under_way_is_broken_off(session, heard, monkeypatch, end):
+    begun, broken, take = Event(), Event(), Tracker.take
+
+    def slowly(tracker, record, cancelled):
+        begun.set()
+        while not cancelled():
+            pass
+        broken.set()
+        return take(tracker, record, cancelled)
+
+    monkeypatch.setattr(Tracker, 'take', slowly)
+    session.submit(window(), None)
+    assert begun.wait(PATIENCE)
+    assert session.progress.under_way.number == 1
+    assert session.progress.under_way.seconds > 0.0
+    assert session.reset() is None if end == 'reset' else session.stop(PATIENCE)
+    assert broken.wait(PATIENCE)
+    assert session.stop(PATIENCE)
+    assert (heard.results, session.progress.last, session.progress.under_way) == ([], None, None)
+
+
+def test_a_fault_is_told_until_a_window_is_identified_again(heard, monkeypatch):
+    take = Tracker.take
+    session = Session(SETTINGS, heard.publish, lambda text: heard.told.set())
+    monkeypatch.setattr(Tracker, 'take', lambda *_: 1 / 0)
+    session.submit(window(), None)
+    heard.wait()
+    assert session.progress.failure.startswith('ZeroDivisionError')
+    monkeypatch.setattr(Tracker, 'take', take)
+    session.submit(window(), None)
+    heard.wait()
+    assert session.stop(PATIENCE)
+    assert (session.progress.failures, session.progress.failure) == (1, '')
+    assert diagnose_identification(session.progress).values['faults'] == 1
+    assert 'fault' not in diagnose_identification(session.progress).message

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The thread of identification, with real threads."""
 
-from threading import Event
+from threading import Event, Lock
 
 from ctsid_ros.node.worker import Worker
 
@@ -93,3 +93,42 @@ def test_what_is_dropped_is_not_done():
     go.set()
     assert worker.stop(PATIENCE)
     assert (done, worker.skipped) == ([1], 0)
+
+
+def test_workers_that_share_a_turn_never_work_at_once():
+    turn, begun, go, done = Lock(), Event(), Event(), []
+
+    def first_work(job):
+        begun.set()
+        go.wait(PATIENCE)
+        done.append(job)
+
+    finished = Event()
+
+    def second_work(job):
+        done.append(job)
+        finished.set()
+
+    first, second = (Worker(work, done.append, turn) for work in (first_work, second_work))
+    first.start()
+    second.start()
+    first.submit('a')
+    assert begun.wait(PATIENCE)
+    assert not first.stop(0.01)
+    second.submit('b')
+    second.submit('c')
+    assert not finished.wait(0.1)
+    go.set()
+    assert finished.wait(PATIENCE)
+    assert first.stop(PATIENCE)
+    assert second.stop(PATIENCE)
+    assert (done, second.skipped) == (['a', 'c'], 1)
+
+
+def test_one_that_waits_for_its_turn_can_be_stopped():
+    turn = Lock()
+    with turn:
+        worker = Worker(lambda job: None, lambda error: None, turn)
+        worker.start()
+        worker.submit(1)
+        assert worker.stop(PATIENCE)

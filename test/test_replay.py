@@ -74,7 +74,7 @@ def ran(path):
 def test_replay_gives_the_estimates_of_all_windows_to_the_last_bit(ran, path):
     records = list(windows_of_rosbags(path, CONFIG))
     assert len(records) == len(ran.results) == 6
-    tracker = Tracker(CONFIG.settings)
+    tracker = Tracker(CONFIG.settings.for_windows())
     for number, (record, result) in enumerate(zip(records, ran.results, strict=True)):
         expected = tracker.take(record)
         assert to_json(result.estimate) == to_json(expected.estimate)
@@ -124,7 +124,7 @@ def test_progress_goes_from_nothing_to_all(path):
     assert fractions[0] < 0.01
     assert fractions[-1] == 1.0
     assert told[0][1] == 'no window yet'
-    assert told[-1][1].startswith('6 windows, fit 9')
+    assert told[-1][1].startswith('6 of 6 windows, fit 9')
 
 
 def test_whole_record_is_all_of_the_bag(bag):

@@ -7,6 +7,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 import math
 import re
+import time
 import xml.etree.ElementTree as ET
 
 from flights import TRUTH
@@ -21,7 +22,7 @@ from ctsid_core.model.validation import Validation
 from ctsid_core.model.verdict import Excitation, Grade, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
-from ctsid_ros.progress import progress
+from ctsid_ros.progress import progress, time_left, working
 from ctsid_ros.replay.replay import Result
 from ctsid_ros.report.document import Bullets, Figure, Section, to_html, to_markdown, to_text
 from ctsid_ros.report.figures import (
@@ -46,7 +47,8 @@ from ctsid_ros.report.tracks import Mode, Track, match, modes, tracks
 
 GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.',
                excitation=(Excitation('torque', 0.1, 30.0, 12.0, 1.0, 0.01),),
-               missing=np.array([0.003]), next_ratio=np.array([1.2]))
+               error=np.array([0.05]), coloured_error=np.array([0.003]),
+               held_out_error=np.array([0.06]))
 
 
 def estimate(model: StateSpace | None = TRUTH, std: float = 0.1, start: float = 0.0,
@@ -88,7 +90,7 @@ def test_bode_bands_are_two_standard_deviations_and_no_wider_than_a_picture():
     gain, phase = (std[:, 0, 0] for std in response_std(TRUTH, omega, known))
     np.testing.assert_allclose(gain, 20 / math.log(10) * np.abs((0.001 / response).real))
     np.testing.assert_allclose(phase, np.degrees(np.abs((0.001 / response).imag)))
-    plain, banded = (bode_figures(TRUTH, None, None, c) for c in (None, known))
+    plain, banded = (bode_figures(TRUTH, (), None, c) for c in (None, known))
     assert [f.svg.count('opacity="0.2"') for f in (*plain, *banded)] == [0, 0, 1, 1]
     row = to_text([bode_section(TRUTH, 5, known)]).splitlines()[-1]
     assert row.count('±') == 2
@@ -265,7 +267,7 @@ def test_figures_of_a_diverged_simulation_are_drawings():
     wild[-1] = math.inf
     found = Validation(times=times, y=y, y_hat=wild, fit=np.array([-math.inf]), vaf=np.zeros(1),
                        x0=np.zeros(2))
-    for figure in (*output_figures(TRUTH, found, 0.0, 'x'), *bode_figures(TRUTH, None)):
+    for figure in (*output_figures(TRUTH, found, 0.0, 'x'), *bode_figures(TRUTH)):
         assert 'nan' not in figure.svg
         ET.fromstring(figure.svg)
 
@@ -358,7 +360,7 @@ def test_a_rejected_model_is_shown_as_such():
                         pole_std=np.full(2, 0.3), fit=np.array([12.0]))
     text = to_text([model_section(rejected, 'Model')])
     assert 'REJECT. No linear model explains' in text
-    assert 'NOT ACCEPTED (UNEXPLAINED)' in text
+    assert 'REJECTED (UNEXPLAINED)' in text
     assert 'response std [%]' in text
     assert 'docs/glossary.md' in text
     assert '-1.500 ± 3.000j' in text
@@ -372,8 +374,7 @@ def test_a_rejected_model_is_shown_as_such():
     (estimate(held_out_fit=np.array([60.0])), 'longer'),
     (estimate(settings=Settings(max_order=2)), 'reached `max_order`'),
     (estimate(std=9.0), 'hardly determined'),
-    (estimate(shifted(TRUTH, 5.0)), 'unstable'),
-    (estimate(None, status=Status.GAPS), 'lies in gaps')])
+    (estimate(shifted(TRUTH, 5.0)), 'unstable')])
 def test_advice_fits_the_outcome(given, words):
     text = to_markdown('', [advice_section(given, np.empty(0), ())])
     if words is None:
@@ -430,6 +431,50 @@ def test_bar_of_progress_is_drawn_for_a_person():
         advance(0.5, '3 windows [x]')
         advance(1.0, 'done')
     assert 'working [now]' in stream.text
+
+
+def test_time_left_is_told_once_it_can_be_known():
+    assert [time_left(*args) for args in ((0.0, 9.0), (0.5, 0.1), (1.0, 9.0))] == ['', '', '']
+    assert time_left(0.25, 10.0) == 'about 30 s left'
+    assert time_left(0.1, 100.0) == 'about 15 min left'
+
+
+def test_work_without_an_end_is_one_line_once_it_has_taken_a_while(capsys):
+    with working('thinking'):
+        pass
+    with working('hidden', quiet=True):
+        time.sleep(0.6)
+    assert capsys.readouterr().err == ''
+    with working('thinking'):
+        time.sleep(0.7)
+    assert capsys.readouterr().err == 'thinking ...\n'
+
+
+def test_an_estimate_without_a_model_is_told_once():
+    given = estimate(None, status=Status.GAPS)
+    text = to_markdown('', [model_section(given, 'x'), advice_section(given, np.empty(0), ())])
+    assert text.count(Status.GAPS.value) == 1
+
+
+def test_bands_are_shaded_for_each_input():
+    two = replace(TRUTH, B=np.hstack([TRUTH.B] * 2), D=np.zeros((1, 2)), delay=(0.0, 0.0),
+                  input_names=('a', 'b'), input_units=('', ''))
+    first, _, second, _ = bode_figures(two, [(0.5, 2.0), (10.0, 40.0)])
+    places = [re.search(r'<rect x="([\d.]+)" y="[\d.]+" width="([\d.]+)"[^>]*--shade', f.svg)
+              for f in (first, second)]
+    assert float(places[0][1]) < float(places[0][1]) + float(places[0][2]) < float(places[1][1])
+    assert '--shade' not in bode_figures(two, [None, (1.0, 2.0)])[0].svg
+
+
+def test_the_simulated_line_does_not_hide_the_measured_one():
+    t = np.linspace(0.0, 1.0, 50)
+    found = Validation(times=t, y=t[:, None], y_hat=t[:, None], fit=np.array([97.7]),
+                       vaf=np.zeros(1), x0=np.zeros(2))
+    figure, = output_figures(TRUTH, found, 0.0, 'x', np.array([95.04]))
+    widths = [float(w) for w in re.findall(r'<path[^>]*stroke-width="([\d.]+)"', figure.svg)]
+    assert widths[0] > 3 * widths[1]  # drawn first, behind
+    assert figure.caption.endswith('Fit: 95.0 %.')
+    assert output_figures(TRUTH, found, 0.0, 'x')[0].caption.endswith('Fit: 97.7 %.')
 
 
 def test_choices_are_told_in_the_files_only():

@@ -1,23 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates from the raw samples: exact responses, efficiency, and when they are made."""
+"""Estimates from samples in bursts: as good as can be."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from plants import PLANTS, asynchronous, running
+from plants import PLANTS, asynchronous
 import pytest
-from scipy.integrate import solve_ivp
 
 from ctsid_core import Record, Settings, Signal, Status, identify
-from ctsid_core.likelihood.samples_output_error import poles_in_time, refine_in_time
-from ctsid_core.linear.free_entries import FreeEntries
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.model.mode_responses import derivatives, outputs, responses, stamps_of
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.samples_model import in_bursts
-from ctsid_core.search.samples_modes import search_in_time
 
 TRUTH = np.array([-2.0, -4.0, -0.3 + 6.3j, -0.3 - 6.3j])
 A = np.zeros((4, 4))
@@ -59,74 +52,9 @@ def paired(poles) -> np.ndarray:
     return np.array([poles[np.argmin(np.abs(poles - p))] for p in TRUTH])
 
 
-def own_stamps(hold: str) -> Record:
-    rng = np.random.default_rng(3)
-    t_1, t_2 = np.sort(rng.uniform(-1.0, 10.0, 300)), np.arange(-1.0, 10.5, 0.05)
-    inputs = (Signal(t_1, rng.standard_normal((300, 1)), hold),
-              Signal(t_2, rng.standard_normal((len(t_2), 1)), 'zoh'))
-    stamps = np.sort(rng.uniform(0.0, 10.0, 40)), np.sort(rng.uniform(0.0, 10.0, 50))
-    return Record(inputs, tuple(Signal(t, np.zeros((len(t), 1))) for t in stamps), 0.0, 10.0)
-
-
-def some_model(A_here) -> Matrices:
-    rng = np.random.default_rng(4)
-    return Matrices(A=A_here, B=rng.standard_normal((4, 2)), C=C, D=rng.standard_normal((2, 2)),
-                    K=np.zeros((4, 2)), tail=rng.standard_normal((4, 1)),
-                    x_trim=rng.standard_normal((4, 1)), y_trim=rng.standard_normal((2, 1)))
-
-
-@pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
-@pytest.mark.parametrize('poles', ['distinct', 'double'])
-def test_responses_and_their_derivatives_are_exact(hold, poles):
-    """At own stamps of both outputs, with dead times, and where two modes share a pole."""
-    turn = np.random.default_rng(5).standard_normal((4, 4))
-    m = some_model(turn @ A @ np.linalg.inv(turn) if poles == 'distinct'
-                   else np.diag([-1.0, -1.0, -2.0, -2.0]))
-    record, delay = own_stamps(hold), (0.05, 0.13)
-    stamps = stamps_of(record, delay, True)
-
-    def simulated(q: Matrices) -> np.ndarray:
-        x, u = respond(q.A, q.B, q.x_trim[:, 0], record.inputs, delay, stamps.times, q.tail[:, 0])
-        y = (x @ q.C.T + u @ q.D.T + q.y_trim[:, 0]).T
-        return np.concatenate([y[channels][0][rows] for channels, rows in stamps.streams])
-
-    found = responses(stamps, m)
-    y = outputs(stamps, m, found)
-    own = np.concatenate([y[channels][0][rows] for channels, rows in stamps.streams])
-    np.testing.assert_allclose(own, simulated(m), rtol=0, atol=1e-9 * np.abs(own).max())
-    slopes = derivatives(stamps, m, found, np.ones(2), True)
-    entries = FreeEntries.of(m, True)
-    for k, row in enumerate(slopes):
-        step = 1e-6 * (np.arange(len(slopes)) == k)
-        wanted = (simulated(entries.moved(m, step)) - simulated(entries.moved(m, -step))) / 2e-6
-        np.testing.assert_allclose(row, wanted, rtol=0, atol=1e-6 * (1 + np.abs(row).max()))
-
-
-def test_a_simulation_agrees_with_a_solver_of_others():
-    """An independent code, restarted where the held input jumps."""
-    rng = np.random.default_rng(6)
-    t_u, t_y = np.sort(rng.uniform(-0.2, 5.0, 40)), np.sort(rng.uniform(0.0, 5.0, 30))
-    u, x = rng.standard_normal(40), rng.standard_normal(4)
-    record = Record((Signal(t_u, u[:, np.newaxis], 'zoh'),),
-                    (Signal(t_y, np.zeros((30, 2))),), 0.0, 5.0)
-    m = replace(some_model(A), B=B, D=np.zeros((2, 1)), tail=x[:, np.newaxis])
-    stamps = stamps_of(record, (0.0,), True)
-    knots, wanted = np.union1d(t_y, t_u[(t_u > t_y[0]) & (t_u < t_y[-1])]), []
-    for begin, end in zip(knots, np.append(knots[1:], knots[-1] + 1.0), strict=True):
-        if begin in t_y:
-            wanted.append(C @ x + m.y_trim[:, 0])
-        value = u[np.searchsorted(t_u, begin, side='right') - 1]
-        x = solve_ivp(lambda _, z: A @ z + B[:, 0] * value + m.x_trim[:, 0],  # noqa: B023
-                      (begin, end), x, rtol=1e-11, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(outputs(stamps, m, responses(stamps, m)).T, wanted, atol=1e-8)
-
-
 def test_noise_free_samples_give_the_plant_to_rounding():
-    record = bursty(0, snr=240.0)
-    start = some_model(A * 1.1)
-    start = replace(start, B=B, D=np.zeros((2, 1)))
-    found = refine_in_time(record, start, (0.0,), feedthrough=True, steps=40)
-    np.testing.assert_allclose(paired(poles_in_time(found)[0]), TRUTH, rtol=1e-6)
+    found = identify(bursty(0, snr=240.0), Settings(order=4))
+    np.testing.assert_allclose(paired(found.model.poles), TRUTH, rtol=1e-6)
 
 
 def check_bursty(seeds: int, low: float, high: float) -> None:
@@ -134,7 +62,6 @@ def check_bursty(seeds: int, low: float, high: float) -> None:
     for seed in range(seeds):
         estimate = identify(bursty(seed), Settings(order=4))
         assert estimate.ok, (seed, estimate.status)
-        assert [c.value for c in estimate.choices if c.name == 'domain'] == ['time']
         poles = estimate.model.poles
         deviation = np.array([estimate.pole_std[np.argmin(np.abs(poles - p))] for p in TRUTH])
         scores.append(np.abs(paired(poles) - TRUTH) / deviation)
@@ -161,20 +88,19 @@ def test_bursty_outputs_with_nothing_set():
     assert estimate.ok
     assert estimate.model.n == 4
     assert (np.abs(paired(estimate.model.poles) - TRUTH)[2:] < 0.15).all()
-    assert 'bursts' in ' '.join(c.why for c in estimate.choices)
     again = identify(bursty(1))
     np.testing.assert_array_equal(estimate.model.A, again.model.A)
 
 
 def test_lightly_damped_modes_are_found_from_nothing():
-    """Three pairs from a grid; that of 9 Hz is seldom found in interpolated samples."""
+    """Three pairs; that of 9 Hz is seldom found in interpolated samples."""
     p = PLANTS['flexible']
     record = asynchronous(np.random.default_rng(0), p, 100.0, 60.0, snr=20.0)
-    found = search_in_time(record, (0.0, 0.0), Settings(max_order=7))
-    poles, deviation = poles_in_time(found.fit)
-    assert len(poles) == 6, found.table
+    found = identify(record, Settings(max_order=7, delay=0.0))
+    poles = found.model.poles
+    assert len(poles) == 6
     off = np.abs(p.poles[:, np.newaxis] - poles)
-    np.testing.assert_array_less(off.min(axis=1), 4.0 * deviation[off.argmin(axis=1)])
+    np.testing.assert_array_less(off.min(axis=1), 4.0 * found.pole_std[off.argmin(axis=1)])
 
 
 def test_bursts_of_noise_are_not_explained():
@@ -202,9 +128,3 @@ def paired_std(estimate) -> np.ndarray:
     return np.array([estimate.pole_std[np.argmin(np.abs(estimate.model.poles - p))]
                      for p in TRUTH])
 
-
-def test_dense_outputs_are_not_estimated_in_time():
-    for estimate in (identify(running(np.random.default_rng(0), PLANTS['hd51'], 20.0)),
-                     identify(running(np.random.default_rng(0), PLANTS['hd52'], 20.0))):
-        assert not [c for c in estimate.choices if c.name == 'domain']
-    assert not in_bursts(running(np.random.default_rng(0), PLANTS['hd51'], 20.0))

@@ -79,11 +79,12 @@ def test_a_step_response_is_no_reason_to_reject_a_right_model(at):
     assert found.verdict.grade is not Grade.REJECT
 
 
-def test_there_is_no_forecast_where_there_is_no_projection():
+def test_there_is_a_forecast_of_several_records():
     records = [running(np.random.default_rng(s), PLANTS['hd51'], 20, rate=100.0) for s in (0, 1)]
-    told = advise(identify(records, QUICK), records[0])
-    assert told.poles == ()
-    assert 'no forecast' in told.sentences[0]
+    found = identify(records, QUICK)
+    told = advise(found, records)
+    assert [p.std for p in told.poles] == pytest.approx(found.pole_std)
+    assert all(0.0 < b.ratio < 1.0 for p in told.poles for b in p.bands)
 
 
 def test_the_same_samples_do_not_count_twice():

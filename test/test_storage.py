@@ -4,6 +4,7 @@
 import csv
 from dataclasses import fields, replace
 import json
+import math
 import os
 from pathlib import Path
 import threading
@@ -14,7 +15,7 @@ import pytest
 from ctsid_core.errors import StorageError
 from ctsid_core.model import storage
 from ctsid_core.model.covariance import Covariance
-from ctsid_core.model.estimate import Choice, Estimate, Status
+from ctsid_core.model.estimate import Choice, Estimate, OrderTried, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import (
     from_json,
@@ -26,6 +27,7 @@ from ctsid_core.model.storage import (
     save_series,
     to_json,
 )
+from ctsid_core.model.verdict import Excitation
 from ctsid_core.settings import Settings
 
 
@@ -118,7 +120,7 @@ def test_the_text_is_strict_json_that_describes_itself():
     text = to_json(estimate(), {'bag': 'flight 1'})
     document = json.loads(text, parse_constant=refuse)
     assert document['format'] == 'ctsid-model'
-    assert document['version'] == 1
+    assert document['version'] == 2
     assert document['message'] == Status.OK.value
     assert document['model']['A'] == estimate().model.A.tolist()
     pole = document['model']['poles'][0]
@@ -128,6 +130,25 @@ def test_the_text_is_strict_json_that_describes_itself():
     assert document['settings']['pbsid.past'] == 0
     assert document['metadata'] == {'bag': 'flight 1'}
     assert max(map(len, text.splitlines())) < 250
+
+
+def test_files_of_version_1_still_load():
+    """Their verdicts have other numbers: those that are gone are dropped, new ones not known."""
+    band = Excitation('u', 0.1, 20.0, 12.0, 1.0, 0.01)
+    now = estimate(verdict=replace(estimate().verdict, excitation=(band,)))
+    document = json.loads(to_json(now)) | {'version': 1}
+    verdict = document['verdict']
+    for key in ('error', 'coloured_error', 'held_out_error', 'independent', 'change_cost'):
+        del verdict[key]
+    verdict |= {'missing': [0.01], 'missing_p_value': [0.5], 'next_ratio': [1.2]}
+    document['orders'] = [{'order': 2, 'criterion': 0.0, 'fit': 90.0, 'held_out_fit': None}]
+    old = from_json(json.dumps(document))
+    assert old.model == now.model
+    assert old.verdict.grade is now.verdict.grade
+    assert old.verdict.excitation == now.verdict.excitation
+    assert not len(old.verdict.error)
+    assert math.isnan(old.verdict.change_cost)
+    assert old.orders == (OrderTried(2, 0.0, 90.0),)
 
 
 def test_files_of_models_and_metadata(tmp_path):
@@ -206,7 +227,7 @@ def test_a_reader_never_meets_half_a_file(tmp_path):
     (b'\xff\xfe\x00', 'not a text file'), (b'[1, 2]', 'choose a model.json'),
     (b'{"format": "other"}', "`format` is 'other'"), (b'{}', '`format` is None'),
     (b'{"format": "ctsid-model"}', '`version` is None'),
-    (b'{"format": "ctsid-model", "version": 2}', 'upgrade ctsid'),
+    (b'{"format": "ctsid-model", "version": 3}', 'upgrade ctsid'),
     (b'{"format": "ctsid-model", "version": true}', '`version` is True'),
     (b'{"format": "ctsid-model", "version": 1}', 'missing: equations, status'),
     (b'{"a": NaN}', 'holds NaN'), (b'{"a": 1, "a": 2}', "'a' occurs twice"),
@@ -257,6 +278,9 @@ def put(value, *where):
     (put([1.0], 'model', 'A', 1), r'`model.A\[1\]` has 1 entries, but 3 numbers'),
     (put([[1.0]], 'model', 'A'), '`model.A` has 1 entries, but 3 by 3 numbers'),
     (put(5, 'model', 'A'), '`model.A` is 5, but a list'),
+    (put(1e9, 'model', 'A', 0, 0), '`model.poles` are not the eigenvalues of `model.A`'),
+    (put([], 'model', 'poles'), '`model.poles` are not the eigenvalues'),
+    (put([3], 'model', 'poles'), '`model.poles` is not a list of poles'),
     (put(4, 'model', 'n'), '`model.A` has 3 entries, but 4 by 4'),
     (put(-1, 'model', 'n'), 'negative dimensions'), (put(1.5, 'model', 'n'), '`n` is 1.5'),
     (put([-1, 0], 'model', 'delay'), 'none negative'),

@@ -61,6 +61,8 @@ def same_value(a, b) -> bool:
         return all(same_value(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
     if isinstance(a, np.ndarray):
         return np.array_equal(a, b, equal_nan=True)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same_value(a[key], b[key]) for key in a)
     return a == b or (a != a and b != b)
 
 

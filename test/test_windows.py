@@ -216,7 +216,7 @@ def test_late_duplicate_and_bad_samples_are_dropped_and_counted():
     u, y = slider.counts.groups['u'], slider.counts.groups['y']
     assert (u.late, u.non_finite, u.wrong_width, u.bad_stamp, u.duplicate) == (1, 1, 1, 1, 0)
     assert (y.late, y.non_finite, y.wrong_width, y.bad_stamp, y.duplicate) == (0, 1, 1, 2, 2)
-    assert u.worst_offset == pytest.approx(-0.5, abs=0.02)
+    assert u.worst_late == pytest.approx(-0.5, abs=0.02)
     assert u.accepted + y.accepted == len(samples)
     assert slider.counts.windows == len(wanted)
 
@@ -259,7 +259,7 @@ def test_a_group_that_is_always_late_is_no_restart():
     counts = slider.counts
     assert counts.resets == 0
     assert counts.groups['u'].late == 2999  # the first came before all others
-    assert counts.groups['u'].worst_offset == pytest.approx(-0.999, abs=0.001)
+    assert counts.groups['u'].worst_late == pytest.approx(-0.999, abs=0.001)
     assert counts.groups['y'].accepted == 30
 
 
@@ -291,7 +291,7 @@ def test_samples_from_the_far_future_do_no_harm():
     assert_same(records + list(slider.flush()), wanted)
     astray = slider.counts.groups['u'].astray
     assert astray == 2 * -(-len(samples) // 50)
-    assert slider.counts.groups['u'].worst_offset == pytest.approx(1e8)
+    assert slider.counts.groups['u'].worst_astray == pytest.approx(1e8)
 
 
 def test_a_gap_of_decades_costs_no_time_nor_memory():

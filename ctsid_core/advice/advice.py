@@ -15,7 +15,6 @@ from math import pi
 import numpy as np
 
 from ctsid_core.advice.forecast import Band, Forecast, forecast
-from ctsid_core.bases.preparation import usable
 from ctsid_core.errors import DataError
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.signals.record import Record
@@ -23,10 +22,6 @@ from ctsid_core.signals.record import Record
 _MOST = 1e4           # times as long or as large: never
 _SMALL = 0.97         # of the deviation: a band that leaves more than this does not help
 
-_NO_FORECAST = ('There is no forecast for models that were made from the raw samples, or from '
-                'several records; identify one record of densely sampled outputs.')
-_AS_KNOWN = ('The estimated dead time counts as known here; as it is not, somewhat more data are '
-             'needed.')
 
 
 @dataclass(frozen=True)
@@ -44,8 +39,8 @@ class PoleAdvice:
         How many times as long the data have to be, with the same excitation; 1 if they are long
         enough. Reckoned as if in separate windows: one long record is at least as good.
     larger : float
-        How many times as large the excitation has to be over the same time; infinite if that is
-        not the way, because the deviation comes from elsewhere.
+        How many times as large the excitation has to be over the same time, if the plant stays
+        linear; 1 if it is large enough.
     bands : tuple of Band
         What further excitation in one band would do, the most helpful first.
     enough : float
@@ -81,7 +76,7 @@ class Advice:
     sentences: tuple[str, ...]
 
 
-def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
+def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float = 0.05,
            seconds: float = 10.0) -> Advice:
     """
     Return which duration, amplitude or band of excitation a wanted accuracy needs.
@@ -90,7 +85,7 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
     ----------
     estimate : Estimate
         Of `identify(record, ...)`; a rejected model serves as well.
-    record : Record
+    record : Record or sequence of Record
     wanted : float
         Standard deviation of each pole over its size (over 1 / duration, if that is larger).
     seconds : float
@@ -109,40 +104,33 @@ def advise(estimate: Estimate, record: Record, wanted: float = 0.05,
     for name, value in (('wanted', wanted), ('seconds', seconds)):
         if not 0.0 < value < np.inf:
             raise DataError(f'`{name}` is {value}; a positive number is wanted')
-    model = estimate.model or estimate.rejected_model
-    part = usable(record, estimate.settings)
-    if model is None or isinstance(part, Status):
-        return Advice((), seconds, tuple(_without_model(estimate, record)))
-    if any(c.name == 'domain' for c in estimate.choices) or estimate.records:
-        return Advice((), seconds, (_NO_FORECAST,))
-    model.check_width('input', record.nu, model.nu)
-    model.check_width('output', record.ny, model.ny)
+    records = (record,) if isinstance(record, Record) else tuple(record)
+    model, covariance = estimate.model or estimate.rejected_model, estimate.covariance
+    if model is None or covariance is None:
+        return Advice((), seconds, tuple(_without_model(estimate, records)))
+    for one in records:
+        model.check_width('input', one.nu, model.nu)
+        model.check_width('output', one.ny, model.ny)
     try:
-        of = forecast(part, model, estimate)
-        size = np.maximum(np.abs(of.poles), 1.0 / part.record.duration)
+        of = forecast(estimate, model, covariance, records)
+        size = np.maximum(np.abs(of.poles), 1.0 / max(one.duration for one in records))
         poles = tuple(_advice(of, k, wanted * size[k], seconds)
                       for k in np.flatnonzero(of.poles.imag >= 0).tolist())
     except np.linalg.LinAlgError as error:       # of the data's making
         return Advice((), seconds, (f'The arithmetic of the forecast failed: {error}.',))
-    sentences = tuple(_sentences(poles, wanted, seconds))
-    if estimate.delay_std.any():
-        sentences += (_AS_KNOWN,)
-    return Advice(poles, seconds, sentences)
+    return Advice(poles, seconds, tuple(_sentences(poles, wanted, seconds)))
 
 
 def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:
     """Return what it takes to know pole k."""
-    now = of.deviation(k, of.H, of.V)
-    found = sorted(((of.with_band(k, added, seconds) / now, i, added)
-                    for i, added in enumerate(of.added)), key=lambda x: x[:2])
-    best = found[0][2]
-    done = now <= wanted
+    now = of.deviation(k)
+    bands = sorted(((replace(band, ratio=of.with_band(k, i, seconds) / now), i)
+                    for i, band in enumerate(of.bands)), key=lambda x: x[0].ratio)
     return PoleAdvice(
-        complex(of.poles[k]), now, wanted, max((now / wanted) ** 2, 1.0),
-        1.0 if done else _least(lambda g: of.with_size(k, g) <= wanted, 1.0),
-        tuple(replace(added.band, ratio=ratio) for ratio, _, added in found),
-        0.0 if done else _least(lambda t: of.with_band(k, best, t) <= wanted,
-                                1e-3 * seconds))
+        complex(of.poles[k]), now, wanted, max((now / wanted) ** 2, 1.0), max(now / wanted, 1.0),
+        tuple(band for band, _ in bands),
+        0.0 if now <= wanted else _least(
+            lambda t: of.with_band(k, bands[0][1], t) <= wanted, 1e-3 * seconds))
 
 
 def _least(good: Callable[[float], bool], start: float) -> float:
@@ -156,11 +144,12 @@ def _least(good: Callable[[float], bool], start: float) -> float:
     return high
 
 
-def _without_model(estimate: Estimate, record: Record) -> Iterator[str]:
+def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:
     yield estimate.status.value
     if estimate.status in (Status.NO_EXCITATION, Status.TOO_SHORT):
-        slow = max(s.period for s in record.outputs)
-        yield (f'For a first model move the inputs between {2 / record.duration:.2g} and '
+        slow = max(s.period for one in records for s in one.outputs)
+        long = max(one.duration for one in records)
+        yield (f'For a first model move the inputs between {2 / long:.2g} and '
                f'{0.1 / slow:.2g} Hz (two periods in this window, a tenth of the slowest '
                'sampling), as strongly as is safe.')
 
@@ -174,8 +163,7 @@ def _sentences(poles: Sequence[PoleAdvice], wanted: float, seconds: float) -> It
     for p in inaccurate:
         yield (f'{_named(p.pole)}: standard deviation {p.std:.2g} rad/s, wanted {p.wanted:.2g}. '
                f'With the same excitation the data would have to be {p.longer:.2g} times as long'
-               + (f', or the input {p.larger:.2g} times as large' if p.larger < np.inf else '')
-               + '. ' + _band_words(p, seconds))
+               f', or the input {p.larger:.2g} times as large. ' + _band_words(p, seconds))
 
 
 def _band_words(p: PoleAdvice, seconds: float) -> str:

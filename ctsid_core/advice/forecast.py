@@ -6,33 +6,27 @@ An input of power spectral density Phi(omega) that acts for a time T adds to the
 
     M = T / (2 pi) integral Re( G'^H R^-1 G' ) Phi d omega,     G' = dG / d theta              (1)
 
-R the density of the noise (L. Ljung, "System Identification", 2nd edition, section 13.2 to 13.4;
-G. C. Goodwin, R. L. Payne, "Dynamic System Identification", 1977, chapter 6). Longer
-data of the same kind multiply what there is; a larger input the part of it that it causes.
+R the density of what is not explained (L. Ljung, "System Identification", 2nd edition, section
+13.2 to 13.4; G. C. Goodwin, R. L. Payne, "Dynamic System Identification", 1977, chapter 6). Along
+the rows of the root of the covariance the information is 1 now, and the covariance (1 + M)^-1
+then. Longer data of the same kind multiply what there is, a larger input by its square.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from math import pi
 
 import numpy as np
 
-from ctsid_core.bases.hermite import project_record
-from ctsid_core.bases.preparation import Usable
-from ctsid_core.bases.projection import Projection, real_times
-from ctsid_core.likelihood.information import Information, information, trust, without_gain
-from ctsid_core.likelihood.prediction_errors import Prediction, jacobian, simulation
-from ctsid_core.likelihood.process_noise import with_linear_entries
-from ctsid_core.likelihood.refine import by_parameter, whitener
-from ctsid_core.likelihood.window_ends import line_distance
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.resolvent import resolvent
-from ctsid_core.linear.types import Array, ComplexArray, Lines
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.settings import Settings
+from ctsid_core.model.verdict import Verdict
 from ctsid_core.signals.record import Record
 
 _BANDS = 6
@@ -63,176 +57,126 @@ class Band:
     high: float
     rms: float
     share: float
-    ratio: float
-
-
-@dataclass(frozen=True, eq=False)
-class Added:
-    """What one second of an input in one band adds to information and variance, (r, r)."""
-
-    band: Band
-    H: Array
-    V: Array
+    ratio: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """
-    Information in the r directions that the data determine, and what would change it.
+    How well the poles are known, and what would change it.
 
     Parameters
     ----------
     poles : ndarray, shape (n,)
-    slopes : ndarray, shape (n, r)
-        Derivatives of the poles.
-    H, V : ndarray, shape (r, r)
-        Information, and variance of the slope of the likelihood.
-    by_inputs, by_noise : ndarray, shape (r, r)
-        The parts of H that inputs and noise cause alone.
-    white : float
-        V over H, for an innovation form; NaN for a simulation, whose V is of the inputs' making.
-    added : tuple of Added
+    slopes : ndarray, shape (r, n)
+        Their changes along r directions of unit variance.
+    bands : tuple of Band
+    added : ndarray, shape (bands, r, r)
+        Information in these directions that a second in each band adds.
     """
 
     poles: ComplexArray
     slopes: ComplexArray
-    H: Array
-    V: Array
-    by_inputs: Array
-    by_noise: Array
-    white: float
-    added: tuple[Added, ...]
+    bands: tuple[Band, ...]
+    added: Array
 
-    def deviation(self, k: int, H: Array, V: Array) -> float:
-        """Return the standard deviation of pole k for some information [rad/s]."""
-        x = np.linalg.solve(H, self.slopes[k].conj())
-        return float(np.sqrt(max((x.conj() @ V @ x).real, 0.0)))
+    def deviation(self, k: int) -> float:
+        """Return the standard deviation of pole k now [rad/s]."""
+        return float(np.linalg.norm(self.slopes[:, k]))
 
-    def with_band(self, k: int, added: Added, seconds: float) -> float:
-        """Return the same with further excitation."""
-        return self.deviation(k, self.H + seconds * added.H, self.V + seconds * added.V)
-
-    def with_size(self, k: int, factor: float) -> float:
-        """Return the same with so many times the input."""
-        H = factor ** 2 * self.by_inputs + self.by_noise \
-            + factor * (self.H - self.by_inputs - self.by_noise)
-        return self.deviation(k, H, factor ** 2 * self.V if np.isnan(self.white) else
-                              self.white * H)
+    def with_band(self, k: int, band: int, seconds: float) -> float:
+        """Return the same with further excitation in one band."""
+        slope = self.slopes[:, k]
+        M = np.eye(len(slope)) + seconds * self.added[band]
+        return float(np.sqrt((slope.conj() @ np.linalg.solve(M, slope)).real))
 
 
-def forecast(part: Usable, model: StateSpace, estimate: Estimate) -> Forecast:
-    """Return the information that further data would add, from the data an estimate is of."""
-    settings = estimate.settings
-    noisy = bool(estimate.statistics.get('process_noise', float(model.K.any())))
-    own = settings.replace(delay=tuple(model.delay[j] for j in part.u), parts=settings.parts or 1)
-    projection = project_record(part.record, own, settings.nmax)
-    m = with_linear_entries(projection, _matrices(part, projection, model), settings.feedthrough)
-    m = m if noisy else without_gain(projection, m, settings.feedthrough)
-    known = information(projection, m, settings.feedthrough, noisy)
-    basis = known.s[:, np.newaxis] * known.basis.T
-    H, V = basis @ basis.T, (basis * known.size) @ (basis * known.size).T
-    by_inputs, by_noise = H, np.zeros_like(H)
-    if noisy:
-        states = simulation(projection, m).x
-        noise_free = _reduced(_rows(projection, m, settings.feedthrough, states, noisy=True,
-                                    s=projection.s), known)
-        rest = basis - noise_free
-        by_inputs, by_noise = noise_free @ noise_free.T, rest @ rest.T
-    values, right = np.linalg.eig(m.A)
-    order = np.lexsort((values.imag, np.abs(values)))
-    left, right, n2 = np.linalg.inv(right)[order], right[:, order], m.A.size
-    gradient = np.einsum('ia,bi->iab', left, right).reshape(len(values), -1)
-    return Forecast(
-        values[order].astype(complex), gradient @ (known.right[:, :n2] / known.norm[:n2]).T, H, V,
-        by_inputs, by_noise, float(known.size[0]) ** 2 if noisy else np.nan,
-        tuple(_added(part, projection, m, known, settings, noisy=noisy)))
-
-
-def _matrices(part: Usable, projection: Projection, model: StateSpace) -> Matrices:
-    """Return the model of the moving channels; what belongs to this window only is zero."""
-    u, y, n = list(part.u), list(part.y), model.n
-    ones = len(projection.ones)
-    return Matrices(A=model.A, B=model.B[:, u], C=model.C[y], D=model.D[np.ix_(y, u)],
-                    K=model.K[:, y], tail=np.zeros((n, len(projection.tail))),
-                    x_trim=np.zeros((n, ones)), y_trim=np.zeros((len(y), ones)))
-
-
-def _rows(projection: Projection, m: Matrices, feedthrough: bool, x: Lines, *, noisy: bool,
-          s: Lines, of: Projection | None = None) -> Array:
+def forecast(estimate: Estimate, model: StateSpace, covariance: Covariance,
+             records: Sequence[Record]) -> Forecast:
     """
-    Return derivatives of the whitened errors as the states' lines x cause them.
+    Return what further data would add.
 
     Parameters
     ----------
-    projection : Projection
-        That gives the size of the errors.
-    of : Projection, optional
-        Whose lines count instead.
+    estimate : Estimate
+        With the errors that its deviations count.
+    model : StateSpace
+        Of it, accepted or not.
+    covariance : Covariance
+    records : sequence of Record
+        That it is of.
     """
-    whiten, _ = whitener(projection, m)
-    of = of or projection
-    closed = resolvent(m.A - m.K @ m.C, s)
-    rows = by_parameter(jacobian(of, m, feedthrough, with_noise=noisy, whiten=whiten,
-                                 prediction=Prediction(closed, x, np.zeros_like(of.y))))
-    if noisy:
-        rows = rows * np.tile(np.repeat(trust(s, line_distance(projection), m), 2), len(m.C))
-    return rows
+    edges, bands, added = _edges(model, records), [], []
+    noise = _innovations if any(c.value == 'predictions' for c in estimate.choices) else _white
+    density = partial(noise, estimate.verdict, model, records)
+    for j, name in enumerate(model.input_names):
+        powers = [_power(record, j, edges) for record in records]
+        seconds = np.array([record.duration for record in records])
+        total, *inside = (seconds @ np.array(powers) / seconds.sum()).tolist()
+        for low, high, power in zip(edges, edges[1:], inside, strict=False):
+            if total > 0.0:
+                bands.append(Band(name, low, high, float(np.sqrt(total)), power / total))
+                added.append(total * _information(model, covariance, density, j, low, high))
+    return Forecast(model.poles, covariance.pole_changes(model), tuple(bands), np.array(added))
 
 
-def _reduced(rows: Array, known: Information) -> Array:
-    """Return derivatives by the directions that the data determine, (r, N)."""
-    reduced: Array = known.right @ (rows / known.norm[:, np.newaxis])
-    return reduced
-
-
-def _added(part: Usable, projection: Projection, m: Matrices, known: Information,
-           settings: Settings, *, noisy: bool) -> Iterator[Added]:
-    """Return what each input adds in each band."""
-    edges = _edges(projection, m)
-    names = [part.whole.input_names[j] or f'u{j + 1}' for j in part.u]
-    for j, (name, rms) in enumerate(zip(names, _rms(part.record), strict=True)):
-        power = np.abs(projection.u[j]) ** 2
-        for low, high in zip(edges, edges[1:], strict=False):
-            inside = (np.abs(projection.s) >= low) & (np.abs(projection.s) < high)
-            band = Band(name, low, high, rms, float(power[inside].sum() / power.sum()), 1.0)
-            omega = low + (high - low) * (np.arange(_POINTS) + 0.5) / _POINTS
-            rows, size = _response(projection, m, known, settings, j, omega, noisy=noisy)
-            weight = rms ** 2 / (_POINTS * projection.unit)                             # (1)
-            yield Added(band, weight * rows @ rows.T, weight * (rows * size) @ (rows * size).T)
-
-
-def _response(projection: Projection, m: Matrices, known: Information, settings: Settings, j: int,
-              omega: Array, *, noisy: bool) -> tuple[Array, Array]:
-    """Return the derivatives for a unit input j at given frequencies, and the errors there."""
-    s, count = (1j * omega).astype(complex), len(omega)
-    u = np.zeros((len(projection.u), count), dtype=complex)
-    u[j] = 1.0
-    none = np.zeros((max(len(projection.tail), len(projection.ones), len(projection.y)), count),
-                    dtype=complex)
-    alone = replace(projection, s=s, u=u, y=none[:len(projection.y)],
-                    tail=none[:len(projection.tail)], ones=none[:len(projection.ones)])
-    x = resolvent(m.A, s).states(real_times(m.B, u))
-    rows = _reduced(_rows(projection, m, settings.feedthrough, x, noisy=noisy, s=s, of=alone),
-                    known)
-    if len(known.size) == 1:
-        return rows, known.size
-    sizes = known.size.reshape(len(m.C), -1, 2)[:, :, 0]
-    at = np.abs(projection.s)
-    return rows, np.concatenate([np.repeat(np.interp(omega, at, row), 2) for row in sizes])
-
-
-def _edges(projection: Projection, m: Matrices) -> list[float]:
-    """Return the edges of the bands: from one period in the record to where the model ends."""
-    low = 2.0 * pi / (projection.end - projection.start)
-    top = _BEYOND * float(np.max(np.abs(np.linalg.eigvals(m.A)), initial=low))
-    high = max(min(float(np.abs(projection.s[-1])), top), 4.0 * low)
-    return [float(edge) for edge in np.geomspace(low, high, _BANDS + 1)]
-
-
-def _rms(record: Record) -> list[float]:
-    """Return the standard deviation of each input's samples within a record."""
-    found: list[float] = []
-    for signal in record.inputs:
-        inside = (signal.time >= record.start) & (signal.time <= record.end)
-        found += [float(x) for x in signal.values[inside].std(axis=0)]
+def _information(model: StateSpace, covariance: Covariance, density: Callable[[Array], Array],
+                 j: int, low: float, high: float) -> Array:
+    """Return what a second of unit power of input j adds (1), (r, r)."""
+    omega = low + (high - low) * (np.arange(_POINTS) + 0.5) / _POINTS
+    changes = covariance.response_changes(model, omega)[:, :, :, j] / np.sqrt(density(omega))
+    rows = changes.reshape(len(changes), -1)
+    found: Array = (rows @ rows.conj().T).real / _POINTS
     return found
+
+
+def _white(verdict: Verdict, model: StateSpace, records: Sequence[Record],
+           omega: Array) -> Array:
+    """Return the density of what is not explained, as deviations count it: (M, ny) [unit^2 s]."""
+    del model
+    found = []
+    for signals in zip(*(record.outputs for record in records), strict=True):
+        size = np.std(np.concatenate([s.values for s in signals]), axis=0)
+        found.append(size ** 2 * np.median([s.period for s in signals]))
+    density = np.concatenate(found) * verdict.error ** 2 / np.nanmin(verdict.independent)
+    return np.tile(_told(density), (len(omega), 1))
+
+
+def _innovations(verdict: Verdict, model: StateSpace, records: Sequence[Record],
+                 omega: Array) -> Array:
+    """Return the same of a model that predicts: innovations, seen through the plant."""
+    del records
+    system = 1j * omega[:, np.newaxis, np.newaxis] * np.eye(model.n) - model.A
+    colour = np.eye(model.ny) + model.C @ np.linalg.solve(
+        system, np.broadcast_to(model.K, (len(omega), *model.K.shape)))
+    intensity = np.zeros((model.ny, model.ny)) if model.noise is None else model.noise
+    seen = np.einsum('mij,jk,mik->mi', colour, intensity, colour.conj()).real
+    return _told(seen / np.nanmin(verdict.independent))
+
+
+def _told(density: Array) -> Array:
+    """Return a density, infinite for constant outputs: they tell nothing."""
+    return np.where(density > 0.0, density, np.inf)
+
+
+def _edges(model: StateSpace, records: Sequence[Record]) -> list[float]:
+    """Return the edges of the bands: from one period in a record to where the model ends."""
+    low = 2.0 * pi / max(record.duration for record in records)
+    sampled = pi / max(s.period for record in records for s in record.outputs)
+    top = _BEYOND * float(np.max(model.natural_frequency, initial=low))
+    return [float(e) for e in np.geomspace(low, max(min(sampled, top), 4.0 * low), _BANDS + 1)]
+
+
+def _power(record: Record, j: int, edges: Sequence[float]) -> list[float]:
+    """Return the mean square of an input of a record, less its mean, and that in each band."""
+    signal = next(s for s, last in zip(record.inputs, np.cumsum([s.width for s in record.inputs]),
+                                       strict=True) if last > j)
+    count = max(int(record.duration / signal.period), 2)
+    t = record.start + record.duration * np.arange(count) / count
+    values = np.hstack([input_polynomials((s,), (0.0,) * s.width, t)[0] for s in record.inputs])
+    u = values[:, j] - values[:, j].mean()
+    power = np.abs(np.fft.rfft(u)) ** 2
+    power[1:(count + 1) // 2] *= 2.0
+    below = np.cumsum(power / count ** 2)
+    at = np.searchsorted(2.0 * pi / record.duration * np.arange(len(below)), edges)
+    return [float(below[-1]), *np.diff(np.concatenate(([0.0], below))[at]).tolist()]

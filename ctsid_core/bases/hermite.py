@@ -15,15 +15,12 @@ pairs; those of w >= 0 are kept. Even orders give their real parts, odd ones the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.projection import Projection
@@ -31,8 +28,6 @@ from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-
-_SLOPE = 3e-3         # step of a difference, times the highest frequency [rad]
 
 
 @dataclass(frozen=True)
@@ -115,8 +110,7 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
     return float(tau / (turning + settings.edge_margin * turning ** (-1.0 / 3.0)))
 
 
-def project_record(record: Record, settings: Settings, nmax: int,
-                   bends: Bends | None = None) -> Projection:
+def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
     """
     Project a record on Hermite functions, each signal from its own stamps.
 
@@ -127,8 +121,6 @@ def project_record(record: Record, settings: Settings, nmax: int,
         Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
     nmax : int
         Highest order, in each of `settings.parts` parts of equal length.
-    bends : Bends, optional
-        What the outputs do between their samples; else they are interpolated.
 
     Notes
     -----
@@ -140,7 +132,7 @@ def project_record(record: Record, settings: Settings, nmax: int,
     [HD] eq. 27, 33, 34.
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
-    parts = [_project_part(record, settings, nmax, float(start), float(end), bends)
+    parts = [_project_part(record, settings, nmax, float(start), float(end))
              for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
     if len(parts) == 1:
         return parts[0]
@@ -154,77 +146,15 @@ def project_record(record: Record, settings: Settings, nmax: int,
         start=record.start, end=record.end)
 
 
-def project_inputs(record: Record, settings: Settings, nmax: int,
-                   delays: Sequence[float]) -> Lines:
-    """
-    Project the inputs of a record alone, with other dead times than those of the settings.
-
-    Parameters
-    ----------
-    record : Record
-    settings, nmax
-        As for `project_record`.
-    delays : sequence of float, length nu
-        [s]
-
-    Returns
-    -------
-    ndarray, shape (nu, L)
-    """
-    basis, parts = hermite_lines(nmax), []
-    signals, shifts = by_delay(record, tuple(delays))
-    bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
-    for start, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
-        alpha = time_scale(nmax, 0.5 * (end - start), settings)
-        parts.append(basis.lines(np.vstack(coefficients(
-            signals, start, end, alpha, nmax, shifts))))
-    return np.hstack(parts)
-
-
-def input_slopes(record: Record, settings: Settings, nmax: int,
-                 delays: Sequence[float], late: NDArray[np.bool_]) -> Lines:
-    """
-    Return the derivatives of the inputs' lines by their dead times [1/s].
-
-    Parameters
-    ----------
-    record, settings, nmax, delays
-        As for `project_inputs`.
-    late : ndarray, shape (nu,)
-        The inputs whose derivative is wanted; the others' is zero.
-
-    Returns
-    -------
-    ndarray, shape (nu, L)
-
-    Notes
-    -----
-    It is -s U and the tail times the coefficient of order nmax + 1, which the derivative leaves
-    out; the difference of two exact projections has that and is good to six digits.
-    """
-    length = record.duration / max(settings.parts, 1)
-    step = _SLOPE * time_scale(nmax, 0.5 * length, settings) / np.sqrt(2.0 * nmax + 1.0)
-    later, earlier = (project_inputs(record, settings, nmax, tuple(
-        float(d + side * step) if moves else float(d)
-        for d, moves in zip(delays, late, strict=True))) for side in (1.0, -1.0))
-    slopes: Lines = (later - earlier) / (2.0 * step)
-    return slopes
-
-
-def _project_part(record: Record, settings: Settings, nmax: int, start: float, end: float,
-                  bends: Bends | None) -> Projection:
+def _project_part(record: Record, settings: Settings, nmax: int, start: float,
+                  end: float) -> Projection:
     basis = hermite_lines(nmax)
     alpha = time_scale(nmax, 0.5 * (end - start), settings)
     inputs, delays = by_delay(record, settings.delays(record.nu))
-    outputs = record.outputs if bends is None else bends.left_of(record.outputs)
-    signals = (*inputs, *outputs)
-    found = coefficients(signals, start, end, alpha, nmax,
+    found = coefficients((*inputs, *record.outputs), start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     nu = sum(map(len, found[:len(inputs)]))
-    both = np.vstack(found)
-    if bends is not None:
-        both[nu:] += bends.coefficients(start, end, alpha, nmax)
-    lines = basis.lines(both)
+    lines = basis.lines(np.vstack(found))
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
@@ -232,7 +162,7 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float, e
         u=lines[:nu], y=lines[nu:],
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
-        unit=alpha, start=start, end=end, bent=bends is not None)
+        unit=alpha, start=start, end=end)
 
 
 def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int,

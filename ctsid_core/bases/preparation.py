@@ -7,28 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.bases.bends import Bends
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Status
-from ctsid_core.model.residual_outliers import against_model
-from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.outliers import (
     SURE_INPUT,
     Spikes,
     despiked,
     no_spikes,
-    put_back,
     report,
 )
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, Signal
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 _FEWEST = 20            # samples of an output
-_SAME = 1.02            # power of what a model leaves over that with better bridges that is enough
-_MORE, _LESS = 1.35, 0.6  # power of a model's errors over that of the noise that samples show
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 
@@ -50,14 +44,8 @@ class Usable:
         trim is estimated all the same: these only shift its origin.
     notes : tuple of str
         What the user should know.
-    measured : tuple of Signal
-        The outputs of `record` with their corrupt samples, if there are any.
     corrupt_u, corrupt_y : tuple of Spikes
         Corrupt samples of the inputs and outputs of `record`.
-    held : tuple of (ndarray or None)
-        Held inputs at the stamps of each output signal, if it may follow them at once.
-    bends : Bends, optional
-        What the outputs of `record` do between their samples, if that is known.
     """
 
     record: Record
@@ -67,76 +55,8 @@ class Usable:
     u_level: Array
     y_level: Array
     notes: tuple[str, ...]
-    measured: tuple[Signal, ...]
     corrupt_u: tuple[Spikes, ...]
     corrupt_y: tuple[Spikes, ...]
-    held: tuple[Array | None, ...]
-    bends: Bends | None = None
-
-    def may_hide_outliers(self, density: Array) -> bool:
-        """
-        Return whether a model may show corrupt samples that neighbours do not.
-
-        Parameters
-        ----------
-        density : ndarray, shape (number of y,)
-            Spectral density of the model's prediction errors [unit^2 s].
-
-        Notes
-        -----
-        It cannot where no sample stands out and the errors have the size of the noise that the
-        samples themselves show: neither is anything hidden in it, nor does anything add to it.
-        """
-        if any(found.any or found.suspects for found in self.corrupt_y):
-            return True
-        shown = np.concatenate([
-            found.scale ** 2 * np.median(np.diff(s.time))
-            for s, found in zip(self.record.outputs, self.corrupt_y, strict=True)])
-        ratio = density / np.maximum(shown, np.finfo(float).tiny)
-        return bool((ratio > _MORE).any() or (ratio < _LESS).any())
-
-    def cleaned(self, model: StateSpace) -> tuple[Usable, float]:
-        """
-        Return this without the samples that a model shows to be corrupt.
-
-        Parameters
-        ----------
-        model : StateSpace
-            Of the channels of `record`.
-
-        Returns
-        -------
-        usable : Usable
-            Itself if the same samples are corrupt as before and well bridged.
-        gain : float
-            How much smaller the power of what the model leaves has become, of the output for
-            which it is most; at least 1. Infinite if no sample is corrupt.
-        """
-        measured = replace(self.record, outputs=self.measured)
-        found, gain = against_model(model, measured, self.corrupt_y, self.held)
-        same = all(np.array_equal(a.mask, b.mask)
-                   for a, b in zip(found, self.corrupt_y, strict=True))
-        if same and gain < _SAME:
-            return self, gain
-        gain = gain if any(f.any for f in found) else np.inf
-        outputs = tuple(replace(s, values=f.instead) if f.any else s
-                        for s, f in zip(self.measured, found, strict=True))
-        return replace(self, record=replace(self.record, outputs=outputs),
-                       corrupt_y=tuple(found)), gain
-
-    def bent(self, bends: Bends) -> Usable:
-        """Return this with outputs that bend so, and with the samples that this explains."""
-        outputs, found = [], []
-        slices = channel_slices(self.record.outputs)
-        for own, places, measured, spiky in zip(self.record.outputs, slices, self.measured,
-                                                self.corrupt_y, strict=True):
-            if spiky.any and own.hold == 'smooth':
-                spiky = put_back(measured, spiky, bends.at(own.time)[places].T)
-                own = replace(own, values=spiky.instead)
-            outputs.append(own)
-            found.append(spiky)
-        return replace(self, record=replace(self.record, outputs=tuple(outputs)),
-                       corrupt_y=tuple(found), bends=bends)
 
     def corrupt(self) -> tuple[list[str], dict[str, float]]:
         """Return a sentence per channel with corrupt samples, and their numbers by name."""
@@ -203,19 +123,13 @@ def usable(record: Record, settings: Settings,
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
-    held = _held_at(record, outputs, settings)
     inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
-    measured, (outputs, corrupt_y) = outputs, _despiked(
-        outputs, ('smooth', 'linear'), SURE, held)
+    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
+                                   _held_at(record, outputs, settings))
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
-    measured = outputs if not any(found.any for found in corrupt_y) else \
-        _lowered(measured, y_level)
-    corrupt_y = tuple(replace(found, instead=signal.values)
-                      for found, signal in zip(corrupt_y, outputs, strict=True))
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
-                  u_level, y_level, tuple(notes), tuple(measured), corrupt_u, corrupt_y,
-                  held)
+                  u_level, y_level, tuple(notes), corrupt_u, corrupt_y)
 
 
 def _held_at(record: Record, signals: list[Signal],
@@ -240,12 +154,6 @@ def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
     pairs = [despiked(s, sure, direct) if s.hold in holds else (s, no_spikes(s))
              for s, direct in zip(signals, inputs, strict=True)]
     return [signal for signal, _ in pairs], tuple(found for _, found in pairs)
-
-
-def _lowered(signals: list[Signal], level: Array) -> list[Signal]:
-    """Return the signals less the given levels of their channels."""
-    parts = np.split(level, np.cumsum([s.width for s in signals])[:-1])
-    return [replace(s, values=s.values - part) for s, part in zip(signals, parts, strict=True)]
 
 
 def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:

@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array, Lines
 
 
@@ -41,11 +40,6 @@ class Projection:
         The interval of the record [s]; of several, from 0 to the sum of their durations.
     members : tuple of Projection
         The records that were joined, if they are several: their lines as they are here.
-    slopes : ndarray, shape (nu, L), or None
-        Derivatives of u by the dead times that were estimated [1/s], zero for those that are
-        known; None if all are.
-    bent : bool
-        Whether outputs are known between their samples, and not only interpolated.
     """
 
     s: Lines
@@ -57,8 +51,6 @@ class Projection:
     start: float
     end: float
     members: tuple[Projection, ...] = ()
-    slopes: Lines | None = None
-    bent: bool = False
 
     @property
     def records(self) -> tuple[Projection, ...]:
@@ -75,18 +67,8 @@ class Projection:
         """Rows of u, tail, ones and y, one below the other."""
         return np.vstack((self.u, self.tail, self.ones, self.y))
 
-    @cached_property
-    def weights(self) -> Array:
-        """How many real numbers each line stands for, (L,): 2, but 1 at frequency zero."""
-        return np.where(self.s == 0.0, 1.0, 2.0)
 
-    @cached_property
-    def count(self) -> float:
-        """How many real numbers the lines stand for in all."""
-        return float(self.weights.sum())
-
-
-def joined(records: Sequence[Projection], weights: Sequence[float]) -> Projection:
+def joined(records: Sequence[Projection]) -> Projection:
     """
     Put the lines of several records beside each other; of one record, return it as it is.
 
@@ -94,34 +76,16 @@ def joined(records: Sequence[Projection], weights: Sequence[float]) -> Projectio
     ----------
     records : sequence of Projection
         Each with rows `ones` of its own.
-    weights : sequence of float
-        What lines are multiplied with beyond what brings them to the same `unit`, so that noise
-        is the same in all records.
     """
     if len(records) == 1:
         return records[0]
     unit = max(p.unit for p in records)
-    members = tuple(_scaled(p, float(w * np.sqrt(p.unit / unit)))
-                    for p, w in zip(records, weights, strict=True))
+    members = tuple(_scaled(p, float(np.sqrt(p.unit / unit))) for p in records)
     return Projection(
         s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
         y=np.hstack([p.y for p in members]), tail=_apart([p.tail for p in members]),
         ones=_apart([p.ones for p in members]), unit=unit, start=0.0,
-        end=sum(p.end - p.start for p in members), members=members,
-        bent=all(p.bent for p in members))
-
-
-def of_records(m: Matrices, projection: Projection) -> tuple[Matrices, ...]:
-    """Return a model as it is in each record of a projection."""
-    if not projection.members:
-        return (m,)
-    found, tail, ones = [], 0, 0
-    for p in projection.members:
-        to, on = tail + len(p.tail), ones + len(p.ones)
-        found.append(replace(m, tail=m.tail[:, tail:to], x_trim=m.x_trim[:, ones:on],
-                             y_trim=m.y_trim[:, ones:on]))
-        tail, ones = to, on
-    return tuple(found)
+        end=sum(p.end - p.start for p in members), members=members)
 
 
 def _scaled(p: Projection, factor: float) -> Projection:
@@ -142,9 +106,3 @@ def as_real(lines: Lines) -> Array:
     """Return real and imaginary parts as columns: (m, L) complex to (m, 2 L) real."""
     real: Array = np.ascontiguousarray(lines).view(np.float64)
     return real
-
-
-def real_times(matrix: Array, lines: Lines) -> Lines:
-    """Return the product of a real matrix (k, m) and lines (m, L), without complex arithmetic."""
-    product: Lines = (matrix @ as_real(lines)).view(np.complex128)
-    return product

@@ -4,8 +4,8 @@ Several records of one plant, side by side.
 
 The equations hold line by line, so that lines of several records stand beside each other as those
 of one do. Each record has a trim, states at its ends, a basis and corrupt samples of its own, and
-all share the plant. Lines of different records are made equally noisy: by the time that a line
-stands for, which is known, and by the level of the noise, which is found with a first model.
+all share the plant. Lines of different records are made equally noisy by the time that a line
+stands for.
 """
 
 from __future__ import annotations
@@ -20,14 +20,9 @@ from ctsid_core.bases.hermite import project_record
 from ctsid_core.bases.preparation import Usable, moving, usable
 from ctsid_core.bases.projection import Projection, joined
 from ctsid_core.errors import DataError
-from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Status
-from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-
-_LEAST_NMAX = 8
-_ENOUGH = 4           # records from which on whole ones are held out
 
 
 @dataclass(frozen=True)
@@ -39,12 +34,9 @@ class Layout:
     ----------
     sizes : tuple of (int, int)
         nmax and the number of parts of each record.
-    weights : tuple of float
-        What the lines of each record are multiplied with.
     """
 
     sizes: tuple[tuple[int, int], ...]
-    weights: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -119,71 +111,25 @@ class Joint:
                 counts[name] = counts.get(name, 0.0) + count
         return list(self.numbered([notes for notes, _ in found])), counts
 
-    def may_hide_outliers(self, densities: Sequence[Array]) -> bool:
-        """Return whether a model may show corrupt samples; see `Usable.may_hide_outliers`."""
-        return any(p.may_hide_outliers(d) for p, d in zip(self.parts, densities, strict=True))
-
-    def cleaned(self, models: Sequence[StateSpace]) -> tuple[Joint, float]:
-        """
-        Return this without the samples that models, one per record, show to be corrupt.
-
-        And the largest gain; itself if nothing changes. See `Usable.cleaned`.
-        """
-        found = [p.cleaned(model) for p, model in zip(self.parts, models, strict=True)]
-        parts, gains = zip(*found, strict=True)
-        if all(new is old for new, old in zip(parts, self.parts, strict=True)):
-            return self, max(gains)
-        return replace(self, parts=tuple(parts)), max(gains)
-
     def layout(self, settings: Settings) -> tuple[Layout, str]:
         """Return the bases that records get, and why; '' if the settings say which."""
         count = len(self.parts)
-        even = (1.0,) * count
         if settings.nmax:
-            return Layout(((settings.nmax, settings.parts or 1),) * count, even), ''
+            return Layout(((settings.nmax, settings.parts or 1),) * count), ''
         band = max(output_band(p.record) for p in self.parts) if self.several else 0.0
         chosen = [choose_nmax(p.record, band) for p in self.parts]
         why = '; '.join(dict.fromkeys(self.numbered([[why] for _, _, why in chosen])))
         if len({nmax for nmax, _, _ in chosen}) > 1:
             why += '; of the records in turn ' + ', '.join(str(nmax) for nmax, _, _ in chosen)
-        return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen), even), why
+        return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen)), why
 
     def project(self, settings: Settings, layout: Layout) -> Projection:
         """Project the records on bases of their own, side by side."""
-        return joined([project_record(p.record, settings.replace(parts=parts), nmax, p.bends)
-                       for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)],
-                      layout.weights)
-
-    @property
-    def many(self) -> bool:
-        """Whether there are so many that whole ones are held out."""
-        return len(self.parts) >= _ENOUGH
-
-    def divided(self, settings: Settings, layout: Layout) -> tuple[Projection, Projection]:
-        """
-        Return what a model is made of that is to be tested, and what it is tested on.
-
-        Of a few records, the first parts and the last ones, `held_out` long, on bases that reach
-        as far as those of the whole records. Of many, which may be short, some whole ones, evenly
-        spaced in time: their trim is not known then.
-        """
-        share = settings.held_out
-        if self.many:
-            return self._divided_by_records(settings, layout)
-        early, late = self.early_and_late(settings)
-        first: list[Projection] = []
-        last: list[Projection] = []
-        for into, of_all, own in ((first, early, 1.0 - share), (last, late, share)):
-            into += [_share(p, settings, size, own)
-                     for p, size in zip(of_all.parts, layout.sizes, strict=True)]
-        return joined(first, layout.weights), joined(last, layout.weights)
+        return joined([project_record(p.record, settings.replace(parts=parts), nmax)
+                       for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)])
 
     def early_and_late(self, settings: Settings) -> tuple[Joint, Joint]:
-        """Return what a model is made of that is to be tested, and the rest; see `divided`."""
-        if self.many:
-            kept, held = (replace(self, parts=tuple(self.parts[i] for i in wanted))
-                          for wanted in self._kept_and_held(settings))
-            return kept, held
+        """Return the first parts of the records, and the last ones, `held_out` long."""
         early, late = [], []
         for p in self.parts:
             record = p.record
@@ -192,30 +138,6 @@ class Joint:
             early.append(replace(p, record=record.between(record.start, split, lead=lead)))
             late.append(replace(p, record=record.between(split, record.end, lead=lead)))
         return replace(self, parts=tuple(early)), replace(self, parts=tuple(late))
-
-    def _kept_and_held(self, settings: Settings) -> tuple[list[int], list[int]]:
-        count = len(self.parts)
-        by_time = sorted(range(count), key=lambda i: (
-            self.parts[i].whole.epoch_ns + round(self.parts[i].whole.start * 1e9), i))
-        many = max(round(settings.held_out * count), 1)
-        held = {by_time[(2 * k + 1) * count // (2 * many)] for k in range(many)}
-        return sorted(set(by_time) - held), sorted(held)
-
-    def _divided_by_records(self, settings: Settings,
-                            layout: Layout) -> tuple[Projection, Projection]:
-        found = []
-        for wanted in self._kept_and_held(settings):
-            chosen = replace(self, parts=tuple(self.parts[i] for i in wanted))
-            found.append(chosen.project(settings, Layout(
-                tuple(layout.sizes[i] for i in wanted), tuple(layout.weights[i] for i in wanted))))
-        return found[0], found[1]
-
-
-def _share(p: Usable, settings: Settings, size: tuple[int, int], share: float) -> Projection:
-    """Project a part of a record on a basis that reaches as far as that of the whole."""
-    parts = max(round(size[1] * share), 1)
-    nmax = max(round(size[0] * size[1] * share / parts), _LEAST_NMAX)
-    return project_record(p.record, settings.replace(parts=parts), nmax, p.bends)
 
 
 def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusable:

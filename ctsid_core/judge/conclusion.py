@@ -6,163 +6,184 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.bases.all_channels import spread_out, whole_model, whole_trim
-from ctsid_core.bases.projection import as_real, of_records
+from ctsid_core.bases.all_channels import moving_model, spread_out, whole_model, whole_trim
 from ctsid_core.bases.records import Joint
-from ctsid_core.judge.change import ChangedRecord, most_likely_changed_record
-from ctsid_core.judge.evidence import Evidence, examine
-from ctsid_core.judge.rules import PREDICTED, judge, pole_uncertainty
-from ctsid_core.likelihood.information import entry_changes
-from ctsid_core.likelihood.prediction_errors import line_fit, predicted_fit, prediction_errors
+from ctsid_core.effort import Effort
+from ctsid_core.judge.changed import Change, most_likely_change
+from ctsid_core.judge.curve import curve_gains
+from ctsid_core.judge.evidence import Evidence
+from ctsid_core.judge.excitation import excitations
+from ctsid_core.judge.rules import change_note, judge, pole_uncertainty
+from ctsid_core.likelihood.noise_gain import uniform, with_noise
+from ctsid_core.likelihood.output_error import fit_states
+from ctsid_core.likelihood.residuals import Residuals, residuals, white_part
+from ctsid_core.likelihood.state_space import entry_changes, matrices_of
+from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import EXPLAINED
-from ctsid_core.search.held_out import HeldOut
+from ctsid_core.model.verdict import UNJUDGED, Excitation
+from ctsid_core.model.whiteness import whiteness
+from ctsid_core.search.by_prediction import AHEAD, changes_of_plant, plant_of
+from ctsid_core.search.held_out import held_out
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.stuck import stuck_outputs
 
 
-def conclude(part: Joint, solution: Solution, tested: HeldOut) -> Estimate:
+def conclude(solution: Solution, effort: Effort) -> Estimate:
     """
     Return the estimate: the model of all channels, its accuracy, and the verdict.
 
     Parameters
     ----------
-    part : Joint
-        The records.
     solution : Solution
-        Made of them.
-    tested : HeldOut
-        The fit of a model of their first parts on the last.
+    effort : Effort
     """
-    model = _to_statespace(part, solution)
-    covariance = _covariance(part, solution, model)
+    part, fit, samples = solution.part, solution.fit, solution.samples
+    errors = residuals(samples, fit)
+    m, intensity = _matrices(solution, errors)
+    last = part.parts[part.last]
+    model = whole_model(last, m, solution.settings.delays(last.whole.nu), intensity)
+    moving = replace(moving_model(m, tuple(solution.delay.tolist())), K=m.K)
+    covariance, own = _covariances(solution, model, moving)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
-    evidence = _evidence(part, solution, tested, model.poles, deviation)
+    share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
+    tested = held_out(samples, fit, solution.free, share, effort, solution.refit)
+    change = Change() if solution.refit or solution.by_prediction else most_likely_change(
+        samples, fit, solution.free, solution.independent, effort)
+    names = tuple(last.whole.input_names[j] for j in last.u)
+    seen, unsure = excitations(samples, solution.delay, own, moving, names)
+    evidence = _evidence(solution, errors, tested.error, change, (seen, unsure), model,
+                         deviation)
     status, verdict = judge(evidence)
-    # The test is for a model at the maximum of the likelihood.
-    testable = solution.settings.refine and (status is Status.OK or part.several)
-    differing = most_likely_changed_record(
-        solution.projection, solution.matrices, solution.settings, solution.layout) \
-        if testable and np.isfinite(solution.matrices.A).all() else ChangedRecord()
-    change = differing.change
-    last: tuple[str, ...] = ()
-    if change.matters:
-        reason, note = _changed(part, differing)
-        status, verdict = judge(replace(evidence, change=reason))
-        last = (note,)
     corrupt, counts = part.corrupt()
+    counts['corrupt_samples'] += float(solution.hidden)
+    accepted = status is Status.OK
     return Estimate(
-        status=status, settings=solution.settings, model=model if status is Status.OK else None,
-        rejected_model=None if status is Status.OK else model,
+        status=status, settings=solution.settings,
+        model=model if accepted else None, rejected_model=None if accepted else model,
         pole_std=deviation, covariance=covariance, verdict=verdict,
-        fit=evidence.fit, held_out_fit=evidence.held_out,
-        singular_values=solution.singular_values,
-        condition=solution.condition, choices=solution.choices, orders=solution.orders,
-        notes=(*part.notes, *corrupt, *_remarks(part, evidence), *last),
-        statistics={**counts, 'process_noise': float(solution.process_noise),
-                    'change_p_value': change.p_value, 'change_size': change.size,
-                    'change_gain': change.gain, 'change_share': _share(part, differing)},
-        records=_shares(part, solution) if part.several else ())
+        fit=100.0 * (1.0 - evidence.error), held_out_fit=100.0 * (1.0 - evidence.held_out),
+        singular_values=solution.singular_values, condition=solution.condition,
+        choices=solution.choices, orders=solution.orders,
+        notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence)),
+        statistics={**counts, 'seconds_spent': effort.seconds,
+                    'change_cost': change.cost, 'change_share': _share(part, change)},
+        records=_shares(solution) if part.several else ())
 
 
-def _remarks(part: Joint, evidence: Evidence) -> list[str]:
-    """Return a sentence on each output that is not explained."""
-    names, worst = evidence.output_names, evidence.worst
-    return [f'output {names[j]} is not explained: fit {worst[j]:.0f} %'
-            for j in part.parts[0].y if worst[j] < evidence.enough]
+def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
+    """Return the matrices with K, and the intensity of the innovations."""
+    samples, last = solution.samples, solution.part.last
+    if solution.plant is None:
+        return with_noise(samples, solution.fit, errors, last)
+    return solution.plant, uniform(samples, errors)[0] * np.diag(
+        solution.fit.power[last] * samples.size ** 2)
 
 
-def _evidence(part: Joint, solution: Solution, tested: HeldOut, poles: NDArray[np.complex128],
+def _covariances(solution: Solution, model: StateSpace,
+                 moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
+    """Return the covariance of the model of all channels, and of the moving ones."""
+    try:
+        changes = entry_changes(solution.samples, solution.fit, solution.free, solution.inflation)
+        if solution.plant is not None:
+            changes = changes_of_plant(solution.samples, solution.fit, changes)
+    except np.linalg.LinAlgError:
+        return None, None
+    if not all(np.isfinite(block).all() for block in changes):
+        return None, None
+    part = solution.part.parts[solution.part.last]
+    return (Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model),
+            Covariance.of_entries(changes, moving))
+
+
+def _evidence(solution: Solution, errors: Residuals, unseen: Array, change: Change,
+              seen: tuple[tuple[Excitation, ...], Array], model: StateSpace,
               deviation: Array) -> Evidence:
-    """Return the evidence on a model, but for a change of the plant."""
-    last, projection, m = part.parts[part.last], solution.projection, solution.matrices
+    part = solution.part
+    last = part.parts[part.last]
     whole, resolution = last.whole, 2.0 * np.pi / part.length
-    numbers = examine(projection, m, [p.record for p in part.parts], tested.density,
-                      feedthrough=solution.settings.feedthrough)
 
     def everywhere(values: Array) -> Array:
         return spread_out(values, last.y, whole.ny)
 
+    power = solution.fit.power.mean(axis=0)
+    white = white_part(errors)
+    error, coloured = _over_all(solution), np.sqrt(np.maximum(power - white ** 2, 0.0))
+    if solution.by_prediction:
+        error = coloured = solution.errors_ahead[AHEAD]
+    share = solution.independent / solution.samples.counts.sum(axis=0)
+    fixed = tuple(j for j in range(whole.nu) if j not in last.u)
+    numbers = replace(
+        UNJUDGED, excitation=_all_inputs(seen[0], whole.input_names, last.u),
+        pole_uncertainty=pole_uncertainty(model.poles, deviation, resolution),
+        whiteness=everywhere(np.array([whiteness(np.concatenate([own[k][:, i] for own in errors]))
+                                       for k in range(len(errors[0]))
+                                       for i in range(errors[0][k].shape[1])])),
+        response_uncertainty=everywhere(seen[1]), error=everywhere(error),
+        coloured_error=everywhere(coloured),
+        held_out_error=everywhere(unseen), independent=everywhere(share),
+        change_cost=change.cost, curve_gain=everywhere(curve_gains(
+            solution.samples, solution.fit, errors, solution.independent)))
     return Evidence(
-        input_names=whole.input_names, output_names=whole.output_names,
-        fixed_inputs=tuple(j for j in range(whole.nu) if j not in last.u),
+        input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
-        fit=everywhere((predicted_fit if solution.by_prediction else line_fit)(projection, m)),
-        held_out=everywhere(tested.fit),
-        poles=poles, deviation=deviation, resolution=resolution, change='',
-        process_noise=solution.process_noise,
-        enough=PREDICTED if solution.by_prediction else EXPLAINED,
-        numbers=replace(
-            numbers, missing=everywhere(numbers.missing),
-            missing_p_value=everywhere(numbers.missing_p_value),
-            whiteness=everywhere(numbers.whiteness), next_ratio=everywhere(numbers.next_ratio),
-            pole_uncertainty=pole_uncertainty(poles, deviation, resolution)))
+        error=numbers.error, coloured=numbers.coloured_error, held_out=numbers.held_out_error,
+        poles=model.poles, deviation=deviation, change=change, where=_where(part, change),
+        numbers=numbers, by_prediction=solution.by_prediction)
 
 
-def _share(part: Joint, differing: ChangedRecord) -> float:
-    """Return where the change lies, as a part of the whole record: it may begin earlier."""
-    own = part.parts[differing.place]
-    at = own.record.start + differing.change.share * own.record.duration
-    return (at - own.whole.start) / own.whole.duration
+def _over_all(solution: Solution) -> Array:
+    """Return the rms error over the motion, of all samples of the window, (ny,)."""
+    whole = solution.whole or solution.samples
+    fit = solution.fit if whole is solution.samples else \
+        fit_states(whole, solution.fit.model, solution.free)
+    counts = whole.counts
+    found: Array = np.sqrt(np.sum(counts * fit.power, axis=0) / counts.sum(axis=0))
+    return found
 
 
-def _changed(part: Joint, differing: ChangedRecord) -> tuple[str, str]:
-    """Return a sentence on a change of the plant that says what to do, and a note."""
-    change, place = differing.change, differing.place
-    if not differing.within:
-        numbers = part.numbers
-        who = f'records {numbers[0]} and {numbers[1]} show different plants' \
-            if len(numbers) == 2 else \
-            f'record {numbers[place]} shows another plant than the other records'
-        cure = 'each' if len(numbers) == 2 else 'it'
-        note = (f'{who}: the responses to the inputs differ by {100 * change.size:.0f} %; '
-                f'identify {cure} separately')
-        return f'{note[0].upper()}{note[1:]}.', note
-    share = _share(part, differing)
-    at = f'{share * part.parts[place].whole.duration:.2g} s after'
-    where = f'record {part.numbers[place]}' if part.several else 'the window'
-    prefix = f'{where}: ' if part.several else ''
-    return (f'The plant, or the offset of a signal, changed about {at} the start of {where}; take '
-            'a window before or after that, or wait until it has left the window.',
-            f'{prefix}the most likely time of the change is {share * 100:.0f} % of the '
-            f'window, {at} its start')
+def _all_inputs(seen: tuple[Excitation, ...], names: tuple[str, ...],
+                places: tuple[int, ...]) -> tuple[Excitation, ...]:
+    by_place = dict(zip(places, seen, strict=True))
+    return tuple(by_place.get(j, Excitation(name)) for j, name in enumerate(names))
 
 
-def _shares(part: Joint, solution: Solution) -> tuple[RecordShare, ...]:
+def _where(part: Joint, change: Change) -> str:
+    """Return when the plant changed, in words."""
+    if change.record < 0:
+        return ''
+    own = part.parts[change.record].whole
+    at = _share(part, change) * own.duration
+    which = f' of record {part.numbers[change.record]}' if part.several else ' of the window'
+    return f'about {at:.2g} s after the start{which}'
+
+
+def _share(part: Joint, change: Change) -> float:
+    """Return where the change lies, as a part of the whole record."""
+    if change.record < 0:
+        return float('nan')
+    own = part.parts[change.record]
+    at = own.record.start + change.share * own.record.duration
+    return float((at - own.whole.start) / own.whole.duration)
+
+
+def _shares(solution: Solution) -> tuple[RecordShare, ...]:
     """Return trim, fit and weight of each record."""
-    matrices, projection, shares = solution.matrices, solution.projection, []
-    for i, (usable, p, m) in enumerate(zip(part.parts, projection.records,
-                                           of_records(matrices, projection), strict=True)):
+    part, size, fit, shares = solution.part, solution.samples.size, solution.fit, []
+    level = np.exp(0.5 * np.log(fit.power).mean())
+    for r, usable in enumerate(part.parts):
         whole, epoch = usable.whole, usable.whole.epoch_ns
-        x_trim, y_trim = whole_trim(usable, m)
+        own = matrices_of(fit.model, size, r) if solution.plant is None else \
+            plant_of(fit, solution.samples, r) or solution.plant
+        x_trim, y_trim = whole_trim(usable, own)
+        weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
         shares.append(RecordShare(
-            part.numbers[i], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
-            x_trim, y_trim, spread_out(line_fit(p, m), usable.y, whole.ny),
-            solution.layout.weights[i]))
+            part.numbers[r], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
+            x_trim, y_trim, spread_out(100.0 * (1.0 - np.sqrt(fit.power[r])), usable.y, whole.ny),
+            weight))
     return tuple(shares)
-
-
-def _covariance(joint: Joint, solution: Solution, model: StateSpace) -> Covariance | None:
-    """Return the covariance of the entries of the model of all channels; None if not finite."""
-    changes = entry_changes(solution.projection, solution.matrices, solution.settings.feedthrough,
-                            process_noise=solution.process_noise)
-    if not all(np.isfinite(block).all() for block in changes):
-        return None
-    part = joint.parts[0]
-    return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model)
-
-
-def _to_statespace(joint: Joint, solution: Solution) -> StateSpace:
-    """Return the model of all channels."""
-    part, weight = joint.parts[joint.last], solution.layout.weights[joint.last]
-    error = as_real(prediction_errors(solution.projection, solution.matrices))
-    intensity = solution.projection.unit * (error @ error.T) / error.shape[1] / weight ** 2
-    return whole_model(part, of_records(solution.matrices, solution.projection)[joint.last],
-                       solution.settings.delays(part.whole.nu), intensity)

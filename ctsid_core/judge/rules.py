@@ -22,24 +22,21 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
-PREDICTED = 10.0        # fit [%] of one-step predictions below which an output is not explained
-_UNRELATED = 10.0       # fit [%] below which nothing of an output is
-_POLE_STD = 0.5         # standard deviation of a pole over its size: beyond, it is not known
-_RESPONSE_STD = 0.05    # the same of the response to an input
+_DEVIATION = 0.12       # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
-_ONE_SINE = 1.5         # effective number of frequencies of an input
-_UNMODELLED = 0.02      # unmodelled response, over the response
-_SIGNIFICANT = 1e-5     # p-value of an unmodelled response that is believed ...
-_ENOUGH = 0.01          # ... and where the errors are not white, too
-_NOT_WHITE = 1e-6       # p-value of white errors, below which they are not
-_CLEAR = 80.0           # fit [%] of a model that clearly explains its own data
-_HELD_OUT_RATIO = 4.0   # power of the errors on held-out data over that on the model's own
+_ONE_SINE = 3.0         # effective number of frequencies of an input
+_FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
+_HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
+_LEAST = 0.05           # ... or this part of the motion
+_DISTURBED = 0.5        # error that is not white noise, over the motion: nothing to act on ...
+_UNEXPLAINED = 0.8      # ... and no model at all
+_CURVED = 2.0           # points of fit that a curve after the model gains
+_CHANGED = 4.0          # points of fit that one model loses against two
+_NOTED = 2.0            # points from which on it is noted
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
-_UNEXAMINED = ('With samples that come in bursts, whether part of the response is not modelled '
-               'cannot be tested; test the model on other data before using it.')
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
             'inputs move in one part of the window only; wait for the next window, or test it on '
             'other data.')
@@ -55,10 +52,9 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
 
 
 def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
-    if not (np.isfinite(e.poles).all() and np.isfinite(np.delete(e.fit, e.fixed_outputs)).all()):
+    error = np.delete(e.error, e.fixed_outputs)
+    if not (np.isfinite(e.poles).all() and np.isfinite(error).all()):
         yield Status.UNRELIABLE, Status.UNRELIABLE.value
-    if e.change:
-        yield Status.CHANGED, e.change
     if e.fixed_outputs:
         yield Status.NO_RESPONSE, (
             f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor '
@@ -69,113 +65,73 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'{one.start:.3g} to {one.end:.3g} s after the start of the window, although inputs '
             'move; the sensor is stuck or its last value is repeated: check it, or leave it '
             'out.')
-    yield from _unexplained(e)
-    ratio = _pole_ratio(e)
-    if np.min(ratio) > _POLE_STD:
-        best = int(np.argmin(ratio))
-        yield Status.UNRELIABLE, (
-            f'No pole is well determined: even {_number(e.poles[best])} rad/s has a standard '
-            f'deviation of {e.deviation[best]:.2g} rad/s; excite more frequencies, take a '
-            'longer window, or lower the order.')
-
-
-def _unexplained(e: Evidence) -> Iterator[tuple[Status, str]]:
-    tested = e.held_out[np.isfinite(e.held_out)]
-    best = min(np.nanmax(e.fit), np.max(tested)) if len(tested) else np.nanmax(e.fit)
-    if best < e.enough and not _right_but_slow(e):
-        own, shown = float(np.nanmax(e.fit)), max(float(best), -999.0)
-        what = f'The model fits its own data ({own:.0f} %), but not the part of the window that ' \
-            f'was held out ({shown:.0f} %)' if own >= e.enough else \
-            f'No linear model explains {_listed(e.output_names)} by {_listed(e.input_names)} ' \
-            f'(the best fit is {shown:.0f} %)'
+    if e.change.cost > _CHANGED:
+        yield Status.CHANGED, _changed(e)
+    for i in np.flatnonzero(e.coloured > _UNEXPLAINED):
         yield Status.UNEXPLAINED, (
-            f'{what}; check that these are the right signals, that nothing else drives the plant '
-            'and that it is linear over the window, or take a longer window with more excitation.')
-    # Slow outputs of a right model may fit badly on a short part, but not err more than noise.
-    erring = (e.fit < e.enough) | (e.numbers.next_ratio > _HELD_OUT_RATIO)
-    dead = np.flatnonzero((e.worst < _UNRELATED) & erring)
-    if len(dead):
-        least = int(dead[np.argmin(e.worst[dead])])
+            f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
+            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion; check with '
+            '`ctsid plot` that these are the right signals and that nothing else drives the '
+            'plant.')
+    for i in np.flatnonzero(e.numbers.response_uncertainty > _FOLLOWS):
         yield Status.UNEXPLAINED, (
-            f'Output {e.output_names[least]} does not follow the inputs (fit '
-            f'{max(e.worst[least], -999.0):.0f} %) while others do; check its sensor and '
-            'that it is the right signal, or leave it out.')
+            f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
+            'as far as the noise lets see; check its sensor and that it is the right signal, or '
+            'leave it out.')
 
 
-def _right_but_slow(e: Evidence) -> bool:
-    """
-    Return whether the held-out fit is low only because little moves in that part.
+def _changed(e: Evidence) -> str:
+    (a, b), (c, d) = e.change.one, e.change.two
+    return (f'The plant changed {e.where}: one model fits {a:.0f} % before and {b:.0f} % after '
+            f'that, two models {c:.0f} and {d:.0f} %; identify each side (`--start`, `--end`), or '
+            'wait until the change has left the window.')
 
-    After a step little moves: the residuals of a right model are then noise, and no smaller than
-    the motion. With process noise that proves nothing: it may be all that moves.
-    """
-    erring = np.delete(e.numbers.next_ratio, e.fixed_outputs)
-    # Where the response is uncertain, little motion is no excuse.
-    known = all(x.uncertainty < _RESPONSE_STD for x in e.numbers.excitation)
-    settles = np.max(e.poles.real) < -0.5 * e.resolution         # a vibration lasts
-    clear = np.nanmin(e.fit) > _CLEAR and not e.process_noise
-    return bool(known and settles and clear and np.all(erring < _HELD_OUT_RATIO))
+
+def change_note(e: Evidence) -> tuple[str, ...]:
+    """Return a sentence on a change of the plant that is small, or none."""
+    if not _NOTED < e.change.cost <= _CHANGED:
+        return ()
+    return (f'one model of the whole loses {e.change.cost:.1f} points of fit against two, before '
+            f'and after {e.where.removeprefix("about ")}',)
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:
-    if e.unexamined:            # first: the numbers that other rules ask for are not known
-        yield _UNEXAMINED
-    yield from _of_inputs(e)
-    for i in np.flatnonzero(e.worst < e.enough):
-        yield (f'The inputs explain little of output {e.output_names[i]} (fit '
-               f'{e.worst[i]:.0f} %); check its sensor, reduce its noise, or leave it out.')
-    numbers, names = e.numbers, e.output_names
-    certain = (numbers.missing_p_value < _SIGNIFICANT) & (numbers.missing > _UNMODELLED)
-    if not e.process_noise:  # then errors not white and correlated with inputs are dynamics
-        certain |= (numbers.missing_p_value < _ENOUGH) & (numbers.whiteness < _NOT_WHITE)
-    for i in np.flatnonzero(certain):
-        yield (f'About {100 * numbers.missing[i]:.2g} % of the response of output {names[i]} to '
-               'the inputs is not modelled (its prediction errors depend on past inputs); raise '
-               '`order` or `max_order`, check the dead time and the hold of the inputs; or the '
-               'plant is not linear.')
-    if numbers.pole_uncertainty > _POLE_STD:
-        worst = int(np.argmax(_pole_ratio(e)))
-        yield (f'The pole {_number(e.poles[worst])} rad/s has a standard deviation of '
-               f'{e.deviation[worst]:.2g} rad/s; excite the plant around '
-               f'{max(abs(e.poles[worst]), e.resolution):.2g} rad/s, take a longer window, or '
-               'lower the order.')
-    for i in np.flatnonzero(numbers.next_ratio > _HELD_OUT_RATIO):
-        yield (f'On held-out data the error of output {names[i]} has '
-               f'{numbers.next_ratio[i]:.2g} times the power of the noise; take a longer window, '
-               'or lower the order.')
-    if e.process_noise:
-        for i in np.flatnonzero(numbers.whiteness < _NOT_WHITE):
-            yield (f'The prediction errors of output {names[i]} are not white, although the '
-                   'model has process noise, so that the standard deviations cannot be trusted; '
-                   'raise `order`, or measure what else acts on the plant.')
-    known = np.append(np.delete(numbers.missing, e.fixed_outputs), numbers.pole_uncertainty)
-    if not np.isfinite(known).all():
-        yield ('The uncertainty of the model could not be computed; check the signals, their '
-               'sizes and units.')
+    for j in e.fixed_inputs:
+        yield (f'Input {e.input_names[j]} does not move within the window, and its zero column of '
+               'B and D is not measured; move it, or leave it out.')
+    for j, one in enumerate(e.numbers.excitation):
+        if j in e.fixed_inputs:
+            continue
+        if one.frequencies < _ONE_SINE:
+            yield (f'Input {one.name} moves at a single frequency only, which fits many '
+                   'models; excite more frequencies (a sweep, steps, or noise).')
+        if not one.uncertainty <= _DEVIATION:
+            alone = 'move it independently of the other inputs (only ' \
+                f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
+            cure = alone if one.own < _UNCORRELATED else \
+                'move it more, or for longer (`--window`), or leave it out'
+            yield (f'The response to input {one.name} has a standard deviation of '
+                   f'{_percent(one.uncertainty)}; {cure}.')
+    for i in np.flatnonzero(e.coloured > _DISTURBED):
+        yield (f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
+               f'apart, is {100 * e.coloured[i]:.0f} % of its motion; check its sensor, measure '
+               'what else acts on it, or leave it out.')
+    for i in np.flatnonzero(e.numbers.curve_gain > _CURVED):
+        yield (f'Output {e.output_names[i]} is a curve of what a linear model makes of the '
+               f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit; '
+               'something saturates or is clipped, or the motion is too large: move less, or '
+               'elsewhere.')
+    allowed = np.maximum(_HELD_OUT * e.error, _LEAST)
+    for i in np.flatnonzero(e.held_out > allowed):
+        yield (f'On the part of the window that was held out the error of output '
+               f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
+               f'{_percent(e.error[i])}; take a longer window (`--window`), or lower `order`.')
     if not np.isfinite(e.held_out).any():
         yield UNTESTED
 
 
-def _of_inputs(e: Evidence) -> Iterator[str]:
-    for j in e.fixed_inputs:
-        yield (f'Input {e.input_names[j]} does not move within the window, and its zero column of '
-               'B and D is not measured; move it, or leave it out.')
-    for one in e.numbers.excitation:
-        if one.frequencies < _ONE_SINE:
-            yield (f'Input {one.name} moves at a single frequency only, which fits many '
-                   'models; excite more frequencies (a sweep, steps, or noise).')
-        if one.uncertainty > _RESPONSE_STD:
-            std = f'a standard deviation of {100 * one.uncertainty:.2g} %' \
-                if one.uncertainty <= 1.0 else 'a standard deviation above 100 %'
-            alone = 'move it independently of the other inputs (only ' \
-                f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
-            cure = alone if one.own < _UNCORRELATED else \
-                'move it more, or for longer, or leave it out'
-            yield f'The response to input {one.name} has {std}; {cure}.'
-
-
-def _pole_ratio(e: Evidence) -> Array:
-    return np.asarray(e.deviation / np.maximum(np.abs(e.poles), e.resolution))
+def _percent(part: float) -> str:
+    return f'{100 * part:.2g} %' if part <= 1.0 else 'more than 100 %'
 
 
 def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution: float) -> float:
@@ -184,10 +140,14 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
 
 
 def _summary(e: Evidence) -> str:
-    worst, std = float(np.nanmin(e.worst)), max(x.uncertainty for x in e.numbers.excitation)
-    return (f'Every test is passed: the standard deviation is at most {100 * std:.2g} % of the '
-            f'response to each input and {100 * e.numbers.pole_uncertainty:.2g} % of each pole; '
-            f'the fit, also on held-out data, is at least {np.floor(worst):.0f} %.')
+    unsure = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
+                 if j not in e.fixed_inputs)
+    held = float(np.nanmax(e.held_out))
+    does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
+    return (f'Every test is passed: the model {does} to '
+            f'{np.floor(100 * (1 - float(np.nanmax(e.error)))):.0f} % and the part held out to '
+            f'{np.floor(100 * (1 - held)):.0f} % of the motion; the response to each input is '
+            f'known to {_percent(unsure)}.')
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -197,11 +157,6 @@ def _listed(names: tuple[str, ...]) -> str:
 def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
     listed = ', '.join(e.output_names[i] for i in places)
     return f'Outputs {listed} do' if len(places) > 1 else f'Output {listed} does'
-
-
-def _number(pole: complex) -> str:
-    pole = complex(pole)
-    return f'{pole.real:.3g}' if pole.imag == 0 else f'{pole.real:.3g} +- {abs(pole.imag):.3g}j'
 
 
 def unusable_estimate(status: Status, record: Record, settings: Settings,

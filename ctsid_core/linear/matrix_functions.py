@@ -22,6 +22,7 @@ from scipy.linalg import matrix_balance
 from ctsid_core.linear.types import Array, ComplexArray
 
 CONDITION_LIMIT = 1e4  # of the eigenvectors: scalar recursions lose that factor of 2e-16
+SOUND = 1e10           # the same where six digits are enough
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,16 @@ def phi(z: ComplexArray, count: int) -> list[ComplexArray]:
     Recursion (1) loses all digits for small z; there the last one comes from its power series
     and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!.
     """
+    small = np.abs(z) < 1
+    if count and z.size and small.all():
+        found = [_phi_series(z, count)]
+        for j in range(count, 0, -1):
+            found.insert(0, z * found[0] + 1 / factorial(j - 1))
+        return found
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         found = [np.exp(z)]
         for j in range(count):
             found.append((found[-1] - 1 / factorial(j)) / z)
-    small = np.abs(z) < 1
     if count and small.any():
         x = z[small]
         value = _phi_series(x, count)

@@ -147,13 +147,16 @@ class Covariance:
         """
         rows = np.hstack([part.reshape(len(part), -1) for part in entries])
         size = np.max(np.abs(rows), axis=0, initial=0.0)
-        scaled = rows / np.where(size > 0.0, size, 1.0)
+        size[size == 0.0] = 1.0
+        scaled = rows / size
         free, count = _state_changes(model), model.n ** 2
-        basis = np.linalg.qr(free / np.where(size > 0.0, size, 1.0)[:len(free), np.newaxis])[0]
+        basis = np.linalg.qr(free / size[:len(free), np.newaxis])[0]
         scaled[:, :len(free)] -= (scaled[:, :len(free)] @ basis) @ basis.T
         _, s, right = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
         kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - count, 0))
-        return cls(s[kept, np.newaxis] * right[kept] * size, model.n, model.nu, model.ny)
+        root = s[kept, np.newaxis] * right[kept] * size
+        root[:, ~np.any(rows, axis=0) & (np.max(np.abs(root), axis=0, initial=0.0) < _KNOWN)] = 0.0
+        return cls(root, model.n, model.nu, model.ny)
 
     def transform(self, T: ArrayLike) -> Covariance:
         """Return the same for the states z = T x (`StateSpace.transform`)."""

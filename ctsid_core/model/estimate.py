@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -42,8 +42,8 @@ class Status(Enum):
     UNEXPLAINED = ('No linear model explains all outputs by the inputs; check the choice of '
                    'inputs and outputs, the dead time and the order, or the plant is not linear '
                    'over this window.')
-    UNRELIABLE = ('The data do not determine a single pole well enough for a trustworthy model; '
-                  'excite more frequencies, take a longer window, or lower the order.')
+    UNRELIABLE = ('No finite model could be computed from the data; check the signals, their '
+                  'sizes and units, or lower the order.')
     CHANGED = ('The plant, or the offset of a signal, changed within the window, and one model of '
                'both would be wrong; take a window before or after the change, or wait until the '
                'change has left the window.')
@@ -99,20 +99,11 @@ class OrderTried:
         Schwarz's criterion, above that of the most likely order.
     fit : float
         Simulation fit of the worst output, on the window itself [%].
-    held_out_fit : float
-        The same on the part kept from a second model, if it was needed to decide [%]; else NaN.
     """
 
     order: int
     criterion: float
     fit: float
-    held_out_fit: float = float('nan')
-
-
-def with_fit(orders: tuple[OrderTried, ...], fits: Mapping[int, Array]) -> tuple[OrderTried, ...]:
-    """Return a table of orders with the fits that were found on data held out, by order."""
-    return tuple(replace(one, held_out_fit=float(np.min(fits[one.order])))
-                 if one.order in fits else one for one in orders)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,11 +128,10 @@ class Estimate:
         Of the entries of the model, or of the rejected one if there is no other; None if unknown.
         Further properties of the estimate follow from it.
     fit : ndarray, shape (ny,)
-        Simulation fit (NRMSE) of each output on the window itself [%]. Of an unstable plant with
-        process noise: by how much its inputs make one-step predictions better (`predicted_fit`).
+        Simulation fit (NRMSE) of each output on the window itself [%].
     held_out_fit : ndarray, shape (ny,)
-        How much of each output the inputs explain on a part of the window that was kept from a
-        second model (`unseen_fit`) [%]; NaN if none was kept.
+        The same on a part of the window that was kept from a second model, over the motion of the
+        whole window [%]; NaN if none was kept.
     singular_values : ndarray
         Of the state sequence; their drop shows the order.
     condition : float

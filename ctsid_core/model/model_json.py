@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Estimates as JSON text, format 'ctsid-model', version 1.
+Estimates as JSON text, format 'ctsid-model', version 2.
 
 Strict JSON that describes itself: matrices are lists of rows, numbers keep all of their bits, NaN
 is null, infinities are the words "Infinity" and "-Infinity" (JSON has neither). `equations`,
 `message`, each model's `poles` and `deviations` are for other readers; from_json() computes them
-itself. `covariance` is that of the entries of A, B, C, D (row by row) and the dead times: root^T
-root.
+itself, and refuses poles that are not those of A. `covariance` is that of the entries of A, B, C,
+D (row by row) and the dead times: root^T root.
 
 A reader refuses what it does not know: another format, a newer version, missing and unknown keys.
 Only parameters of identification that are missing take their defaults, so that files outlive the
 arrival of new ones; and a model without a verdict is one that nobody has judged, which is WEAK.
+Version 1 had other numbers in the verdict: those that are gone are left out, new ones not known.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade, Verdict
 from ctsid_core.settings import Settings
 
 FORMAT = 'ctsid-model'
-VERSION = 1
+VERSION = 2
 EQUATIONS = ('dx/dt = A x + B u(t - delay) + x_trim + K e;  '
              'y = C x + D u(t - delay) + y_trim + e;  time in s, poles in rad/s')
 
@@ -43,7 +44,7 @@ TOP_KEYS = ('format', 'version', 'equations', 'status', 'message', 'verdict', 's
             'held_out_fit', 'singular_values', 'condition', 'statistics', 'choices', 'notes',
             'settings', 'metadata')
 RECORD_KEYS = ('number', 'start_ns', 'end_ns', 'x_trim', 'y_trim', 'fit', 'weight')  # of several
-ORDER_KEYS = ('order', 'criterion', 'fit', 'held_out_fit')  # if the order was chosen
+ORDER_KEYS = ('order', 'criterion', 'fit')  # if the order was chosen
 AGREEMENT_KEYS = tuple(f.name for f in fields(Agreement))  # if a second method was asked
 MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu'),
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
@@ -51,7 +52,10 @@ WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output
 DEVIATIONS = ('natural_frequency_std', 'damping_std', 'dc_gain_std', 'delay_std')
 COVARIANCE_KEYS = ('n', 'nu', 'ny', 'root')
 MODEL_KEYS = ('n', 'nu', 'ny', *WORDS, *MATRICES, 'noise', 'poles')
+_SAME_POLE = 1e-3  # of the largest: other computers find multiple poles a little elsewhere
 POLE_KEYS = ('re', 'im', 'natural_frequency', 'damping')
+SCALARS = ('pole_uncertainty', 'change_cost', 'moved')  # of a verdict; the others are rows
+GONE = ('missing', 'missing_p_value', 'next_ratio', 'held_out_fit')  # of version 1
 
 
 def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) -> str:
@@ -150,7 +154,8 @@ def describe(verdict: Verdict) -> dict[str, object]:
         found['agreement'] = {key: getattr(agreement, key) for key in AGREEMENT_KEYS}
     found['excitation'] = [{'input': x.name, 'low': x.low, 'high': x.high,
                             'frequencies': x.frequencies, 'own': x.own,
-                            'uncertainty': x.uncertainty} for x in verdict.excitation]
+                            'uncertainty': x.uncertainty}
+                           for x in verdict.excitation]
     return found
 
 
@@ -222,9 +227,24 @@ def _document(text: str) -> dict[str, Any]:
     if version > VERSION:
         raise StorageError(f'written by a newer ctsid (`version` {version}; this one reads up to '
                            f'{VERSION}); upgrade ctsid')
+    if version == 1:
+        _upgrade(document)
     optional = tuple(key for key in ('records', 'orders') if key in document)
     _check_keys({'verdict': None, **document}, (*TOP_KEYS, *optional), '')
     return document
+
+
+def _upgrade(document: dict[str, Any]) -> None:
+    """Turn a document of version 1 into one of today."""
+    verdict = document.get('verdict')
+    changed: list[Any] = [verdict, *(document.get('orders') or [])]
+    if isinstance(verdict, dict):
+        verdict.update({f.name: None if f.name in SCALARS else [] for f in fields(Verdict)
+                        if f.name not in verdict and f.name != 'agreement'})
+    for found in changed:
+        for key in GONE:
+            if isinstance(found, dict):
+                found.pop(key, None)
 
 
 def _refuse_constant(word: str) -> None:
@@ -325,9 +345,28 @@ def _read_model(found: Any, where: str) -> StateSpace | None:
     if found['noise'] is not None:
         given['noise'] = _numbers(found['noise'], f'{where}.noise', (size['ny'],) * 2)
     try:
-        return StateSpace(**given)
+        model = StateSpace(**given)
     except DataError as error:
         raise StorageError(f'`{where}`: {error}') from error
+    _check_poles(_list(found, 'poles'), model, where)
+    return model
+
+
+def _check_poles(listed: list[Any], model: StateSpace, where: str) -> None:
+    """Raise unless the poles that are listed are those of A; `pole_std` is of these."""
+    try:
+        poles = np.array([complex(pole['re'], pole['im']) for pole in listed])
+    except (TypeError, KeyError) as error:
+        raise StorageError(f'`{where}.poles` is not a list of poles with `re` and `im`; write the '
+                           'file again') from error
+    gaps = np.abs(poles[:, np.newaxis] - model.poles)
+    near = _SAME_POLE * np.abs(model.poles).max(initial=0.0)
+    same = len(poles) == model.n == 0 or (len(poles) == model.n and all(
+        np.all(gaps.min(axis) <= near) for axis in (0, 1)))
+    if not same:
+        raise StorageError(f'`{where}.poles` are not the eigenvalues of `{where}.A`; they '
+                           'contradict each other, so the file was changed by hand: write it '
+                           'again')
 
 
 def _read_covariance(found: Any, model: StateSpace | None) -> Covariance | None:
@@ -368,9 +407,8 @@ def read_verdict(found: Any) -> Verdict:
     if not isinstance(grade, str) or grade not in Grade.__members__:
         raise StorageError(f'`verdict.grade` is {_shown(grade)}; this ctsid knows '
                            f'{", ".join(Grade.__members__)}: upgrade it')
-    scalars = ('pole_uncertainty', 'moved')
     numbers: dict[str, Any] = {
-        key: _number(value, f'verdict.{key}', nan=True) if key in scalars else
+        key: _number(value, f'verdict.{key}', nan=True) if key in SCALARS else
         _numbers(value, f'verdict.{key}', nan=True)
         for key, value in found.items()
         if key not in ('grade', 'reason', 'excitation', 'agreement')}

@@ -7,11 +7,10 @@ D u - y_trim what remains of the samples. Then the state is p + xi with
 
     dxi/dt = A xi + K e,     e = r - C xi.                                                    (1)
 
-Between the samples of a channel its innovation is taken to run linearly, from what the filter left
-at one sample to what the model could not predict at the next one. With h the time between the
-two, xi^- and e^- = r - C xi^- before the sample, this changes the state by
+Between the samples of a channel its innovation is what the model could not predict at the later
+one. With h the time between the two, xi^- and e^- = r - C xi^- before the sample, the state is
 
-    xi = xi^- + h phi_2(Abar h) K e^-  +  h (phi_1 - phi_2)(Abar h) K e_before,  Abar = A - K C (2)
+    xi = xi^- + h phi_1(Abar h) K e^-,      Abar = A - K C                                    (2)
 
 per channel, which is causal, stays bounded however large K is (then C xi meets the sample), and
 does nothing to a model that predicts its data, however sparse they are.
@@ -146,30 +145,28 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
     size = spread(rest[:started])[:, np.newaxis]  # so that units do not decide who starts it
     # Column 0: from xi_0 = 0 with the samples; the others: free, from each unit vector.
     state = np.eye(model.n, model.n + 1, k=1)
-    before = np.zeros((model.ny, model.n + 1))
     surprises = []
     for row in range(started):
         data = np.zeros((model.ny, model.n + 1))
         data[:, 0] = rest[row]
-        state, error = _update(steps[row] @ state, before, data, model.C, events[row])
-        surprises += [error[channels] / size[channels] for channels, _, _ in events[row]]
+        state, error = _update(steps[row] @ state, data, model.C, events[row])
+        surprises += [error[channels] / size[channels] for channels, _ in events[row]]
     weights = np.vstack(surprises)
     scale = np.linalg.norm(weights, axis=0)
     scale[scale == 0] = 1
     xi_0 = -np.linalg.lstsq(weights[:, 1:] / scale[1:], weights[:, 0], rcond=1e-10)[0] / scale[1:]
     mix = np.concatenate([[1.0], xi_0])[:, np.newaxis]
-    state, before = state @ mix, before @ mix
+    state = state @ mix
     xi = np.full((len(times), model.n), np.nan)
     for row in range(started, len(times)):
         xi[row - 1] = state[:, 0]
-        state, _ = _update(steps[row] @ state, before, rest[row][:, np.newaxis], model.C,
-                           events[row])
+        state, _ = _update(steps[row] @ state, rest[row][:, np.newaxis], model.C, events[row])
     xi[-1] = state[:, 0]
     return xi, xi_0, started - 1
 
 
-# What a stamp brings: channels, gain on the surprise, gain on what the filter left before
-Event = tuple[slice, Array, Array]
+# What a stamp brings: channels, gain on the surprise
+Event = tuple[slice, Array]
 
 
 def _events(model: StateSpace, K: Array, times: Array,
@@ -182,22 +179,14 @@ def _events(model: StateSpace, K: Array, times: Array,
         own = times[stream.rows]
         usual = float(np.median(np.diff(own))) if len(own) > 1 else 0.0
         h = np.minimum(np.diff(own, prepend=own[0] - usual), LONGEST * usual)
-        _, first, second = exponentials(closed, h, 2)
-        mean = second / np.where(h > 0, h, 1)[:, np.newaxis, np.newaxis]
-        now, earlier = mean @ K[:, stream.channels], (first - mean) @ K[:, stream.channels]
-        for row, a, b in zip(stream.rows, now, earlier, strict=True):
-            events[row].append((stream.channels, a, b))
+        mean = exponentials(closed, h, 1)[1]
+        for row, gain in zip(stream.rows, mean @ K[:, stream.channels], strict=True):
+            events[row].append((stream.channels, gain))
     return events
 
 
-def _update(state: Array, before: Array, data: Array, C: Array,
-            events: Sequence[Event]) -> tuple[Array, Array]:
-    # (2) for all streams of one stamp, side by side; `before` is renewed in place
+def _update(state: Array, data: Array, C: Array, events: Sequence[Event]) -> tuple[Array, Array]:
+    # (2) for all streams of one stamp, side by side
     error = data - C @ state
-    change = sum((now @ error[channels] + earlier @ before[channels]
-                  for channels, now, earlier in events), np.zeros_like(state))
-    state = state + change
-    left = data - C @ state
-    for channels, _, _ in events:
-        before[channels] = left[channels]
-    return state, error
+    change = sum((gain @ error[channels] for channels, gain in events), np.zeros_like(state))
+    return state + change, error

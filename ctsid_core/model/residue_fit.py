@@ -19,12 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.least_squares import least_norm
-from ctsid_core.linear.matrix_functions import Modes, modes, phi
+from ctsid_core.linear.matrix_functions import SOUND, Modes, modes, phi
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.model.simulation import input_polynomials, knots_between, recursion
+from ctsid_core.model.modal import mode_responses
 from ctsid_core.signals.record import Record
 
-_CONDITION = 1e10     # of the eigenvectors of A, beyond which there is no simulation by modes
 _FURTHEST = 300.0     # exponent of an unstable mode's growth that floating point still holds
 _TURNS = 2            # of fitting B and C; a third changes no digit of the fits
 
@@ -90,7 +89,7 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
     Driven or None
         None if the eigenvectors of A are dependent, or a mode grows beyond all bounds.
     """
-    found = modes(A, _CONDITION)
+    found = modes(A, SOUND)
     length = max(r.duration for r in records)
     if found is None or (found.values.real * length > _FURTHEST).any():
         return None
@@ -194,22 +193,10 @@ def _fit_c(outputs: Sequence[_Output], b: ComplexArray,
 def _responses(record: Record, found: Modes, delay: tuple[float, ...], times: Array,
                trim: bool) -> tuple[ComplexArray, Array]:
     """Return 1 / (s - mode) of u, of an impulse at the start and of 1, (times, modes, signals)."""
-    at = np.concatenate(([record.start], times, [record.end]))
-    knots = knots_between(record.inputs, delay, at)
-    u = input_polynomials(record.inputs, delay, knots)
-    ones = np.zeros((len(u), len(knots), int(trim)))
-    ones[0] = 1.0
-    driving = np.concatenate((u, ones), axis=2)
-    h = np.diff(knots)[:, np.newaxis]
-    functions = phi(h * found.values, len(driving))
-    rest = np.zeros(len(found.values), dtype=complex)
-    paths = []
-    for m in range(driving.shape[2]):
-        drive = np.zeros_like(functions[0])
-        for j, v in enumerate(driving):
-            drive += h ** (j + 1) * functions[j + 1] * v[:-1, m, np.newaxis]
-        paths.append(recursion(functions[0], drive, rest))
-    free = np.exp((knots - knots[0])[:, np.newaxis] * found.values)
-    nu = record.nu
-    rows = np.searchsorted(knots, times)
-    return (np.stack([*paths[:nu], free, *paths[nu:]], axis=2)[rows], u[0][rows])
+    at = mode_responses(found.values, record.inputs, delay, record.start, times, slopes=False)
+    since = times - record.start
+    free = np.exp(found.values[:, np.newaxis] * since)[:, np.newaxis]
+    parts = [at.responses, free]
+    if trim:
+        parts.append((since * phi(found.values[:, np.newaxis] * since, 1)[1])[:, np.newaxis])
+    return np.concatenate(parts, axis=1).transpose(2, 0, 1), at.inputs.T

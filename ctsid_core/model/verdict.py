@@ -37,15 +37,16 @@ class Excitation:
     name : str
         Of the input.
     low, high : float
-        Excited band [rad/s]: its ends. In it the response to the part of this input that is not
-        correlated with other inputs exceeds the noise; NaN if it does nowhere.
+        Excited band [rad/s]: all but 2 % of the response to this input, differenced, lies in it;
+        NaN if there is none.
     frequencies : float
-        Effective number of frequencies, as far as the window resolves them; one sine is 1.
+        Effective number of frequencies of its differences, as far as the window resolves them; one
+        sine has about 1.
     own : float
         Uncorrelated part: share of its power that is not correlated with other inputs, 0 to 1.
     uncertainty : float
-        Standard deviation of the response to it, over the response, rms; above 1 nothing is
-        known.
+        Standard deviation of the frequency response to it, over the response, averaged with the
+        power of the differenced response; above 1 nothing is known.
     """
 
     name: str
@@ -71,16 +72,26 @@ class Verdict:
     pole_uncertainty : float
         Largest standard deviation of a pole over its size, or over the frequency that the
         window resolves if that is larger.
-    missing : ndarray, shape (ny,)
-        Unmodelled response: the part of the prediction errors of each output that past inputs
-        explain, over the response to the inputs, rms.
-    missing_p_value : ndarray, shape (ny,)
-        P-value of 'the prediction errors do not depend on past inputs'.
     whiteness : ndarray, shape (ny,)
         P-value of 'the prediction errors are white'.
-    next_ratio : ndarray, shape (ny,)
-        Held-out error ratio: power of the errors of a model of the first part of the window on
-        the held-out part, over the power of the model's own errors.
+    response_uncertainty : ndarray, shape (ny,)
+        Standard deviation of the frequency response of each output to all inputs, over the
+        response, likewise averaged.
+    error : ndarray, shape (ny,)
+        Rms error of the simulation over the motion of each output; the fit is 1 less that.
+    coloured_error : ndarray, shape (ny,)
+        The part of it that is not white noise: model errors and disturbances.
+    held_out_error : ndarray, shape (ny,)
+        Rms error of a model of the rest of the window on what was held out, over the motion of the
+        whole window.
+    independent : ndarray, shape (ny,)
+        Share of independent samples among the errors, N_eff / N: 1 if they are white.
+    change_cost : float
+        Points of fit that one model loses against two, before and after the instant at which it
+        loses most [%].
+    curve_gain : ndarray, shape (ny,)
+        Points of fit that a curve (a cubic of the simulated output) gains after the model; 0 where
+        the data do not show it [%].
     fresh_ratio : ndarray, shape (ny,)
         Fresh error ratio: rms error of the previous model on the data that are new in this
         window, over that on the older data of this window.
@@ -95,10 +106,14 @@ class Verdict:
     reason: str
     excitation: tuple[Excitation, ...] = ()
     pole_uncertainty: float = float('nan')
-    missing: Array = field(default_factory=lambda: np.empty(0))
-    missing_p_value: Array = field(default_factory=lambda: np.empty(0))
     whiteness: Array = field(default_factory=lambda: np.empty(0))
-    next_ratio: Array = field(default_factory=lambda: np.empty(0))
+    response_uncertainty: Array = field(default_factory=lambda: np.empty(0))
+    error: Array = field(default_factory=lambda: np.empty(0))
+    coloured_error: Array = field(default_factory=lambda: np.empty(0))
+    held_out_error: Array = field(default_factory=lambda: np.empty(0))
+    independent: Array = field(default_factory=lambda: np.empty(0))
+    change_cost: float = float('nan')
+    curve_gain: Array = field(default_factory=lambda: np.empty(0))
     fresh_ratio: Array = field(default_factory=lambda: np.empty(0))
     moved: float = float('nan')
     agreement: Agreement | None = None

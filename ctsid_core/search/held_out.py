@@ -1,94 +1,112 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a model of the first part of every record does on the last part."""
+"""How a model of the first part of the records does on the rest."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.bases.projection import Projection, as_real
-from ctsid_core.bases.records import Joint
-from ctsid_core.likelihood.prediction_errors import unseen, unseen_predicted_fit, without_level
-from ctsid_core.linear.types import Array
-from ctsid_core.search.closed_loop import by_prediction
-from ctsid_core.search.order import Search
-from ctsid_core.search.selection import most_likely, most_likely_simulation
-from ctsid_core.search.solution import Solution, own_delays
-from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Record
+from ctsid_core.effort import Effort
+from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at, fit_states
+from ctsid_core.likelihood.residuals import residuals
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, Mask
 
-_STILL = 0.01         # of an input's motion in the whole: too little to tell a model
+_MANY = 4             # records from which on whole ones are held out
+_STEPS = 6
+_PARTS = 3            # of each record are held out
+_SEARCHED = 2000      # samples of a stream that are looked at
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class HeldOut:
     """
-    The fit of a model of the first parts on the last parts; NaN if nothing was held out.
+    Errors on samples that a model has not seen.
 
     Parameters
     ----------
-    fit : ndarray, shape (number of moving outputs,)
-        [%]
-    density : ndarray, shape (number of moving outputs,)
-        Of the errors [unit^2 s].
+    error : ndarray, shape (ny,)
+        Rms error over the motion of the whole window; NaN if nothing was held out.
     """
 
-    fit: Array
-    density: Array
-
-    @property
-    def left(self) -> float:
-        """The unexplained part, geometric mean over the outputs [%]."""
-        return float(np.exp(np.mean(np.log(np.maximum(100.0 - self.fit, 1e-9)))))
+    error: Array
 
 
-def held_out(part: Joint, solution: Solution) -> HeldOut:
+def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effort,
+             refit: Callable[[Samples], Fit | None] | None = None) -> HeldOut:
     """
-    Return the fit of a model of the first part of every record on the last part.
+    Return the errors on the part that is held out.
+
+    Of a few records, the ends of the thirds of each, so that sweeps and steps are in both: the
+    model of the rest, with the poles of the whole refined there, runs through them, with its
+    states and its trim. Of many, whole records. Of a model that only predictions tell: one-step
+    predictions.
 
     Parameters
     ----------
-    part : Joint
-    solution : Solution
-        Of the whole records: its order and tuning are used.
+    samples : Samples
+    fit : Fit
+        Of all samples.
+    free : Free
+    share : float
+        Held out; 0: nothing.
+    effort : Effort
+    refit : callable, optional
+        Makes the model of the first part; by default output error.
     """
-    nothing = nothing_held_out(len(solution.matrices.C))
-    given = solution.settings
-    if given.held_out == 0.0 or given.edges == 'paper':  # parts are not at rest
+    nothing = HeldOut(np.full(samples.ny, np.nan))
+    if share == 0.0 or not len(fit.model.poles):
         return nothing
-    own = own_delays(part.parts[0], solution.settings)
-    first, last = part.divided(own, solution.layout)
-    if not _moving(first, solution.projection):
+    samples = samples.thinned(_SEARCHED)
+    try:
+        if len(samples.records) >= _MANY:
+            return _by_records(samples, fit, free, share, effort)
+        early, late = (_parts(samples, share, held, _PARTS if refit is None else 1)
+                       for held in (False, True))
+        if np.min(early.counts) < 4 * fit.model.n + 4:
+            return nothing
+        own = climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free, effort,
+                    steps=_STEPS, least=0.3) if refit is None else refit(early)
+        if own is None:
+            return nothing
+        return HeldOut(_rms(late, own))
+    except np.linalg.LinAlgError:
         return nothing
-    search = Search(first, own, lenient=solution.search.lenient)
-    pair = search.pair(own.order)
-    if pair is None:
-        return nothing
-    if solution.by_prediction:
-        model = most_likely(first, pair, own)[0]
-        early = _first_part(part.parts[0].record, own)
-        predictor = by_prediction(early, search, model)
-        return HeldOut(unseen_predicted_fit(last, model if predictor is None else predictor),
-                       nothing.density)
-    # Simulation judges: without process noise the gain of the first part's model is of no use.
-    model = most_likely(first, pair, own)[0] if solution.process_noise else \
-        most_likely_simulation(first, pair, own)[0]
-    return HeldOut(*unseen(last, model, trimmed=not part.many))
 
 
-def nothing_held_out(outputs: int) -> HeldOut:
-    """Return that nothing is known of so many outputs."""
-    return HeldOut(np.full(outputs, np.nan), np.full(outputs, np.nan))
+def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
+    """Return the samples in the parts of each record that are held out, or those in the others."""
+    def kept(times: Array, start: float, end: float) -> Mask:
+        phase = np.mod((times - end) / (end - start) * count, 1.0)     # the last part ends it
+        return np.asarray((phase > 1.0 - share) == held)
+
+    return replace(samples, records=tuple(
+        replace(r, streams=tuple(
+            replace(s, times=s.times[rows], y=s.y[rows])
+            for s in r.streams for rows in [kept(s.times, r.start, r.end)]))
+        for r in samples.records))
 
 
-def _first_part(record: Record, settings: Settings) -> Record:
-    split = record.end - settings.held_out * record.duration
-    return record.between(record.start, split, lead=max(settings.delays(record.nu), default=0.0))
+def _by_records(samples: Samples, fit: Fit, free: Free, share: float, effort: Effort) -> HeldOut:
+    count = len(samples.records)
+    many = max(round(share * count), 1)
+    held = {(2 * k + 1) * count // (2 * many) for k in range(many)}
+    kept = replace(samples, records=tuple(
+        r for i, r in enumerate(samples.records) if i not in held))
+    rest = replace(samples, records=tuple(
+        r for i, r in enumerate(samples.records) if i in held))
+    own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free, effort,
+                steps=_STEPS, least=0.3)
+    return HeldOut(_rms(rest, fit_states(rest, own.model, free)))
 
 
-def _moving(first: Projection, whole: Projection) -> bool:
-    """Return whether every input moves in the first part, measured by what it does in all."""
-    sizes = [np.linalg.norm(without_level(as_real(p.u), as_real(p.ones)), axis=1)
-             for p in (first, whole)]
-    return bool(np.all(sizes[0] > _STILL * sizes[1]))
+def _rms(samples: Samples, fit: Fit) -> Array:
+    squares, count = np.zeros(samples.ny), np.zeros(samples.ny)
+    for errors, record in zip(residuals(samples, fit), samples.records, strict=True):
+        for e, s in zip(errors, record.streams, strict=True):
+            squares[s.channels] += np.sum(e ** 2, axis=0)
+            count[s.channels] += len(e)
+    found: Array = np.sqrt(squares / np.where(count > 0.0, count, np.nan))
+    return found

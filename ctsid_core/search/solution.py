@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model of the moving channels, before it is judged."""
+"""A model of the moving channels at the maximum of the likelihood, before it is judged."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
-from ctsid_core.bases.preparation import Usable
-from ctsid_core.bases.projection import Projection
-from ctsid_core.bases.records import Layout
+import numpy as np
+
+from ctsid_core.bases.records import Joint
+from ctsid_core.likelihood.output_error import Fit, Free
+from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Choice, OrderTried
-from ctsid_core.search.order import Search
 from ctsid_core.settings import Settings
 
 
@@ -24,45 +26,73 @@ class Solution:
     ----------
     settings : Settings
         As used: automatic values filled in.
-    projection : Projection
-        Of the records.
-    search : Search
-        Of the subspace models.
-    matrices : Matrices
-    singular_values : ndarray
-        Of the subspace model that it began from.
-    condition : float
-        Of its regression.
-    process_noise : bool
-        Whether it is an innovation form with its K, or an output-error model.
-    choices : tuple of Choice
-    layout : Layout
-        How the records were projected.
-    by_prediction : bool
-        Whether the plant is unstable, with process noise: simulations mean nothing.
-    noise_model_uncertain : bool
-        Whether process noise is accepted for lack of a better explanation only.
+    part : Joint
+        The records.
+    samples : Samples
+        Of them.
+    fit : Fit
+    free : Free
+    independent : ndarray, shape (ny,)
+        Number of independent samples of the errors of each output.
     orders : tuple of OrderTried
         Empty if the order was given.
+    choices : tuple of Choice
+    notes : tuple of str
+    refit : callable or None
+        From the samples of the first part to the model that the same method makes of them; None:
+        output error from the poles of the whole.
+    hidden : int
+        Samples that stood out in its errors and were left out.
+    plant : Matrices or None
+        Of a model that was found by its predictions: `samples`, `fit` and `free` are those of its
+        predictor, with the outputs' own past among the inputs. None: the model is that of `fit`.
+    whole : Samples or None
+        With those that are left out because a delayed input is not known yet.
+    errors_ahead : ndarray, shape (horizons, ny)
+        Of its predictions, over the motion.
+    singular_values : ndarray
+        Of a subspace method; their drop shows the order.
+    condition : float
+        Of its regression.
     """
 
     settings: Settings
-    projection: Projection
-    search: Search
-    matrices: Matrices
-    singular_values: Array
-    condition: float
-    process_noise: bool
-    choices: tuple[Choice, ...]
-    layout: Layout
+    part: Joint
+    samples: Samples
+    fit: Fit
+    free: Free
+    independent: Array
     orders: tuple[OrderTried, ...] = ()
-    by_prediction: bool = False
-    noise_model_uncertain: bool = False
+    choices: tuple[Choice, ...] = ()
+    notes: tuple[str, ...] = ()
+    refit: Callable[[Samples], Fit | None] | None = None
+    hidden: int = 0
+    plant: Matrices | None = None
+    whole: Samples | None = None
+    errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
+    singular_values: Array = field(default_factory=lambda: np.empty(0))
+    condition: float = float('nan')
+
+    @property
+    def by_prediction(self) -> bool:
+        """Whether the model was found by its predictions."""
+        return self.plant is not None
+
+    @property
+    def delay(self) -> Array:
+        """Dead times of the moving inputs, (nu,) [s]."""
+        delay: Array = self.fit.model.delay[:len(self.part.parts[0].u)]
+        return delay
+
+    @property
+    def inflation(self) -> float:
+        """N / N_eff: how much larger the variance of estimates is than with white errors."""
+        share = self.samples.counts.sum(axis=0) / self.independent
+        return float(np.max(share))
 
 
-def own_delays(part: Usable, settings: Settings) -> Settings:
+def own_delays(part: Joint, settings: Settings) -> Settings:
     """Return the settings with the dead times of the moving inputs only."""
     if not isinstance(settings.delay, tuple):
         return settings
-    delays = settings.delays(part.whole.nu)
-    return settings.replace(delay=tuple(delays[j] for j in part.u))
+    return settings.replace(delay=tuple(settings.delay[j] for j in part.parts[0].u))

@@ -11,6 +11,7 @@ else is as `identify` gives it, up to the choice of states.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -106,9 +107,15 @@ class Tracker:
         self._past = _Past()
         self._changed_ns = 0  # when the plant has changed, as far as windows have shown it
 
-    def take(self, record: Record) -> Tracked:
+    def take(self, record: Record, cancelled: Callable[[], bool] | None = None) -> Tracked:
         """
         Identify a window.
+
+        Parameters
+        ----------
+        record : Record
+        cancelled : callable, optional
+            As of `identify`; a window that is broken off leaves no trace.
 
         Raises
         ------
@@ -116,10 +123,13 @@ class Tracker:
             If `settings.delay` does not fit the number of inputs.
         DataError
             If the record has other channels than those before; call `reset` first.
+        Cancelled
+            If `cancelled` said so.
         """
         past = self._past
         test = _fresh(past, record)
-        estimate = self._reject_straddling(identify(record, self.settings, like=past.model))
+        estimate = self._reject_straddling(
+            identify(record, self.settings, like=past.model, cancelled=cancelled))
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
         if estimate.model is None:

@@ -29,7 +29,6 @@ from ctsid_core.signals.spikes import (
 
 FEWEST = 50             # samples of a channel that is looked at
 SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest
-EXPLAINED = 0.3         # of how far off a sample seemed, up to which something explains it
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +42,12 @@ class Spikes:
         Which samples are corrupt.
     instead : ndarray, shape (N, m)
         The values, with those of corrupt samples bridged from their neighbours.
-    scale : ndarray, shape (m,)
-        Robust deviation from what neighbours predict, as the white noise that would show it.
-    suspects : bool
-        Whether any sample was suspected.
     too_many : tuple of int
         Channels with so many far samples that none was taken for corrupt.
     """
 
     mask: Mask
     instead: Array
-    scale: Array
-    suspects: bool = False
     too_many: tuple[int, ...] = ()
 
     @property
@@ -63,7 +56,7 @@ class Spikes:
         return bool(self.mask.any())
 
 
-def spikes(time: Array, values: Array, sure: float = SURE, *, least: Array | None = None,
+def spikes(time: Array, values: Array, sure: float = SURE, *,
            inputs: Array | None = None, closely: bool = False) -> Spikes:
     """
     Find the corrupt samples of channels that share their stamps.
@@ -75,8 +68,6 @@ def spikes(time: Array, values: Array, sure: float = SURE, *, least: Array | Non
     values : ndarray, shape (N, m)
     sure : float
         Robust standard deviations beyond which a sample is corrupt.
-    least : ndarray, shape (m,), optional
-        How far off a corrupt sample is at least; by default from the channel's resolution.
     inputs : ndarray, shape (N, nu), optional
         Held inputs at the stamps, that channels may follow at once.
     closely : bool
@@ -89,9 +80,9 @@ def spikes(time: Array, values: Array, sure: float = SURE, *, least: Array | Non
     """
     mask = np.zeros(values.shape, dtype=bool)
     if len(time) < FEWEST:
-        return Spikes(mask, values, np.full(values.shape[1], np.nan))
+        return Spikes(mask, values)
     weights = weights_of(time)
-    scales, suspects, too_many, instead = [], False, [], values
+    too_many, instead = [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
         stands_out, direct = standing_out(off, scale, sure), None
@@ -99,12 +90,9 @@ def spikes(time: Array, values: Array, sure: float = SURE, *, least: Array | Non
             direct = followed(row, inputs, weights)
             off, scale, _ = distance(row - direct, weights)
             stands_out = standing_out(off, scale, sure)
-        scales.append(scale)
-        suspects |= stands_out
         if not (stands_out or closely):
             continue
-        floor = resolution(row) if least is None else float(least[j])
-        found, filled = find(Channel(time, weights, sure, floor),
+        found, filled = find(Channel(time, weights, sure, resolution(row)),
                              row if direct is None else row - direct)
         if np.count_nonzero(found) > MOST * len(row):
             too_many.append(j)
@@ -112,7 +100,7 @@ def spikes(time: Array, values: Array, sure: float = SURE, *, least: Array | Non
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
             instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
-    return Spikes(mask, instead, np.array(scales), suspects, tuple(too_many))
+    return Spikes(mask, instead, tuple(too_many))
 
 
 def despiked(signal: Signal, sure: float = SURE, inputs: Array | None = None
@@ -123,26 +111,8 @@ def despiked(signal: Signal, sure: float = SURE, inputs: Array | None = None
 
 
 def no_spikes(signal: Signal) -> Spikes:
-    """Return that a signal has no spikes, its scale unknown."""
-    return Spikes(np.zeros(signal.values.shape, dtype=bool), signal.values,
-                  np.full(signal.width, np.nan))
-
-
-def put_back(measured: Signal, found: Spikes, expected: Array) -> Spikes:
-    """
-    Return the corrupt samples but those that something else explains.
-
-    Parameters
-    ----------
-    measured : Signal
-        With its corrupt samples.
-    found : Spikes
-    expected : ndarray, shape (N, m)
-        What the samples should be by that.
-    """
-    off = np.abs(measured.values - expected)
-    mask = found.mask & (off > EXPLAINED * np.abs(measured.values - found.instead))
-    return replace(found, mask=mask, instead=np.where(mask, found.instead, measured.values))
+    """Return that a signal has no spikes."""
+    return Spikes(np.zeros(signal.values.shape, dtype=bool), signal.values)
 
 
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],

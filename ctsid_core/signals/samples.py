@@ -71,9 +71,9 @@ class GroupCounts:
     accepted, late, duplicate, astray, bad_stamp, non_finite, wrong_width : int
         Numbers of samples: all but the accepted ones were dropped. Of samples with equal stamps
         the first is kept. A bad stamp is zero, negative, or beyond the year 2116.
-    worst_offset : float
+    worst_late, worst_astray : float
         How far behind (negative) or ahead of (positive) the newest stamp of all groups the worst
-        late or stray sample was [s].
+        late sample and the worst stray one were [s].
     """
 
     accepted: int = 0
@@ -83,7 +83,8 @@ class GroupCounts:
     bad_stamp: int = 0
     non_finite: int = 0
     wrong_width: int = 0
-    worst_offset: float = 0.0
+    worst_late: float = 0.0
+    worst_astray: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ class Samples:
     """
 
     __slots__ = ('after', 'discarded', 'dropped', 'first', 'group', 'newest', 'stamps', 'values',
-                 'width', 'worst_offset_ns')
+                 'width', 'worst_ns')
 
     def __init__(self, group: Group) -> None:
         self.group = group
@@ -138,7 +139,7 @@ class Samples:
         self.discarded = 0
         self.dropped = dict.fromkeys(('late', 'duplicate', 'astray', 'bad_stamp', 'non_finite',
                                       'wrong_width'), 0)
-        self.worst_offset_ns = 0
+        self.forget_worst()
         self.stamps = array('q')
         self.values = array('d')  # row by row
         self.clear()
@@ -174,9 +175,13 @@ class Samples:
     def drop(self, reason: str, offset_ns: int = 0) -> bool:
         """Count a dropped sample and how far it was out of place; return False."""
         self.dropped[reason] += 1
-        if abs(offset_ns) > abs(self.worst_offset_ns):
-            self.worst_offset_ns = offset_ns
+        if abs(offset_ns) > abs(self.worst_ns.get(reason, 0)):
+            self.worst_ns[reason] = offset_ns
         return False
+
+    def forget_worst(self) -> None:
+        """Begin anew to look for the samples that are farthest out of place."""
+        self.worst_ns: dict[str, int] = {}
 
     def discard(self, before_ns: int) -> None:
         """Forget what no window from `before_ns` on needs; rarely, for it moves the rest."""
@@ -224,5 +229,6 @@ class Samples:
 
     def counts(self) -> GroupCounts:
         """Return what became of the samples so far."""
+        late, astray = (self.worst_ns.get(key, 0) / 1e9 for key in ('late', 'astray'))
         return GroupCounts(accepted=self.discarded + len(self.stamps), **self.dropped,
-                           worst_offset=self.worst_offset_ns / 1e9)
+                           worst_late=late, worst_astray=astray)

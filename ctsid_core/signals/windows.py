@@ -98,6 +98,11 @@ class SlidingWindow:
         return Counts({name: track.counts() for name, track in self._tracks.items()},
                       self._windows, self._empty, self._resets)
 
+    def forget_worst(self) -> None:
+        """Let the counts tell of samples far out of place only if they come from now on."""
+        for track in self._tracks.values():
+            track.forget_worst()
+
     @property
     def newest_ns(self) -> int:
         """The largest stamp of the present stream [ns]; 0 if there is none yet."""

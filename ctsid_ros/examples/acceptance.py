@@ -11,6 +11,8 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 
+_ROUNDING = 1e-9  # of the largest entry of a covariance
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -52,20 +54,42 @@ def objection(estimate: Estimate, fresh_fit: Array, now_ns: int, limits: Limits)
         Time on the clock of the stamps [ns].
     limits : Limits
     """
-    model, age = estimate.model, (now_ns - estimate.end_ns) * 1e-9
+    model = estimate.model
     if model is None or not estimate.good:
         return f'{estimate.verdict.grade.name}: {estimate.verdict.reason.rstrip(".")}'
     if (model.input_names, model.output_names) != (limits.inputs, limits.outputs):
         return (f'the model is from {_listed(model.input_names)} to '
                 f'{_listed(model.output_names)}; wanted is from {_listed(limits.inputs)} to '
                 f'{_listed(limits.outputs)}')
-    if not -1.0 <= age <= limits.age:
-        return f'the window of the model ended {age:.1f} s ago, on the clock of this node'
-    return (_vague(estimate, model, limits.vague)
+    if estimate.end_ns <= estimate.start_ns:
+        return 'the window of the model ends before it begins'
+    if why := old(estimate, now_ns, limits):
+        return why
+    return (_impossible(model)
+            or _vague(estimate, model, limits.vague)
             or _low(estimate.fit, limits.fit, 'fit on the window')
             or _low(estimate.held_out_fit, limits.fit, 'fit on data held out')
             or _low(fresh_fit, limits.fresh_fit,
                     'fit of the model before it on the data since (did the plant change?)'))
+
+
+def old(estimate: Estimate, now_ns: int, limits: Limits) -> str:
+    """Return what is wrong with the age of an estimate; '' if it is of now."""
+    age = (now_ns - estimate.end_ns) * 1e-9
+    return '' if -1.0 <= age <= limits.age else \
+        f'the window of the model ended {age:.1f} s ago, on the clock of this node'
+
+
+def _impossible(model: StateSpace) -> str:
+    """Return what is wrong with the noise of a model; '' if it can be that of a plant."""
+    if model.noise is None:
+        return ''
+    size = float(np.abs(model.noise).max(initial=0.0))
+    skew = float(np.abs(model.noise - model.noise.T).max(initial=0.0))
+    least = float(np.min(np.linalg.eigvalsh(model.noise)))
+    if skew > _ROUNDING * size or least < -_ROUNDING * size:
+        return 'the covariance of its noise is not positive semidefinite'
+    return ''
 
 
 def _vague(estimate: Estimate, model: StateSpace, limit: float) -> str:

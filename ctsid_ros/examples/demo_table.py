@@ -115,7 +115,7 @@ def judge(estimate: Estimate, truths: Sequence[Truth], verdict: str = '') -> Win
 def line(window: Window, start_ns: int) -> str:
     """Return a line about a window; times count from `start_ns`."""
     end = (window.estimate.end_ns - start_ns) * 1e-9
-    parts = [f'{end:5.1f} s  {window.phase:10}  {window.estimate.status.name:13}']
+    parts = [f'{end:5.1f} s  {window.phase:10}  {_word(window.estimate):13}']
     if window.comparison is not None:
         parts += [f'{_pole(true)}: {_pole(found)} ± {found.std:.2g} ({distance(true, found):.1f})'
                   for true, found in window.comparison.pairs]
@@ -155,7 +155,12 @@ def summary(windows: Sequence[Window]) -> tuple[list[str], bool]:
 def _said(window: Window) -> str:
     if not window.estimate.ok:
         return window.estimate.status.name
-    return 'OK and right' if window.right else 'OK but WRONG'
+    return f'{_word(window.estimate)} {"and right" if window.right else "but WRONG"}'
+
+
+def _word(estimate: Estimate) -> str:
+    """Return the grade of an accepted model, else why there is none."""
+    return estimate.verdict.grade.name if estimate.ok else estimate.status.name
 
 
 def _pole(mode: Mode) -> str:

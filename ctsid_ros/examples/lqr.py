@@ -13,21 +13,15 @@ it is computed: see `design`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import islice, product
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array
 from ctsid_core.model.statespace import StateSpace
-
-DEVIATIONS = 3.0  # how far poles are moved, in standard deviations
-_PADE = 3  # order of the approximation by which a dead time becomes states
-_CORNERS = 500  # combinations of moved poles that are tried at most
-_POINTS = 400  # frequencies of the loop's response
+from ctsid_ros.examples.margins import DEVIATIONS, PADE, disc_margin, moved_poles, worst_margin
 
 
 @dataclass(frozen=True)
@@ -146,20 +140,23 @@ def design(model: StateSpace, pole_std: Array, weights: Weights, least_margin: f
         gains = compute_gains(model, weights)
     except np.linalg.LinAlgError as error:
         return Design(None, f'Refused: there are no stabilising gains for this model ({error}).')
-    margin = disc_margin(model, gains, weights)
+    scales = np.asarray(weights.inputs), np.asarray(weights.outputs)
+    margin = disc_margin(model, gains.controller, *scales)
     if margin < least_margin:
         return Design(None, f'Refused: the loop has a disc margin of {margin:.2f} only, wanted '
                       f'is {least_margin:g}; allow larger deviations of the outputs.', margin)
-    worst, moved = margin, model
-    for corner in corners(model, pole_std):
-        at_corner = disc_margin(corner, gains, weights)
-        if at_corner < worst:
-            worst, moved = at_corner, corner
+    try:
+        poles = moved_poles(model, pole_std)
+    except np.linalg.LinAlgError:
+        return Design(None, 'Refused: some poles of the model are so close together that they '
+                      'cannot be moved one by one; lower its order.', margin)
+    corner, worst = worst_margin(model, poles, gains.controller, *scales)
     if worst < least_margin:
-        poles = ', '.join(f'{pole:.3g}' for pole in moved.poles if pole.imag >= 0)
+        listed = ', '.join(f'{pole:.3g}' for pole in poles[corner] if pole.imag >= 0)
         return Design(None, f'Refused: with poles within {DEVIATIONS:g} standard deviations, at '
-                      f'{poles} rad/s, the loop has a disc margin of {worst:.2f} only, wanted '
+                      f'{listed} rad/s, the loop has a disc margin of {worst:.2f} only, wanted '
                       f'is {least_margin:g}.', margin, worst)
+    worst = min(worst, margin)
     return Design(gains, f'Accepted: disc margin {margin:.2f}, {worst:.2f} at worst with poles '
                   f'within {DEVIATIONS:g} standard deviations{_late(model)}.', margin, worst)
 
@@ -173,7 +170,7 @@ def compute_gains(model: StateSpace, weights: Weights) -> Gains:
     LinAlgError
         If there are none: a state that is not stable and cannot be controlled, or not observed.
     """
-    plant = model.pade(_PADE)
+    plant = model.pade(PADE)
     A, B, C, D, K = plant.A, plant.B, plant.C, plant.D, plant.K
     Q = np.diag(1 / np.square(weights.outputs))
     R = np.diag(1 / np.square(weights.inputs)) + D.T @ Q @ D  # the cost is y'Qy + u'Ru
@@ -189,72 +186,6 @@ def compute_gains(model: StateSpace, weights: Weights) -> Gains:
         input_names=model.output_names, output_names=model.input_names,
         input_units=model.output_units, output_units=model.input_units)
     return Gains(F, L, controller)
-
-
-def corners(model: StateSpace, pole_std: Array) -> Iterator[StateSpace]:
-    """
-    Yield the model with its poles moved by `DEVIATIONS` standard deviations.
-
-    In modal coordinates, where B, C and K stay as they are. Up to 500 combinations; if there are
-    more, the first 500 in a fixed random order.
-    """
-    values, vectors = np.linalg.eig(model.A)
-    reach = DEVIATIONS * np.array([pole_std[np.argmin(abs(model.poles - p))] for p in values])
-    upper = np.flatnonzero(values.imag >= 0)
-    moves: list[tuple[complex, ...]] = [
-        (0, 1, -1) if values[i].imag == 0 else (0, 1, -1, 1j, -1j) for i in upper]
-    for combination in islice(_shuffled(moves), _CORNERS):
-        shift = np.zeros(model.n, dtype=complex)
-        for i, move in zip(upper, combination, strict=True):
-            shift[i] = reach[i] * move
-            shift[np.argmin(abs(values - values[i].conj()))] = np.conj(reach[i] * move)
-        change = np.linalg.solve(vectors.T, (vectors * shift).T).T
-        yield replace(model, A=model.A + change.real)
-
-
-def disc_margin(model: StateSpace, gains: Gains, weights: Weights) -> float:
-    """
-    Return the smaller of the loop's disc margins at the plant's inputs and at its outputs.
-
-    Signals are scaled by the weights. 0 if the loop is not stable. The frequencies are a grid
-    with all resonances in it, not a search.
-    """
-    own = gains.controller
-    plant = model.pade(_PADE)
-    closed = np.block([[plant.A, plant.B @ own.C],
-                       [own.B @ plant.C, own.A + own.B @ plant.D @ own.C]])
-    poles = np.linalg.eigvals(closed)
-    if poles.real.max() >= 0:
-        return 0.0
-    omega = _frequencies(poles)
-    G = model.frequency_response(omega) * np.asarray(weights.inputs)  # scaled signals
-    G /= np.asarray(weights.outputs)[:, np.newaxis]
-    H = -own.frequency_response(omega) * np.asarray(weights.outputs)
-    H /= np.asarray(weights.inputs)[:, np.newaxis]
-    return 1 / max(_largest(H @ G), _largest(G @ H))
-
-
-def _largest(loop: ComplexArray) -> float:
-    """Return the largest singular value of (S - T) / 2, with S = (I + loop)^-1, T = I - S."""
-    unit = np.eye(loop.shape[1])
-    return float(np.max(np.linalg.norm(np.linalg.inv(unit + loop) - unit / 2, 2, axis=(1, 2))))
-
-
-def _frequencies(poles: ComplexArray) -> Array:
-    """Return a grid around the poles of the closed loop, near which the margin is smallest."""
-    sizes = np.abs(poles)
-    grid = np.geomspace(0.01 * sizes.min(), 100 * sizes.max(), _POINTS)
-    return np.unique(np.concatenate([grid, sizes, poles.imag[poles.imag > 0]]))
-
-
-def _shuffled(moves: list[tuple[complex, ...]]) -> Iterator[tuple[complex, ...]]:
-    """Yield all combinations, or many in a fixed random order if there are too many."""
-    if np.prod([float(len(own)) for own in moves]) <= _CORNERS:
-        yield from product(*moves)
-        return
-    rng = np.random.default_rng(0)
-    while True:
-        yield tuple(own[rng.integers(len(own))] for own in moves)
 
 
 def _noise(model: StateSpace) -> Array:

@@ -20,7 +20,7 @@ from std_msgs.msg import Float64MultiArray, String
 from ctsid_core.errors import CtsidError
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
-from ctsid_ros.examples.acceptance import Limits, objection
+from ctsid_ros.examples.acceptance import Limits, objection, old
 from ctsid_ros.examples.lqr import Gains, Weights, design
 from ctsid_ros.messages import (
     decode_metadata,
@@ -80,13 +80,18 @@ class GainTuner(Node):  # type: ignore[misc]  # rclpy has no types
         self.get_logger().info(verdict)
 
     def _tune(self, estimate: Estimate, fresh_fit: Array) -> tuple[str, Gains | None]:
-        now_ns = self.get_clock().now().nanoseconds
-        why = objection(estimate, fresh_fit, now_ns, self._limits())  # 2.
+        why = objection(estimate, fresh_fit, self._now_ns(), self._limits())  # 2.
         if estimate.model is None or why:
             return f'Refused: {why}.', None
         found = design(estimate.model, estimate.pole_std, self._weights(),  # 3.
                        self._value('least_margin'))
+        if found.gains and (why := old(estimate, self._now_ns(), self._limits())):
+            return f'Refused after the design, which took its time: {why}.', None
         return found.verdict, found.gains
+
+    def _now_ns(self) -> int:
+        now: int = self.get_clock().now().nanoseconds
+        return now
 
     def _publish(self, gains: Gains) -> None:
         self._outlets['controller'].publish(encode_system_matrix(gains.controller))

@@ -24,8 +24,9 @@ from ctsid_ros.decoding.cdr import DecodeError, Extractor
 from ctsid_ros.decoding.field_path import FieldError
 from ctsid_ros.decoding.message_fields import bind, check_field
 from ctsid_ros.decoding.message_types import MessageType
-from ctsid_ros.ingest.counts import IngestCounts
+from ctsid_ros.ingest.counts import IngestCounts, complaints
 from ctsid_ros.ingest.ingest import Ingest, decoded
+from ctsid_ros.ingest.recent import Totals
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 from ctsid_ros.ingest.sim_clock import STEP_NS, SimClock
 
@@ -167,14 +168,33 @@ class Feed:
         """Return what became of the samples; None while the lengths of arrays are awaited."""
         return None if self._ingest is None else self._ingest.counts()
 
-    def report(self) -> list[str]:
-        """Return a sentence on each fault, and its cure."""
-        lines = [*self._broken, *(
-            f'{topic}: {state.numbers.lost} messages were lost on the way; raise `ingest.depth`, '
-            'lower the load of this computer, or check the network'
-            for topic, state in self.topics.items() if state.numbers.lost)]
+    def totals(self) -> Totals:
+        """Return all counts, and begin anew to look for the samples farthest out of place."""
+        found = Totals(self.counts(), {topic: state.numbers.lost
+                                       for topic, state in self.topics.items()})
         if self._ingest is not None:
-            return lines + self._ingest.report()
+            self._ingest.forget_worst()
+        return found
+
+    def report(self, some: Totals | None = None, when: str = '') -> list[str]:
+        """
+        Return a sentence on each fault, and its cure.
+
+        Parameters
+        ----------
+        some : Totals, optional
+            What it is about; all if not given.
+        when : str
+            Which samples these are, as ' of the last 10 s'.
+        """
+        some = some or Totals(self.counts(), {topic: state.numbers.lost
+                                              for topic, state in self.topics.items()})
+        lines = [*self._broken, *(
+            f'{topic}: {lost} messages{when} were lost on the way; raise `ingest.depth`, '
+            'lower the load of this computer, or check the network'
+            for topic, lost in some.lost.items() if lost)]
+        if some.counts is not None:
+            return lines + complaints(some.counts, self.config, when)
         return lines + [f'`{channel.name}`: waiting for a message on {channel.topic} that shows '
                         f'how long {channel.field} is' for channel in self.config.channels
                         if channel.path.is_open and channel.name not in self._bound]

@@ -190,6 +190,10 @@ class Ingest:
             channels[channel.name] = ChannelCounts(*topic.source_of(channel.name), samples)
         return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
 
+    def forget_worst(self) -> None:
+        """Let the counts tell of samples far out of place only if they come from now on."""
+        self._window.forget_worst()
+
     def report(self) -> list[str]:
         """Return a sentence on each fault, and its cure."""
         return complaints(self.counts(), self._config)

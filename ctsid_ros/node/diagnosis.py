@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The health of ingest and identification: sentences on what is wrong, and numbers."""
+"""
+The health of ingest and identification: sentences on what is wrong now, and numbers.
+
+Now is the last `window.length` of the computer's clock, which the next model is made of; totals
+since the activation are among the numbers.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +17,12 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.verdict import Verdict
 from ctsid_ros.config.channels import Config
 from ctsid_ros.ingest.feed import Feed
+from ctsid_ros.ingest.recent import Recent, Totals
 from ctsid_ros.messages.health import Health, Level
-from ctsid_ros.node.session import Progress
+from ctsid_ros.node.session import Progress, UnderWay
 
 INGEST, IDENTIFICATION = 'ingest', 'identification'
+_KINDS = ('late', 'astray', 'bad_stamp', 'duplicate', 'non_finite', 'wrong_width')
 
 
 @dataclass
@@ -46,6 +53,8 @@ class IngestDiagnosis:
     def __init__(self, config: Config, start_ns: int) -> None:
         self._config, self._start_ns = config, start_ns
         self._past: dict[str, _Past] = {}
+        self._length = config.settings.window_length
+        self._recent = Recent(self._length)
         self.troubles: list[str] = []
 
     def look(self, feed: Feed, now_ns: int, timeout: float, faults: Sequence[str],
@@ -78,11 +87,15 @@ class IngestDiagnosis:
                        f'{topic} rate [1/s]': self._rate(topic, state.messages, now_ns * 1e-9),
                        f'{topic} age [s]': age if state.messages else math.nan,
                        f'{topic} lost': state.numbers.lost}
-        values |= {'largest batch': feed.largest_batch, **_sample_values(feed, self._config)}
+        totals = feed.totals()
+        recent = self._recent.added(now_ns, totals)
+        values |= {'largest batch': feed.largest_batch,
+                   **_sample_values(totals, recent, self._config)}
         own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
         troubles = [*own, *faults, *silent]
         # What never came is reported as silent already.
-        troubles += [line for line in feed.report() if 'no message has come' not in line]
+        troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')
+                     if 'no message has come' not in line]
         self.troubles = troubles
         level = (Level.ERROR if failure else Level.STALE if len(silent) == len(feed.topics)
                  else Level.WARN if troubles else Level.OK)
@@ -96,47 +109,76 @@ class IngestDiagnosis:
         return past.rate
 
 
-def _sample_values(feed: Feed, config: Config) -> dict[str, object]:
-    counts = feed.counts()
-    if counts is None:
+def _sample_values(totals: Totals, recent: Totals, config: Config) -> dict[str, object]:
+    """Return the counts of each channel since the activation, and in the last window."""
+    if totals.counts is None or recent.counts is None:
         return {}
     values: dict[str, object] = {}
     for channel in config.channels:
-        own = counts.channels[channel.name]
+        own, now = (t.counts.channels[channel.name] for t in (totals, recent) if t.counts)
         values[f'{channel.name} samples'] = own.samples.accepted
+        values[f'{channel.name} samples in the last window'] = now.samples.accepted
         values[f'{channel.name} stamps from'] = own.source or 'not known yet'
-        for key in ('late', 'astray', 'bad_stamp', 'duplicate', 'non_finite', 'wrong_width'):
+        for key in _KINDS:
             if count := getattr(own.samples, key):
                 values[f'{channel.name} {key}'] = count
-    return values | {'windows': counts.windows, 'empty windows': counts.empty,
-                     'resets': counts.resets}
+                values[f'{channel.name} {key} in the last window'] = getattr(now.samples, key)
+    return values | {'windows': totals.counts.windows, 'empty windows': totals.counts.empty,
+                     'resets': totals.counts.resets}
 
 
 def diagnose_identification(progress: Progress) -> Health:
     """Return how the identification is."""
     values: dict[str, object] = {
         'windows': progress.windows, 'skipped windows': progress.skipped,
-        'faults': progress.failures}
-    last = progress.last
+        'faults': progress.failures, **_under_way_values(progress.under_way)}
+    last, slow = progress.last, _slow(progress)
     if last is None:
-        return Health(IDENTIFICATION, Level.ERROR if progress.failures else Level.STALE,
-                      progress.failure or (
-                          'the first window is being identified' if progress.windows
-                          else 'no window is full yet'), values)
+        return _without_result(progress, slow, values)
     estimate = last.tracked.estimate
     values |= {'window': last.window.number, 'computing time [s]': last.computing,
                'latency [s]': last.latency, **_estimate_values(estimate),
                'fresh fit [%]': _numbers(last.tracked.fresh_fit)}
     verdict = estimate.verdict
     troubles = [] if estimate.good else [f'{verdict.grade.name}: {verdict.reason}']
-    if progress.failures:
-        troubles.append(f'{progress.failures} windows failed by a fault of ctsid, please report '
-                        f'it: {progress.failure}')
-    if progress.skipped:
-        troubles.append(f'{progress.skipped} windows were skipped because identification takes '
-                        'longer than `window.stride`; raise it, or set `order`')
+    if progress.failure:
+        troubles.append('the last window failed by a fault of ctsid, please report it: '
+                        f'{progress.failure}')
+    troubles += [slow] if slow else []
     level = Level.OK if not troubles else Level.WARN if estimate.ok else Level.ERROR
     return Health(IDENTIFICATION, level, '; '.join(troubles) or verdict.reason, values)
+
+
+def _without_result(progress: Progress, slow: str, values: dict[str, object]) -> Health:
+    """Return how the identification is before its first result."""
+    if progress.failure:
+        return Health(IDENTIFICATION, Level.ERROR, progress.failure, values)
+    words, now = slow or 'no window is full yet', progress.under_way
+    if now is not None and not slow:
+        words = f'window {now.number} is being identified, for {now.seconds:.1f} s so far'
+    elif progress.windows and not slow:
+        words = 'a window is about to be identified'
+    return Health(IDENTIFICATION, Level.WARN if slow else Level.STALE,
+                  f'{words}; there is no result yet' if progress.windows else words, values)
+
+
+def _slow(progress: Progress) -> str:
+    """Return a sentence if identification does not keep up with the windows; else ''."""
+    now, last = progress.under_way, progress.last
+    cure = 'raise `window.stride`, or set `order`'
+    if now is not None and now.skipped:
+        return (f'window {now.number} has been under way for {now.seconds:.1f} s, and '
+                f'{now.skipped} newer windows were skipped meanwhile; {cure}')
+    if last is not None and last.skipped:
+        return (f'{last.skipped} windows were skipped while window {last.window.number} was '
+                f'identified, which took longer than `window.stride`; {cure}')
+    return ''
+
+
+def _under_way_values(now: UnderWay | None) -> dict[str, object]:
+    return {} if now is None else {
+        'window under way': now.number, 'under way for [s]': now.seconds,
+        'skipped meanwhile': now.skipped}
 
 
 def _estimate_values(estimate: Estimate) -> dict[str, object]:
@@ -157,7 +199,7 @@ def _verdict_values(verdict: Verdict) -> dict[str, object]:
                    f'{one.name} response std [%]': 100 * one.uncertainty}
     if verdict.excitation:
         values |= {'largest pole std [%]': 100 * verdict.pole_uncertainty,
-                   'unmodelled response [%]': _numbers(100 * verdict.missing)}
+                   'error that is not white [%]': _numbers(100 * verdict.coloured_error)}
     if verdict.agreement is not None:
         values['cross-check'] = verdict.agreement.words
     return values

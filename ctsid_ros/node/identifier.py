@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 import re
+from threading import Lock
 import traceback
 from typing import Any
 
@@ -51,6 +52,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         parameters.watch(self, lambda: self._plan is not None, self._change)
         self._plan: Plan | None = None
         self._now: Run | None = None
+        self._turn = Lock()  # of identification: there is never a second one beside the first
         self._outputs: dict[str, Any] = {}
         self._offered: list[Any] = []
         self._told: set[str] = set()  # what is wrong now, and has been logged
@@ -93,7 +95,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         """Subscribe and begin."""
         assert self._plan is not None
         try:
-            self._now = begin(self, self._plan, self._publish)
+            self._now = begin(self, self._plan, self._publish, self._turn)
         except StorageError as error:
             self.get_logger().error(f'not activated: {error}')
             return _FAILURE

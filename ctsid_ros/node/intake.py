@@ -102,19 +102,31 @@ class Intake:
         return True
 
     def faults(self) -> Iterator[str]:
-        """Yield a sentence on each publisher that cannot be heard."""
+        """Yield a sentence on each publisher that cannot be heard, or is one too many."""
         for topic, name in self._names.items():
-            wanted = type_name(self._classes[topic])
+            heard = []
             for end in self._node.get_publishers_info_by_topic(name):
                 if (who := self._who(end, name)) is None:
                     continue
-                if end.topic_type != wanted:
-                    yield f'{who} sends {end.topic_type}, but `type` says {wanted}; correct it'
-                    continue
-                verdict, _ = qos_check_compatible(end.qos_profile, self._qos)
-                if verdict == QoSCompatibility.ERROR:
-                    yield (f'{who} is best effort, but `ingest.reliability` asks for reliable, '
-                           'so its messages do not come; set it to best_effort')
+                if fault := self._fault(end, topic):
+                    yield f'{who} {fault}'
+                else:
+                    heard.append(who.removesuffix(f' of {name}'))
+            if len(heard) > 1:
+                yield (f'{len(heard)} publishers are on {name}, whose samples are mixed into the '
+                       f'same channels: {", ".join(heard)}; stop all but one, or give them topics '
+                       'of their own')
+
+    def _fault(self, end: TopicEndpointInfo, topic: str) -> str:
+        """Return why a publisher cannot be heard; '' if it can."""
+        wanted = type_name(self._classes[topic])
+        if end.topic_type != wanted:
+            return f'sends {end.topic_type}, but `type` says {wanted}; correct it'
+        verdict, _ = qos_check_compatible(end.qos_profile, self._qos)
+        if verdict == QoSCompatibility.ERROR:
+            return ('is best effort, but `ingest.reliability` asks for reliable, so its messages '
+                    'do not come; set it to best_effort')
+        return ''
 
     def _who(self, end: TopicEndpointInfo, topic: str) -> str | None:
         """Name a publisher; None if it is new and has no name, which may follow in a moment."""

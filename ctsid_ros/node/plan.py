@@ -9,6 +9,7 @@ from typing import Any
 
 from rclpy.node import Node
 
+from ctsid_core.effort import work_rate
 from ctsid_core.errors import SettingsError
 from ctsid_ros.config.channels import Config
 from ctsid_ros.decoding.message_types import MessageType, message_class, of_message_class
@@ -42,8 +43,10 @@ def read_plan(node: Node) -> Plan:
     Raises
     ------
     SettingsError
-        With all faults of the parameters; or, if they have none, of types; or of fields.
+        With all faults of the parameters; or, if they have none, of types; or of fields; or of
+        the rate of work in the environment.
     """
+    work_rate()  # for its check
     config = parameters.read(node)
     faults: list[str] = []
     classes: dict[str, Any] = {}

@@ -8,14 +8,16 @@ SIGINT and SIGTERM end it with exit code 0, in any state, within a second.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 import os
+from pathlib import Path
 import signal
 import sys
 from types import FrameType
 
 from ctsid_ros.blas import use_one_thread
 
-_TURN = 0.2  # within this time a signal is noticed [s]
+_TURN = 0.05  # within this time a signal is noticed [s]
 _PATIENCE = 0.3  # time for threads to end by themselves [s]
 
 
@@ -53,6 +55,11 @@ def _handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) 
 
 
 def _run(argv: Sequence[str] | None) -> int:
+    if missing := _missing_file(sys.argv if argv is None else argv):
+        print(f'identifier: the parameter file {missing} does not exist, or is no file; give '
+              'another with --params-file (ctsid init BAG -o params.yaml writes one)',
+              file=sys.stderr)
+        return 1
     use_one_thread()  # before NumPy is imported, hence the imports here
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -94,6 +101,12 @@ def _run(argv: Sequence[str] | None) -> int:
         sys.stderr.flush()
         os._exit(0)
     return 0
+
+
+def _missing_file(words: Sequence[str]) -> str:
+    """Return the first parameter file on a command line that is none; '' if all are there."""
+    return next((value for flag, value in pairwise(words)
+                 if flag == '--params-file' and not Path(value).is_file()), '')
 
 
 if __name__ == '__main__':

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import Lock
 import time
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from ctsid_ros.decoding.message_types import MessageType
     from ctsid_ros.recordings.writer import BagWriter
 
-_STOP = 0.3  # time for a thread to end [s]
+_STOP = 0.3  # time for a thread to end [s]; an identification is broken off within 0.1 s
 Answer = tuple[bool, str]  # of a service: whether it did it, and a sentence
 
 
@@ -62,11 +63,14 @@ class Run:
         """
         End it; return whether the thread of identification has ended in time [s].
 
+        What is being identified is broken off.
+
         Raises
         ------
         StorageError
             If the recording cannot be finished; all else has ended then.
         """
+        self.session.cancel()  # it ends while the intake does
         self.intake.stop(_STOP)
         ended = self.session.stop(patience)
         if self.recorder is not None:
@@ -122,7 +126,8 @@ class Run:
         return True, f'written to {path.absolute()}'
 
 
-def begin(node: Node, plan: Plan, publish: Callable[[Identified], None]) -> Run:
+def begin(node: Node, plan: Plan, publish: Callable[[Identified], None],
+          turn: Lock | None = None) -> Run:
     """
     Subscribe in the name of a node, and identify.
 
@@ -132,6 +137,8 @@ def begin(node: Node, plan: Plan, publish: Callable[[Identified], None]) -> Run:
     plan : Plan
     publish : callable
         Given each result, in the thread of identification.
+    turn : Lock, optional
+        That of the node: what it began before may not have ended yet.
 
     Raises
     ------
@@ -151,7 +158,7 @@ def begin(node: Node, plan: Plan, publish: Callable[[Identified], None]) -> Run:
             undo.callback(recorder.close)
             log.info(f'recording the messages to {recorder.path}')
         feed = Feed(plan.config, plan.types, publishers, recorder, clock)
-        session = Session(plan.config.settings, publish, log.error)
+        session = Session(plan.config.settings, publish, log.error, turn)
         undo.callback(session.stop, _STOP)
         intake = Intake(node, feed, plan.classes, settings,
                         lambda record: _submit(record, session, feed), clock)

@@ -10,6 +10,7 @@ from threading import Lock
 import time
 import traceback
 
+from ctsid_core.errors import Cancelled
 from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
@@ -52,12 +53,35 @@ class Identified:
     latency : float
         From the arrival of the last sample of the window to the end of its publication [s]; NaN
         until then, or if not known.
+    skipped : int
+        Windows that were skipped while it was identified.
     """
 
     window: Window
     tracked: Tracked
     computing: float
     latency: float = math.nan
+    skipped: int = 0
+
+
+@dataclass(frozen=True)
+class UnderWay:
+    """
+    The window that is being identified.
+
+    Parameters
+    ----------
+    number : int
+        Of the window.
+    seconds : float
+        How long it has been at it [s].
+    skipped : int
+        Windows skipped meanwhile.
+    """
+
+    number: int
+    seconds: float
+    skipped: int
 
 
 @dataclass(frozen=True)
@@ -74,7 +98,8 @@ class Progress:
     failures : int
         Those of which the identification broke off: faults of ctsid itself.
     failure : str
-        The last of these faults.
+        The fault of the last window, if it broke off.
+    under_way : UnderWay or None
     last, accepted : Identified or None
         The last window, and the last one with an accepted model.
     """
@@ -83,6 +108,7 @@ class Progress:
     skipped: int = 0
     failures: int = 0
     failure: str = ''
+    under_way: UnderWay | None = None
     last: Identified | None = None
     accepted: Identified | None = None
 
@@ -98,22 +124,27 @@ class Session:
         Given each result, in the thread of identification.
     warn : callable
         Given the text of a fault of ctsid itself.
+    turn : Lock, optional
+        Sessions that share it never identify at the same time.
     """
 
     def __init__(self, settings: Settings, publish: Callable[[Identified], None],
-                 warn: Callable[[str], None]) -> None:
-        self._settings, self._publish, self._warn = settings, publish, warn
-        self._tracker = Tracker(settings)
+                 warn: Callable[[str], None], turn: Lock | None = None) -> None:
+        self._settings, self._publish, self._warn = settings.for_windows(), publish, warn
+        self._tracker = Tracker(self._settings)
         self._term = 0  # counts what makes all windows before it void
         self._tracked = 0  # of the windows that the tracker remembers
         self._progress, self._lock = Progress(), Lock()
-        self._worker: Worker[tuple[int, Window]] = Worker(self._identify, self._failed)
+        self._begun: tuple[int, float, int] | None = None  # number, time, windows skipped by then
+        self._worker: Worker[tuple[int, Window]] = Worker(self._identify, self._failed, turn)
         self._worker.start()
 
     @property
     def progress(self) -> Progress:
         """How far it has come."""
-        return replace(self._progress, skipped=self._worker.skipped)
+        begun, skipped = self._begun, self._worker.skipped
+        under_way = begun and UnderWay(begun[0], time.monotonic() - begun[1], skipped - begun[2])
+        return replace(self._progress, skipped=skipped, under_way=under_way)
 
     def submit(self, record: Record, arrival_ns: int | None, *, requested: bool = False) -> None:
         """Identify a window as soon as the present one is done; see `Window`."""
@@ -124,29 +155,37 @@ class Session:
 
     def change(self, settings: Settings) -> None:
         """Use other settings from the next window on."""
-        self._settings = settings
+        self._settings = settings.for_windows()
 
     def reset(self) -> None:
-        """Forget the models, the window that waits and the one under way."""
+        """Forget the models and the window that waits; break off the one under way."""
         with self._lock:
             self._worker.drop()
             self._term += 1  # the tracker is told by the thread that uses it
             self._progress = replace(self._progress, last=None, accepted=None)
 
-    def stop(self, timeout: float) -> bool:
-        """End the thread [s], publish nothing more; return whether it has ended."""
+    def cancel(self) -> None:
+        """Break off the window under way, publish nothing more."""
         with self._lock:
             self._term += 1
+
+    def stop(self, timeout: float) -> bool:
+        """Break off, end the thread [s], publish nothing more; return whether it has ended."""
+        self.cancel()
         return self._worker.stop(timeout)
 
     def _identify(self, job: tuple[int, Window]) -> None:
         (term, window), start = job, time.monotonic()
-        if term != self._tracked:
-            self._tracker.reset()
-            self._tracked = term
-        self._tracker.settings = self._settings
-        tracked = self._tracker.take(window.record)
-        result = Identified(window, tracked, time.monotonic() - start)
+        before = self._worker.skipped
+        self._begun = window.number, start, before
+        try:
+            tracked = self._track(term, window.record)
+        except Cancelled:
+            return
+        finally:
+            self._begun = None
+        result = Identified(window, tracked, time.monotonic() - start,
+                            skipped=self._worker.skipped - before)
         if term != self._term:  # reset or stopped in the meantime
             return
         self._publish(result)
@@ -155,7 +194,15 @@ class Session:
         with self._lock:
             if term == self._term:
                 accepted = result if tracked.estimate.ok else self._progress.accepted
-                self._progress = replace(self._progress, last=result, accepted=accepted)
+                self._progress = replace(self._progress, last=result, accepted=accepted,
+                                         failure='')
+
+    def _track(self, term: int, record: Record) -> Tracked:
+        if term != self._tracked:
+            self._tracker.reset()
+            self._tracked = term
+        self._tracker.settings = self._settings
+        return self._tracker.take(record, lambda: self._term != term)
 
     def _failed(self, error: Exception) -> None:
         with self._lock:

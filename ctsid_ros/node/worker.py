@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from threading import Condition, Thread
+from threading import Condition, Lock, Thread
 from typing import Generic, TypeVar
 
 Job = TypeVar('Job')
+_LOOK = 0.02  # until one that waits for its turn looks whether it shall end [s]
 
 
 class Worker(Generic[Job]):
@@ -20,6 +21,8 @@ class Worker(Generic[Job]):
         Does one job. What it raises goes to `failed`, and the next job is taken.
     failed : callable
         Called with an exception.
+    turn : Lock, optional
+        Held while a job is done: workers that share it never work at the same time.
 
     Attributes
     ----------
@@ -27,8 +30,9 @@ class Worker(Generic[Job]):
         Jobs that gave way to a newer one before they were begun.
     """
 
-    def __init__(self, work: Callable[[Job], None], failed: Callable[[Exception], None]) -> None:
-        self._work, self._failed = work, failed
+    def __init__(self, work: Callable[[Job], None], failed: Callable[[Exception], None],
+                 turn: Lock | None = None) -> None:
+        self._work, self._failed, self._turn = work, failed, turn or Lock()
         self._pending: Job | None = None
         self._condition = Condition()
         self._stopping = False
@@ -62,13 +66,24 @@ class Worker(Generic[Job]):
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        while True:
-            with self._condition:
-                self._condition.wait_for(lambda: self._stopping or self._pending is not None)
-                job, self._pending = self._pending, None
-            if self._stopping or job is None:
-                return
+        while (job := self._next()) is not None:
             try:
                 self._work(job)
             except Exception as error:  # of any kind: the node goes on and reports it
                 self._failed(error)
+            finally:
+                self._turn.release()
+
+    def _next(self) -> Job | None:
+        """Wait for a job and take the turn for it; None at the end."""
+        while not self._stopping:
+            with self._condition:
+                self._condition.wait_for(lambda: self._stopping or self._pending is not None)
+            if not self._turn.acquire(timeout=_LOOK):
+                continue
+            with self._condition:  # the newest one now, if there still is one
+                job, self._pending = self._pending, None
+            if job is not None:
+                return job
+            self._turn.release()
+        return None

@@ -54,8 +54,8 @@ class Interval:
         """
         length = (bag.end_ns - bag.start_ns) * 1e-9
         if self.start > length or self.duration <= 0:
-            raise BagError(f'nothing of the bag lies in the interval from {self.start:g} s, '
-                           f'{self.duration:g} s long: the bag is {length:.1f} s long')
+            raise BagError(f'nothing of the bag lies after {self.start:g} s: the bag is '
+                           f'{length:.1f} s long; choose an earlier start')
         first = bag.start_ns + round(self.start * 1e9)
         return first, bag.end_ns if self.start + self.duration >= length \
             else first + round(self.duration * 1e9)

@@ -88,7 +88,8 @@ class Replay:
     def __init__(self, bag: Bag, config: Config, interval: Interval | None = None) -> None:
         self._bag, self._interval = bag, interval or Interval()
         self.config = fit_config(bag, config)
-        self._ingest, self._tracker = Ingest(self.config), Tracker(self.config.settings)
+        self._ingest = Ingest(self.config)
+        self._tracker = Tracker(self.config.settings.for_windows())
         self._untested: deque[int] = deque()  # results that wait for data of their own future
         self.results: list[Result] = []
 
@@ -112,18 +113,18 @@ class Replay:
             If the bag cannot be read on, or there is no window because a channel is missing, the
             channels do not overlap, or the window is longer than the data.
         """
-        fraction = 0.0
+        total, spans = self._expected(), Spans()
 
-        def moved(now: float, _: str) -> None:
-            nonlocal fraction
-            fraction = now
+        def moved(now: float = 0.0, _: str = '') -> None:
             if advance:
-                advance(now, self._news())
+                done = len(self.results) / total if total else now
+                advance(min(done, 0.99), self._news(total))
 
-        spans: Spans = {}
         for record in self._windows(self._ingest, moved, spans):
             self._take(record)
-            moved(fraction, '')
+            moved()
+        if advance:
+            advance(1.0, self._news(total))
         if self.best is None and apart(spans):
             raise BagError(why_nothing(self._bag, self.config, self._ingest, spans,
                                         self.played.complaints))
@@ -163,12 +164,19 @@ class Replay:
         self.results[number] = replace(
             result, next_fit=simulation(result.estimate.model, record).fit)
 
-    def _news(self) -> str:
+    def _expected(self) -> int:
+        """Return how many windows there may be, by the times of recording; 0 if none."""
+        first_ns, last_ns = self._interval.span_ns(self._bag)
+        settings = self.config.settings
+        room = (last_ns - first_ns) * 1e-9 - settings.window_length
+        return int(room / settings.window_stride) + 1 if room > 0 else 0
+
+    def _news(self, total: int) -> str:
         if not self.results:
             return 'no window yet'
         last = self.results[-1].estimate
         fit = ', '.join(f'{value:.1f}' for value in last.fit)
-        count = f'{len(self.results)} window{"s" if len(self.results) > 1 else ""}'
+        count = f'{len(self.results)} of {max(total, len(self.results))} windows'
         return f'{count}, fit {fit} %, {last.verdict.grade.name}' if last.ok else \
             f'{count}, {last.status.name}'
 

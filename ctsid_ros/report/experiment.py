@@ -7,13 +7,25 @@ import math
 
 from ctsid_core.advice.advice import Advice, PoleAdvice
 from ctsid_core.advice.forecast import Band
+from ctsid_core.model.estimate import Estimate
 from ctsid_ros.report.document import Bullets, Section
 from ctsid_ros.report.tables import Table, number, pole_text
 
+_FORECAST = ('The model is rejected, and what follows is computed with it: it holds as far as the '
+             'model does.')
 
-def experiment_section(advice: Advice, *, brief: bool = True) -> Section:
-    """Return what would make the model more accurate, as sentences."""
-    return Section('Which experiment would help', (Bullets(advice.sentences),), brief=brief)
+
+def experiment_section(advice: Advice, *, brief: bool = True, rejected: bool = False) -> Section:
+    """Return what would make the model, accepted or rejected, more accurate, as sentences."""
+    words = (_FORECAST,) if rejected and advice.poles else ()
+    return Section('Which experiment would help', (*words, Bullets(advice.sentences))
+                   if advice.sentences else (), brief=brief)
+
+
+def rejection_section(estimate: Estimate) -> Section:
+    """Return that a model is rejected, and why; nothing if it is not."""
+    return Section('' if estimate.ok else f'REJECTED ({estimate.status.name})',
+                   () if estimate.ok else (estimate.verdict.reason,))
 
 
 def accuracy_section(advice: Advice) -> Section:

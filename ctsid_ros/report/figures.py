@@ -32,8 +32,8 @@ def label(name: str, unit: str) -> str:
     return f'{name} [{unit}]' if unit else name
 
 
-def output_figures(model: StateSpace, found: Validation, offset: float, what: str
-                   ) -> list[Figure]:
+def output_figures(model: StateSpace, found: Validation, offset: float, what: str,
+                   fit: Array | None = None) -> list[Figure]:
     """
     Draw measured and simulated outputs.
 
@@ -45,8 +45,11 @@ def output_figures(model: StateSpace, found: Validation, offset: float, what: st
         Added to its times [s].
     what : str
         Which data these are.
+    fit : ndarray, optional
+        The fits that the report gives for these data, if they are others than those of the
+        simulation [%].
     """
-    figures = []
+    figures, fits = [], found.fit if fit is None or len(fit) != model.ny else fit
     for i in range(min(model.ny, _MOST_OUTPUTS)):
         good = np.isfinite(found.y[:, i])
         times = found.times[good] + offset
@@ -54,14 +57,14 @@ def output_figures(model: StateSpace, found: Validation, offset: float, what: st
         span = float(np.ptp(measured)) or 1.0
         low, high = float(measured.min()) - 0.3 * span, float(measured.max()) + 0.3 * span
         drawn = Axes(
-            (Curve(times, measured, 'measured', 0),
-             Curve(times, np.clip(simulated, low - span, high + span), 'simulated', 2)),
+            (Curve(times, measured, 'measured', 0, opacity=0.45, width=4.0),
+             Curve(times, np.clip(simulated, low - span, high + span), 'simulated', 2,
+                   width=1.2)),
             label(model.output_names[i], model.output_units[i]),
             x_label='time after the start of the bag [s]',
             y_limits=(low, high) if _leaves(simulated, low, high) else None)
-        figures.append(Figure(draw(drawn), f'{what}: simulated from the inputs alone. The fit '
-                              f'to the samples, noise included, is '
-                              f'{percent(found.fit[i])} %.'))
+        figures.append(Figure(draw(drawn), f'{what}: simulated from the inputs alone. Fit: '
+                              f'{percent(fits[i])} %.'))
     return figures
 
 
@@ -145,15 +148,18 @@ def frequencies(model: StateSpace, band: tuple[float, float] | None = None, coun
     return np.geomspace(low / 10, high * 10, count)
 
 
-def bode_figures(model: StateSpace, band: tuple[float, float] | None,
+def bode_figures(model: StateSpace, bands: Sequence[tuple[float, float] | None] = (),
                  truth: StateSpace | None = None, covariance: Covariance | None = None
                  ) -> list[Figure]:
     """
     Draw magnitude and phase of each input to each output, up to nine pairs of them.
 
-    With a covariance, each with a band of two standard deviations.
+    Shaded where `bands` say so, one for each input [rad/s]. With a covariance, each with a band
+    of two standard deviations.
     """
-    omega = frequencies(model, band)
+    shades = [*bands, *(None,) * model.nu]
+    ends = [w for band in shades if band for w in band if 0.0 < w < math.inf]
+    omega = frequencies(model, (min(ends), max(ends)) if ends else None)
     std = response_std(model, omega, covariance)
     figures: list[Figure] = []
     pairs = [(i, j) for i in range(model.ny) for j in range(model.nu)]
@@ -166,7 +172,7 @@ def bode_figures(model: StateSpace, band: tuple[float, float] | None,
             [Curve(omega, g[k], text, c, 'dashed' if dashed else 'line',
                    *(_around_curve(g[k], std[k][:, i, j], widest) if c == 1 else ()))
              for g, text, c, dashed in curves], f'{title}: {what}', 'rad/s', x_log=True,
-            shade=band, height=height)), '')
+            shade=shades[j], height=height)), '')
             for k, widest, what, height in ((0, _MOST_DB, 'magnitude [dB]', 220.0),
                                             (1, _MOST_DEG, 'phase [deg]', 200.0))]
     return figures

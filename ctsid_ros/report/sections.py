@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from ctsid_core.model.covariance import Covariance, gain_deviation
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests, Validation
-from ctsid_core.model.verdict import Grade
+from ctsid_core.model.verdict import Excitation, Grade
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
 from ctsid_ros.report.figures import (
     bode_figures,
@@ -60,13 +60,14 @@ def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float
     return Section('Records', (*words, Table(head, tuple(rows), ('bag',))))
 
 
-def channel_section(played: Played, title: str = 'Signals', *, brief: bool = True) -> Section:
-    """Return which signals were used, and where their stamps came from."""
-    rows = []
+def channel_section(played: Played, title: str = 'Signals', *, brief: bool = True,
+                    delays: Mapping[str, str] | None = None) -> Section:
+    """Return which signals were used, where their stamps came from, and their dead times."""
+    rows, known = [], delays or {}
     for c in played.config.channels:
         counts = played.counts.channels[c.name]
         rows.append((c.role, label(c.name, c.unit), c.topic, c.field, c.hold,
-                     _delay(c) if c.role == 'input' else '',
+                     known.get(c.name, _delay(c)) if c.role == 'input' else '',
                      counts.source, str(counts.samples.accepted)))
     head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
     why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'
@@ -110,8 +111,8 @@ def model_section(estimate: Estimate, title: str) -> Section:
     if model is None:
         return Section(title, tuple(parts))
     if not estimate.ok:
-        parts.append(f'NOT ACCEPTED ({estimate.status.name}). The rejected model is shown to look '
-                     'at only:')
+        parts.append(f'REJECTED ({estimate.status.name}): the model is shown to look at only, not '
+                     'to be used:')
     words = f'{model.n} state{"s" if model.n > 1 else ""}, {"with" if model.D.any() else "no"} ' \
             'direct feedthrough'
     if any(model.delay):
@@ -131,13 +132,14 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
                     percent(100 * x.own), percent(100 * x.uncertainty))
                    for x in verdict.excitation)
-    columns = (100 * verdict.missing, verdict.whiteness, verdict.next_ratio, verdict.fresh_ratio)
+    columns = (100 * verdict.coloured_error, 100 * verdict.independent, verdict.whiteness,
+               verdict.curve_gain, verdict.fresh_ratio)
     outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
                     for i, name in enumerate(model.output_names))
     tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
                      'uncorrelated [%]', 'response std [%]'), inputs, ('input',))]
-    tables.append(Table(('output', 'unmodelled response [%]', 'whiteness p-value',
-                         'held-out error ratio', 'fresh error ratio'), outputs, ('output',)))
+    tables.append(Table(('output', 'error not white [%]', 'independent [%]', 'whiteness p-value',
+                         'gain of a curve [%]', 'fresh error ratio'), outputs, ('output',)))
     return tables if inputs else []
 
 
@@ -202,13 +204,20 @@ def _decimals(std: float) -> int:
 
 
 def response_section(model: StateSpace, found: Validation, truth: StateSpace | None,
-                     covariance: Covariance | None = None) -> Section:
-    """Return the Bode diagrams; shaded where the data of a simulation support the model."""
-    band = supported_band(found)
-    words = ['Shaded: the frequencies at which the model explains more than half of the power of '
-             'an output. Beyond them it extrapolates.'] if band else []
+                     covariance: Covariance | None = None,
+                     excitation: Sequence[Excitation] = ()) -> Section:
+    """Return the Bode diagrams, shaded where the data support the response to each input."""
+    words = []
+    if len(excitation) == model.nu:
+        bands = [(x.low, x.high) if x.high > x.low else None for x in excitation]
+        words = ['Shaded: the excited band of each input, as in the table of the verdict. Beyond '
+                 'it the model extrapolates.']
+    else:
+        bands = [supported_band(found)] * model.nu
+        words = ['Shaded: the frequencies at which the model explains more than half of the power '
+                 'of an output. Beyond them it extrapolates.'] if any(bands) else []
     words += ['The bands around the curves are two standard deviations.'] if covariance else []
-    return Section('Frequency response', (*words, *bode_figures(model, band, truth, covariance)))
+    return Section('Frequency response', (*words, *bode_figures(model, bands, truth, covariance)))
 
 
 def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
@@ -323,16 +332,16 @@ def _verdict(pairs: Sequence[tuple[Mode, Mode]], count: int) -> str:
             f'{worst:.1f}.')
 
 
-def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Section:
-    """Return what to try next."""
-    lines = tuple(_advice(estimate, test_fit, complaints))
+def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str], *,
+                   delay_sought: bool = False) -> Section:
+    """Return what to try next, beside what the verdict says."""
+    lines = tuple(_advice(estimate, test_fit, complaints, delay_sought))
     return Section('What to try next', (Bullets(lines),) if lines else (), brief=False)
 
 
-def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> Iterator[str]:
+def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str], delay_sought: bool
+            ) -> Iterator[str]:
     model, settings = estimate.model or estimate.rejected_model, estimate.settings
-    if not estimate.good:
-        yield estimate.verdict.reason
     if model is None:
         return
     unseen = test_fit if np.isfinite(test_fit).any() else estimate.held_out_fit
@@ -347,7 +356,7 @@ def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str]) -> I
     if (model.poles.real > 0).any():
         yield ('The model is unstable: right for a plant that a controller holds upright; else '
                'lower `max_order` or take a longer interval.')
-    if not any(model.delay) and model.n > 1:
+    if not any(model.delay) and model.n > 1 and not delay_sought:
         yield ('The model has no dead time. If you know of one (commands that act late), set '
                'the `delay` of the input: without it the model needs extra states to imitate it.')
     if complaints:

@@ -43,6 +43,8 @@ class Curve:
         Of lines and clouds.
     bars : bool
         Draw a bar at each x instead of the band.
+    width : float
+        Of the line.
     """
 
     x: Array
@@ -54,6 +56,7 @@ class Curve:
     high: Array | None = None
     opacity: float = 1.0
     bars: bool = False
+    width: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -221,7 +224,7 @@ def _curve(curve: Curve, x: _Scale, y: _Scale) -> str:
         dash = ' stroke-dasharray="6 4"' if curve.kind == 'dashed' else ''
         faint = f' opacity="{curve.opacity:g}"' if curve.opacity < 1.0 else ''
         parts.append(f'<path d="{_path(across, up)}" fill="none" stroke="{paint}" '
-                     f'stroke-width="1.5" stroke-linejoin="round"{dash}{faint}/>')
+                     f'stroke-width="{curve.width:g}" stroke-linejoin="round"{dash}{faint}/>')
     if curve.kind in ('dots', 'both'):
         good = np.isfinite(across) & np.isfinite(up)
         radius = 1.6 if curve.kind == 'dots' else 2.6

@@ -7,7 +7,7 @@ for ctsid: all other entries of the model, the state at the first sample, the tr
 of the noise.
 
 Measurement noise alone (`output_error_bound`): the samples are normal with the simulation as
-their mean, whose derivatives are exact (`mode_sensitivity`). White noise's level has no
+their mean, whose derivatives are exact (`model/modal.py`). White noise's level has no
 information in common with the mean.
 
 Process noise, closed loop (`innovation_bound`): the samples' likelihood is that of the
@@ -28,9 +28,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import expm, expm_frechet, solve_discrete_are
 
-from ctsid_core.linear.matrix_functions import modes
-from ctsid_core.linear.types import Array
-from ctsid_core.model.mode_sensitivity import output_sensitivities, rest_state
+from ctsid_core.errors import DataError
+from ctsid_core.linear.matrix_functions import SOUND, Modes, modes
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.modal import mode_responses
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.record import Signal
 
@@ -63,22 +64,46 @@ def output_error_bound(model: StateSpace, x0: Array, inputs: Sequence[Signal], t
     ndarray, shape (n,)
         sqrt(E |error|^2) of each pole, in the order of `model.poles` [rad/s].
     """
-    rest = rest_state(model, x0, inputs, times)
-    _, columns, direct = output_sensitivities(model, rest, inputs, times)
-    unknown = np.ones(columns.shape[2], dtype=bool)
-    driven = columns[:, :, direct:].shape[2] // model.ny
-    unknown[direct:] = feedthrough
-    unknown[direct + driven - 1::driven] = trim
-    x_trim = 2 * model.n + np.arange(model.n) * driven + driven - 1
-    unknown[x_trim] = trim
-    rows = (columns / noise[:, np.newaxis])[:, :, unknown].reshape(-1, int(unknown.sum()))
+    found = _modes(model)
+    at = mode_responses(found.values, inputs, model.delay, float(times[0]), times)
+    b, start = found.left @ model.B, found.left @ x0
+    since = times - times[0]
+    free = np.exp(found.values[:, np.newaxis] * since)
+    by_pole = np.einsum('mj,mjt->mt', b, at.slopes) + start[:, np.newaxis] * since * free
+    motion = np.einsum('mj,mjt->mt', b, at.responses) + start[:, np.newaxis] * free
+    real = found.values.imag == 0.0
+    moves = [*by_pole, *at.responses.reshape(-1, len(times)), *free]
+    modes_of = [*range(len(b)), *np.repeat(np.arange(len(b)), model.nu), *range(len(b))]
+    direct = [*(at.inputs if feedthrough else ()), *(np.ones((1, len(times))) if trim else ())]
+    blocks = []
+    for i, c in enumerate(model.C @ found.right):
+        own = [column for move, k in zip(moves, modes_of, strict=True)
+               for column in _parts(c[k] * move, real[k])]
+        apart = [column for move, k in zip(motion, real, strict=True)
+                 for column in _parts(move, k)] + direct
+        others = np.zeros((model.ny, len(apart), len(times)))
+        others[i] = apart
+        blocks.append(np.vstack((own, others.reshape(-1, len(times)))).T / noise[i])
+    rows = np.concatenate(blocks)
     return _of_poles(_covariance(rows, np.eye(model.n, rows.shape[1])), model)
+
+
+def _modes(model: StateSpace) -> Modes:
+    found = modes(model.A, SOUND)
+    if found is None:
+        raise DataError('`model` has poles that coincide: there are no derivatives by each of '
+                        'them; move one of them a little')
+    return found
+
+
+def _parts(column: ComplexArray, real: bool) -> list[Array]:
+    """Return derivatives by real and imaginary part of what a complex column is one by."""
+    return [column.real] if real else [column.real, -column.imag]
 
 
 def _of_poles(covariance: Array, model: StateSpace) -> Array:
     """Return root mean squares of poles, in the order of `model.poles`, from real numbers."""
-    found = modes(model.A, 1e10)
-    assert found is not None
+    found = _modes(model)
     spread, first = [], 0
     for p in found.values:
         width = 1 if p.imag == 0.0 else 2

@@ -28,7 +28,8 @@ from ctsid_ros.studies.monte_carlo import Outcome
 COLUMNS = ('experiment', 'code', 'seed', 'order', 'status', 'error', 'deviation',
            'A', 'B', 'C', 'D', 'whole')
 # Modules of the studies that results do not depend on.
-DRAWING = ('clouds', 'network', 'figure_files', 'hd_basis', 'page', 'runner', 'kept_runs')
+DRAWING = ('clouds', 'network', 'figure_files', 'hd_basis', 'page', 'runner', 'kept_runs',
+           'kept_rows', 'tables', 'study')
 
 
 class KeptRuns:

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 from pathlib import Path
 import signal
+from typing import Protocol, TypeVar
 
 from ctsid_ros.blas import use_one_thread
 from ctsid_ros.progress import progress
@@ -21,10 +22,21 @@ from ctsid_ros.studies.kept_runs import KeptRuns
 from ctsid_ros.studies.monte_carlo import Outcome
 
 Task = Callable[[int], Outcome]
+T = TypeVar('T')
 
 
-def runs(task: Task, title: str, count: int, jobs: int = 1, kept: KeptRuns | None = None,
-         study: str = '') -> list[Outcome]:
+class Kept(Protocol[T]):
+    """What came of runs that were done before."""
+
+    def of(self, experiment: str) -> dict[int, T]:
+        """Return what came of an experiment, by seed."""
+
+    def add(self, experiment: str, seed: int, found: T) -> None:
+        """Keep one run."""
+
+
+def runs(task: Callable[[int], T], title: str, count: int, jobs: int = 1,
+         kept: Kept[T] | None = None, study: str = '') -> list[T]:
     """
     Return the outcomes of seeds 0, 1, ...
 
@@ -37,7 +49,7 @@ def runs(task: Task, title: str, count: int, jobs: int = 1, kept: KeptRuns | Non
     count : int
     jobs : int
         Processes; 1: this one.
-    kept : KeptRuns, optional
+    kept : KeptRuns or the like, optional
         What is in it is not run again, and what is run is added to it.
     study : str
         Whose experiment it is: others may have the same title.
@@ -79,7 +91,7 @@ def conclude(given: argparse.Namespace, name: str, table: Table, words: str = ''
           f'Results: {given.out}')
 
 
-def _each(task: Task, seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
+def _each(task: Callable[[int], T], seeds: Sequence[int], jobs: int) -> Iterator[T]:
     if jobs == 1 or len(seeds) < 2:
         yield from map(task, seeds)
         return

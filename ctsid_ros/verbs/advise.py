@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
-from ctsid_ros.progress import progress
+from ctsid_ros.progress import progress, working
 from ctsid_ros.report.document import to_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -58,18 +58,26 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_core.identify import identify
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
-    from ctsid_ros.report.experiment import accuracy_section, band_section, experiment_section
+    from ctsid_ros.report.experiment import (
+        accuracy_section,
+        band_section,
+        experiment_section,
+        rejection_section,
+    )
 
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
-    estimate = identify(data.record, config.settings)
+    with working('identifying a model', quiet=args.quiet):
+        estimate = identify(data.record, config.settings)
     advice = advise(estimate, data.record, args.wanted / 100, args.more)
     if args.json:
         tell({'verb': 'advise', 'bag': named(args.bag), 'status': estimate.status.name,
-              'accepted': estimate.ok, **asdict(advice)})
+              'accepted': estimate.ok, 'reason': estimate.verdict.reason, **asdict(advice)})
     else:
-        print(to_text([accuracy_section(advice), band_section(advice),
-                       experiment_section(advice)]))
+        own = replace(advice, sentences=tuple(
+            words for words in advice.sentences if words != estimate.verdict.reason))
+        print(to_text([rejection_section(estimate), accuracy_section(own), band_section(own),
+                       experiment_section(own, rejected=not estimate.ok)]))
     return ACCEPTED if estimate.ok else NO_MODEL

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 import json
 import math
@@ -85,6 +86,12 @@ def add_params(parser: argparse.ArgumentParser) -> None:
                         'settings; `ctsid init` writes one [default: its guess]')
 
 
+def add_budget(parser: argparse.ArgumentParser) -> None:
+    """Add the budget of an identification."""
+    parser.add_argument('--budget', type=seconds, metavar='S', help='processor time that one '
+                        'identification may take [s, default: that of the parameter file]')
+
+
 def add_results(parser: argparse.ArgumentParser) -> None:
     """Add the folder of results."""
     parser.add_argument('--out', metavar='DIR', help='folder for the results [default '
@@ -108,9 +115,14 @@ def interval_of(args: argparse.Namespace) -> Interval:
 
 
 def config_for(args: argparse.Namespace, bag: Bag) -> Config:
-    """Return the config of --params, or else a guess, and say so."""
-    if args.params is not None:
-        return read_params(args.params)
+    """Return the config of --params, or else a guess, and say so; with the budget, if given."""
+    config = read_params(args.params) if args.params is not None else _guessed(bag)
+    budget = getattr(args, 'budget', None)
+    return config if budget is None else replace(
+        config, settings=config.settings.replace(budget=budget))
+
+
+def _guessed(bag: Bag) -> Config:
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.survey import survey
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import json
 import math
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import SettingsError
 from ctsid_ros.errors import BagError
-from ctsid_ros.progress import Advance, progress
+from ctsid_ros.progress import Advance, progress, working
 from ctsid_ros.replay.results import (
     MODEL,
     PAGE,
@@ -31,6 +31,7 @@ from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,
     add_bag,
+    add_budget,
     add_interval,
     add_params,
     add_results,
@@ -48,6 +49,7 @@ from ctsid_ros.verbs.arguments import (
 )
 
 if TYPE_CHECKING:
+    from ctsid_core.linear.types import Array
     from ctsid_core.model.estimate import Estimate
     from ctsid_core.model.statespace import StateSpace
     from ctsid_core.model.validation import Validation
@@ -79,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'on the rest [s after the first message of each recording]')
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')
+    add_budget(parser)
     add_results(parser)
     add_style(parser)
 
@@ -116,7 +119,7 @@ class Source:
         record, split = self.data.record, self.data.split
         if math.isnan(split):
             return None
-        from ctsid_core.search.dead_time import LONGEST
+        from ctsid_core.search.solve import LONGEST
 
         settings = self.data.config.settings
         lead = max(LONGEST * (split - record.start) * any(settings.unknown_delays(record.nu)),
@@ -190,14 +193,26 @@ def command(args: argparse.Namespace) -> int:
         with progress('reading', quiet=args.quiet) as advance:
             sources = [_read(group, config, interval, args.test_from, advance)
                        for group in groups for interval in intervals]
-        outcome = _identify(tuple(sources), args.test_from)
-        _write(out, outcome, args, truth)
+        with working(_task(sources), quiet=args.quiet):
+            outcome = _identify(tuple(sources), args.test_from)
+        with working('writing the report', quiet=args.quiet):
+            _write(out, outcome, args, truth)
     if args.json:
         tell(_document(outcome, args, out))
     else:
         print(to_text(_sections(outcome, truth)))
         print(f'\nResults: {out}/ ({PAGE} has the plots)')
     return ACCEPTED if outcome.estimate.ok else NO_MODEL
+
+
+def _task(sources: Sequence[Source]) -> str:
+    """Return what is being done, and how long it may take."""
+    records = [s.data.record for s in sources]
+    samples = sum(len(signal.time) for r in records for signal in (*r.inputs, *r.outputs))
+    budget = sources[0].data.config.settings.budget
+    length = sum(r.duration for r in records)
+    return (f'identifying one model of {length:.0f} s of data, {samples} samples' + (
+            f', in about {budget:g} s of processor at most' if budget else ''))
 
 
 def _intervals(args: argparse.Namespace) -> list[Interval]:
@@ -254,6 +269,7 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
 def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     import numpy as np
 
+    from ctsid_ros.report.dead_time import delay_words, looked_for
     from ctsid_ros.report.sections import (
         advice_section,
         channel_section,
@@ -272,10 +288,12 @@ def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     what = f'{start:.1f} to {end:.1f} s' if len(sources) == 1 else f'{len(sources)} records'
     title = f'Model of {what}: ' + (estimate.status.value if estimate.ok else
                                     estimate.status.name)
-    sections = [channel_section(sources[0].data)]
+    delays = delay_words(estimate, outcome.config)
+    sections = [channel_section(sources[0].data, delays=delays)]
     if len(sources) > 1:
         sections = [record_section(estimate, [(named(s.bags), *s.span) for s in sources]),
-                    *(channel_section(s.data, f'Signals of record {i}', brief=i == 1)
+                    *(channel_section(s.data, f'Signals of record {i}', brief=i == 1,
+                                      delays=delays)
                       for i, s in enumerate(sources, 1))]
     sections.append(model_section(estimate, title))
     if model:
@@ -283,7 +301,8 @@ def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
                      gain_section(model, estimate.covariance)]
         sections += [truth_section(estimate, (), truth)] if truth else []
     return [*sections, choice_section(estimate, brief=True), complaint_section(outcome.notes),
-            advice_section(estimate, fit, outcome.complaints)]
+            advice_section(estimate, fit, outcome.complaints,
+                           delay_sought=looked_for(estimate, outcome.config.settings))]
 
 
 def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
@@ -315,7 +334,7 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
             sections.append(residual_section(residual_tests(own, record), own))
         if len(outcome.sources) == 1:
             advice = advise(estimate, outcome.sources[0].learnt)
-            sections.append(experiment_section(advice, brief=False))
+            sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
         sections.append(bode_section(outcome.model, covariance=estimate.covariance))
     write_results(out, {
         MODEL: to_json(estimate, _origin(outcome, args)),
@@ -349,10 +368,18 @@ def _figures(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
             'Data the model has not seen'
         title = 'Measured and simulated' + (
             f', record {number}' if len(outcome.sources) > 1 else '')
-        sections.append(Section(title, tuple(output_figures(own, seen, source.offset, what))))
+        fit = None if source.tested is not None else _fit_on(outcome.estimate, number)
+        sections.append(Section(title, tuple(
+            output_figures(own, seen, source.offset, what, fit))))
     if found:
-        sections.append(response_section(model, found, truth, outcome.estimate.covariance))
+        sections.append(response_section(model, found, truth, outcome.estimate.covariance,
+                                         outcome.estimate.verdict.excitation))
     return sections
+
+
+def _fit_on(estimate: Estimate, number: int) -> Array:
+    """Return the fits on one of the records that a model was identified from [%]."""
+    return next((r.fit for r in estimate.records if r.number == number), estimate.fit)
 
 
 def _origin(outcome: Outcome, args: argparse.Namespace) -> dict[str, object]:

@@ -19,13 +19,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('--markdown', action='store_true',
                         help='print the reference of the parameters instead')
+    parser.add_argument('--work-rate', action='store_true',
+                        help='measure the work per second of this computer instead, to which '
+                        'budgets can be fitted by the environment variable CTSID_WORK_RATE')
 
 
 def command(args: argparse.Namespace) -> int:
     """Print them."""
+    if args.work_rate:
+        return _print_rate()
     from ctsid_ros.config.parameter_text import dump_config, parameters_markdown
 
     print(parameters_markdown() if args.markdown else dump_config(example()), end='')
+    return ACCEPTED
+
+
+def _print_rate() -> int:
+    from time import process_time
+
+    from ctsid_core.effort import VARIABLE, measured_rate, work_rate
+
+    print(f'{VARIABLE}={measured_rate(process_time):.2g}  # work per second, measured now; '
+          f'{work_rate():.2g} counts')
     return ACCEPTED
 
 

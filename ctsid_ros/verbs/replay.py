@@ -27,6 +27,7 @@ from ctsid_ros.verbs.arguments import (
     INTERRUPTED,
     NO_MODEL,
     add_bag,
+    add_budget,
     add_interval,
     add_params,
     add_results,
@@ -63,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_interval(parser)
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')
+    add_budget(parser)
     add_results(parser)
     add_style(parser)
 
@@ -120,6 +122,7 @@ class _Report:
         return self.best.estimate.model or self.best.estimate.rejected_model
 
     def sections(self) -> list[Section]:
+        from ctsid_ros.report.dead_time import delay_words, looked_for
         from ctsid_ros.report.sections import (
             advice_section,
             channel_section,
@@ -134,14 +137,16 @@ class _Report:
         count = len(self.results)
         title = (f'{named(self.args.bag)}: {count} window{"s" if count > 1 else ""} of '
                  f'{settings.window_length:g} s, one every {settings.window_stride:g} s')
-        sections = [Section(title, (_INTRODUCTION,)), channel_section(self.played),
+        sections = [Section(title, (_INTRODUCTION,)), channel_section(
+            self.played, delays=delay_words(estimate, self.played.config)),
                     window_section(self.results, self.zero_ns, self.number - 1),
                     status_section(self.results),
                     self._best_section()]
         if self.truth:
             sections.append(truth_section(estimate, self.results, self.truth))
         return [*sections, choice_section(estimate), complaint_section(self.notes),
-                advice_section(estimate, self.best.next_fit, self.played.complaints)]
+                advice_section(estimate, self.best.next_fit, self.played.complaints,
+                               delay_sought=looked_for(estimate, settings))]
 
     def _best_section(self) -> Section:
         from ctsid_ros.report.sections import fit_table, model_section
@@ -202,9 +207,10 @@ class _Report:
             offset = (record.epoch_ns - self.zero_ns) * 1e-9
             sections += [
                 Section('Measured and simulated', tuple(output_figures(
-                    self.model, found, offset, f'Window {self.number}, of which the model is'))),
-                response_section(self.model, found, self.truth,
-                                 self.best.estimate.covariance)]
+                    self.model, found, offset, f'Window {self.number}, of which the model is',
+                    self.best.estimate.fit))),
+                response_section(self.model, found, self.truth, self.best.estimate.covariance,
+                                 self.best.estimate.verdict.excitation)]
         return sections
 
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:

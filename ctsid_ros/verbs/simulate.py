@@ -8,12 +8,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ctsid_core.errors import DataError
+from ctsid_core.errors import DataError, StorageError
 from ctsid_ros.progress import progress
 from ctsid_ros.report.document import GLOSSARY, Section, to_text
 from ctsid_ros.report.tables import Table, number, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
+    NO_MODEL,
     add_bag,
     add_interval,
     add_params,
@@ -28,6 +29,7 @@ from ctsid_ros.verbs.arguments import (
 
 if TYPE_CHECKING:
     from ctsid_core.linear.types import Array
+    from ctsid_core.model.estimate import Estimate
     from ctsid_core.model.statespace import StateSpace
     from ctsid_core.model.validation import Validation
     from ctsid_ros.config.channels import Config
@@ -50,6 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--trim', choices=('refit', 'model'), default='refit',
                         help='offsets of the outputs: refit = fitted to this bag (another flight '
                         'has another operating point), model = those of the model [default refit]')
+    parser.add_argument('--rejected', action='store_true',
+                        help='simulate a model that was rejected, too; the exit code is 3 then')
     add_style(parser)
 
 
@@ -67,14 +71,15 @@ class _Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
-    from ctsid_core.model.storage import load_estimate, load_metadata, load_model
+    from ctsid_core.model.storage import load_estimate, load_metadata
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
     from ctsid_ros.replay.results import config_of
 
-    model = load_model(args.model)
+    estimate = load_estimate(args.model)
+    model = _model_of(estimate, args)
     config = read_params(args.params) if args.params else config_of(
-        load_metadata(args.model), load_estimate(args.model).settings, args.model)
+        load_metadata(args.model), estimate.settings, args.model)
     _check(model, config, args.model)
     with open_bag(args.bag) as bag:
         with progress('reading', quiet=args.quiet) as advance:
@@ -82,11 +87,27 @@ def command(args: argparse.Namespace) -> int:
         outcome = _compare(model, data, args, bag)
         notes = (*bag.notes, *data.complaints,
                  *(note for v in outcome.predicted.values() for note in v.notes))
+    why = '' if estimate.ok else estimate.verdict.reason
     if args.json:
-        tell(_document(outcome, args, notes))
+        tell({**_document(outcome, args, notes), 'accepted': estimate.ok,
+              'reason': estimate.verdict.reason})
     else:
-        print(to_text(_sections(outcome, args, notes)))
-    return ACCEPTED
+        rejected = [Section(f'REJECTED ({estimate.status.name})', (why,))] if why else []
+        print(to_text([*rejected, *_sections(outcome, args, notes)]))
+    return NO_MODEL if why else ACCEPTED
+
+
+def _model_of(estimate: Estimate, args: argparse.Namespace) -> StateSpace:
+    """Return the model of an estimate; a rejected one only if it is asked for."""
+    if estimate.model is not None:
+        return estimate.model
+    why = f'{args.model} holds no accepted model ({estimate.status.name}): ' \
+        f'{estimate.verdict.reason}'
+    if estimate.rejected_model is None:
+        raise StorageError(why)
+    if not args.rejected:
+        raise StorageError(f'{why} Add --rejected to simulate the rejected one all the same.')
+    return estimate.rejected_model
 
 
 def _check(model: StateSpace, config: Config, path: str) -> None:

@@ -21,6 +21,7 @@ OURS = {
     'table1': ('table1', '[HD] Table 1 beside the Cramer-Rao bound, nothing set'),
     'windows': ('windows', 'windows that are not at rest'),
     'closed-loop': ('closed_loop', 'an unstable plant under its controller'),
+    'robots': ('robots.study', 'the exam: many simulated robots, and what is reachable on each'),
 }
 STUDIES = PAPERS | OURS
 EPILOG = '\n'.join([

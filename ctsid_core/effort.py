@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+How much an identification may compute, counted instead of timed, and whether it is still wanted.
+
+Work is what evaluations are known to take: 1 is one floating-point operation of a QR
+decomposition. A clock would give another model each time; counted work ends a search at the same
+place on every computer, so that a replay has the bits of the node. `RATE` turns it into seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+import os
+
+from ctsid_core.errors import Cancelled, SettingsError
+
+# Work per second of processor: the median of `measured_rate` on a core of an AMD EPYC server,
+# one BLAS thread, rounded down (5.5e9). A constant, for else models would depend on the computer;
+# on one half as fast a budget of 1 s takes 2 s. CTSID_WORK_RATE takes its place where it is set:
+# node and replay then need the same value.
+RATE = 5e9
+VARIABLE = 'CTSID_WORK_RATE'
+_ROWS, _COLUMNS, _TIMES = 1000, 40, 101  # of the matrix that the rate is measured with
+
+
+class Effort:
+    """
+    The effort of one identification.
+
+    Parameters
+    ----------
+    budget : float
+        Processor time that it may take [s], as far as `RATE` knows; 0: no limit.
+    cancelled : callable, optional
+        Returns whether nobody wants the result any more.
+
+    Raises
+    ------
+    SettingsError
+        If the environment variable CTSID_WORK_RATE is not a positive number.
+    """
+
+    def __init__(self, budget: float = 0.0, cancelled: Callable[[], bool] | None = None) -> None:
+        self.budget, self._cancelled = budget, cancelled
+        self._work, self._rate = 0.0, work_rate()
+
+    def check(self) -> None:
+        """
+        Go on, if it is still wanted.
+
+        Raises
+        ------
+        Cancelled
+            If it is not.
+        """
+        if self._cancelled is not None and self._cancelled():
+            raise Cancelled
+
+    def spend(self, work: float) -> None:
+        """Count work that has been done."""
+        self._work += work
+
+    @property
+    def seconds(self) -> float:
+        """Processor time that the work so far takes at the rate that counts [s]."""
+        return self._work / self._rate
+
+    @property
+    def over(self) -> bool:
+        """Whether the budget is spent."""
+        return self.beyond(1.0)
+
+    def beyond(self, share: float) -> bool:
+        """Return whether more than a share of the budget is spent."""
+        return 0.0 < share * self.budget <= self.seconds
+
+
+def work_rate() -> float:
+    """Return the work per second that counts: `RATE`, or what CTSID_WORK_RATE says."""
+    text = os.environ.get(VARIABLE, '')
+    if not text:
+        return RATE
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not 0.0 < rate < math.inf:
+        raise SettingsError([f'the environment variable {VARIABLE} is {text!r}; set it to a '
+                             f'positive number, like {RATE:g}, or unset it'])
+    return rate
+
+
+def measured_rate(clock: Callable[[], float]) -> float:
+    """
+    Return the work per second of this computer, for people: nothing is computed with it.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns processor time [s].
+    """
+    import numpy as np
+
+    matrix = np.random.default_rng(0).standard_normal((_ROWS, _COLUMNS))
+    times = []
+    for _ in range(_TIMES):
+        start = clock()
+        np.linalg.qr(matrix, mode='r')
+        times.append(clock() - start)
+    return 2.0 * _ROWS * _COLUMNS ** 2 / max(float(np.median(times)), 1e-9)

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The noise after the plant: a gain K of innovations, with the plant held.
+
+What a simulation leaves is v = C x + e, dx/dt = A x + K e. Sampled with the step h of the slowest
+output, with F = e^(A h) and G = int_0^h e^(A s) ds,
+
+    x_(k+1) = F x_k + G K e_k,      e_k = v_k - C x_k,                                       (1)
+
+and the sum of squares of e_k is made smallest over K (Gauss-Newton; the derivatives obey the same
+recursion). The plant stays what simulations say it is.
+
+References
+----------
+Ljung, System Identification, 2nd edition, section 4.3 (innovations form) and 10.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import expm
+
+from ctsid_core.likelihood.output_error import Fit
+from ctsid_core.likelihood.residuals import Residuals
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.state_space import matrices_of
+from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.types import Array, ComplexArray
+
+_STEPS = 10
+_HALVINGS = 6
+_LEAST = 0.02         # part of the errors' size that innovations must be smaller, to be worth K
+_FIXED_POINT = 20
+_LIMIT = 0.999        # largest magnitude of the predictor's modes
+
+
+def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float) -> tuple[Array, Array]:
+    """
+    Return the gain K and the covariance of the innovations.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+        Stable.
+    C : ndarray, shape (ny, n)
+    parts : sequence of ndarray, shape (N, ny)
+        What the simulation of each record leaves, uniformly sampled.
+    step : float
+        [s]
+
+    Returns
+    -------
+    K : ndarray, shape (n, ny)
+        Zero if it would help little.
+    R : ndarray, shape (ny, ny)
+        Of the innovations.
+    """
+    n, ny = len(A), len(C)
+    total = sum(len(v) for v in parts)
+    joint = np.zeros((2 * n, 2 * n))
+    joint[:n, :n], joint[:n, n:] = A, np.eye(n)
+    grown = expm(joint * step)
+    F, G = grown[:n, :n], grown[:n, n:]
+    weight = 1.0 / np.sqrt(_power(parts) + 1e-300)
+    K, best = np.zeros((n, ny)), float(total * ny)
+    start = best
+    for _ in range(_STEPS):
+        found = _run(F, G, C, K, parts, weight, True)
+        if found is None:
+            break
+        rows, error, _ = found
+        curvature = rows.T @ rows
+        scale = np.sqrt(np.diag(curvature)) + 1e-300
+        change = np.linalg.solve(curvature / np.outer(scale, scale) + 1e-6 * np.eye(n * ny),
+                                 rows.T @ error / scale) / scale
+        moved = False
+        for k in range(_HALVINGS):
+            trial = K + 0.5 ** k * change.reshape(n, ny)
+            seen = _run(F, G, C, trial, parts, weight, False)
+            if seen is not None and seen[2] < best:
+                gain, best, K, moved = best - seen[2], seen[2], trial, True
+                break
+        if not moved or gain < 1e-4 * best:
+            break
+    if start * float(np.log(start / best)) < n * ny * np.log(total) or \
+            best > (1.0 - _LEAST) ** 2 * start:
+        K = np.zeros((n, ny))
+    found = _run(F, G, C, K, parts, weight, False)
+    update = np.linalg.solve(F, G @ K)
+    error = (found[1] if found is not None else np.vstack(parts).ravel() * np.tile(weight, total))
+    e = error.reshape(-1, ny) / weight
+    return continuous_gain(A, C, update, step), np.asarray(e.T @ e / max(total, 1))
+
+
+def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
+    """
+    Return K whose predictor, innovations held from sample to sample, updates states by M e.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (ny, n)
+    update : ndarray, shape (n, ny)
+        M.
+    step : float
+        [s]
+    """
+    K = update / step
+    for _ in range(_FIXED_POINT):
+        mean = exponentials(A - K @ C, np.array([step]), 1)[1][0]
+        K = 0.5 * K + 0.5 * np.linalg.solve(mean, update)
+    return K
+
+
+def predicted_states(F: Array, L: Array, C: Array, v: Array) -> Array:
+    """Return x_(k+1) = F x_k + L (v_k - C x_k) from the best first state, (N, n)."""
+    values, right = np.linalg.eig(F - L @ C)
+    driven = (np.linalg.inv(right) @ (L @ v.T)).astype(complex)
+    free = values[:, np.newaxis] ** np.arange(len(v))                    # (n, N)
+    seen = C @ right
+    rest = (v.T - (seen @ _filtered(values, driven)).real).ravel()
+    columns = (seen[:, :, np.newaxis] * free).transpose(0, 2, 1).reshape(len(rest), -1)
+    x0 = np.linalg.lstsq(np.hstack((columns.real, -columns.imag)), rest, rcond=1e-9)[0]
+    start = (x0[:len(values)] + 1j * x0[len(values):])[:, np.newaxis] * free
+    found: Array = (right @ (_filtered(values, driven) + start)).real.T
+    return found
+
+
+def _power(parts: Sequence[Array]) -> Array:
+    found: Array = np.mean(np.vstack(parts) ** 2, axis=0)
+    return found
+
+
+def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight: Array,
+         derivatives: bool) -> tuple[Array, Array, float] | None:
+    """Return derivatives of -e by K, e (both over the errors' size), and its sum of squares."""
+    P = F - G @ K @ C
+    values, right = np.linalg.eig(P)
+    if np.max(np.abs(values), initial=0.0) > _LIMIT or np.linalg.cond(right) > 1e10:
+        return None
+    left = np.linalg.inv(right)
+    rows, errors = [], []
+    seen = C @ right                                                     # (ny, n)
+    for v in parts:
+        driven = (left @ (G @ K @ v.T)).astype(complex)
+        x = _filtered(values, driven)                                    # (n, N)
+        e = v - (seen @ x).real.T
+        errors.append(e * weight)
+        if derivatives:
+            rows.append(_derivatives(values, left @ G, seen, e) * weight)
+    error = np.concatenate([e.ravel() for e in errors])
+    if not np.isfinite(error).all():
+        return None
+    flat = np.concatenate([r.swapaxes(1, 2).reshape(-1, r.shape[1]) for r in rows]) \
+        if derivatives else np.empty((0, 0))
+    return flat, error, float(error @ error)
+
+
+def _filtered(values: ComplexArray, driven: ComplexArray) -> ComplexArray:
+    """Return x_(k+1) = value x_k + driven_k from zero, (n, N)."""
+    return chain(values[:, np.newaxis], driven[:, np.newaxis, :])[:, 0, :-1]
+
+
+def _derivatives(values: ComplexArray, entry: ComplexArray, seen: ComplexArray,
+                 e: Array) -> Array:
+    """Return d(C x) / dK, (N, n ny, ny): row by row of K."""
+    n, ny = len(values), e.shape[1]
+    driven = np.broadcast_to(e.T, (n, *e.T.shape)).astype(complex)
+    modal = chain(values[:, np.newaxis], driven)[:, :, :-1].swapaxes(0, 1)     # (ny, n, N)
+    # K[a, b] drives mode l by entry[l, a] e_b, and output i sees it by seen[i, l].
+    found = np.einsum('il,la,blt->tabi', seen, entry, modal, optimize=True).real
+    return np.asarray(found.reshape(len(e), n * ny, ny))
+
+
+def with_noise(samples: Samples, fit: Fit, errors: Residuals,
+               record: int) -> tuple[Matrices, Array]:
+    """
+    Return the matrices of a model with K, and the intensity of the innovations.
+
+    Parameters
+    ----------
+    samples : Samples
+    fit : Fit
+    errors : Residuals
+        That it leaves.
+    record : int
+        Whose trim and noise are wanted.
+    """
+    m = matrices_of(fit.model, samples.size, record)
+    step, parts = uniform(samples, errors)
+    K, R = np.zeros_like(m.K), np.diag(fit.power[record] * samples.size ** 2)
+    if len(m.A) and np.max(np.linalg.eigvals(m.A).real) < 0.0:
+        K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step)
+    return replace(m, K=K), R * step
+
+
+def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
+    """Return the errors of all outputs at uniform instants, as coarse as the slowest output."""
+    step = max(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams)
+    parts = []
+    for record, own in zip(samples.records, errors, strict=True):
+        first = max(s.times[0] for s in record.streams)
+        last = min(s.times[-1] for s in record.streams)
+        t = first + step * np.arange(max(int((last - first) / step), 1))
+        v = np.empty((len(t), samples.ny))
+        for s, e in zip(record.streams, own, strict=True):
+            nearest = np.clip(np.searchsorted(s.times, t - 0.5 * step), 0, len(s.times) - 1)
+            v[:, s.channels] = e[nearest]
+        parts.append(v)
+    return step, parts

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The errors of a simulation at the samples, and how many of them are independent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctsid_core.likelihood.output_error import Fit
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array
+from ctsid_core.model.modal import mode_responses
+
+_SMALL = 0.05         # autocorrelation below which the sum over lags ends
+
+Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
+
+
+def residuals(samples: Samples, fit: Fit) -> Residuals:
+    """
+    Return measured less simulated outputs, over their size.
+
+    Returns
+    -------
+    tuple of tuples of ndarray, shape (N, channels)
+        Of each record and stream.
+    """
+    return tuple(tuple(s.y - y for s, y in zip(r.streams, own, strict=True))
+                 for r, own in zip(samples.records, simulated(samples, fit), strict=True))
+
+
+def simulated(samples: Samples, fit: Fit) -> Residuals:
+    """Return the simulation at the samples, over the size of the outputs, likewise."""
+    m, found = fit.model, []
+    for i, record in enumerate(samples.records):
+        own = []
+        for s in record.streams:
+            seen = mode_responses(m.poles, record.inputs, m.delay.tolist(), record.start, s.times,
+                                  slopes=False)
+            z = np.einsum('mj,mjt->mt', m.b, seen.responses) + m.x0[i][:, np.newaxis] * np.exp(
+                m.poles[:, np.newaxis] * (s.times - record.start))
+            y = (m.c[s.channels] @ z).real + m.D[s.channels] @ seen.inputs \
+                + m.y0[i, s.channels][:, np.newaxis]
+            own.append(np.asarray(y.T))
+        found.append(tuple(own))
+    return tuple(found)
+
+
+def independent(errors: Residuals) -> Array:
+    """
+    Return the number of independent samples among the errors of each output, (ny,).
+
+    N / (1 + 2 sum_k rho_k), the autocorrelation summed over lags until it is small.
+    """
+    found = []
+    for stream in range(max(len(own) for own in errors)):
+        rows = [own[stream] for own in errors if stream < len(own)]
+        count = sum(len(e) for e in rows)
+        factor = [_correlation(tuple(e[:, i] for e in rows))
+                  for i in range(rows[0].shape[1])]
+        found += [count / f for f in factor]
+    return np.array(found)
+
+
+def _correlation(parts: tuple[Array, ...]) -> float:
+    """Return 1 + 2 sum_k rho_k of a sequence in parts."""
+    longest = max(len(e) for e in parts)
+    total = np.zeros(longest)
+    for e in parts:
+        if len(e) > 1:
+            size = 1 << (2 * len(e) - 1).bit_length()
+            spectrum = np.fft.rfft(e - e.mean(), size)
+            total[:len(e)] += np.fft.irfft(np.abs(spectrum) ** 2, size)[:len(e)]
+    if not total[0] > 0.0:
+        return 1.0
+    rho = total[1:] / total[0]
+    below = np.flatnonzero(rho < _SMALL)
+    end = int(below[0]) if len(below) else len(rho)
+    return float(1.0 + 2.0 * rho[:end].sum())
+
+
+def white_part(errors: Residuals) -> Array:
+    """
+    Return the rms of the white part of the errors of each output, (ny,).
+
+    From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6).
+    """
+    found = []
+    for stream in range(max(len(own) for own in errors)):
+        rows = [own[stream] for own in errors if stream < len(own) and len(own[stream]) > 2]
+        total = sum(np.sum((e[2:] - 2.0 * e[1:-1] + e[:-2]) ** 2, axis=0) for e in rows)
+        count = sum(len(e) - 2 for e in rows)
+        found.append(np.sqrt(np.atleast_1d(total) / 6.0 / max(count, 1)))
+    return np.concatenate(found)

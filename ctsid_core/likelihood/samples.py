@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The raw samples of records, ready for models to be compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctsid_core.linear.types import Array, Mask
+from ctsid_core.signals.record import Record, Signal, channel_slices
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """
+    Samples of outputs that share their stamps.
+
+    Parameters
+    ----------
+    times : ndarray, shape (N,)
+        Increasing [s].
+    y : ndarray, shape (N, channels)
+        Over the size of each output.
+    channels : slice
+        Their places among all outputs.
+    """
+
+    times: Array
+    y: Array
+    channels: slice
+
+
+@dataclass(frozen=True, eq=False)
+class RecordSamples:
+    """
+    The samples of one record.
+
+    Parameters
+    ----------
+    inputs : tuple of Signal
+    start, end : float
+        Where its states begin, and where it ends [s].
+    streams : tuple of Stream
+    """
+
+    inputs: tuple[Signal, ...]
+    start: float
+    end: float
+    streams: tuple[Stream, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """
+    The samples of all records of one plant.
+
+    Parameters
+    ----------
+    records : tuple of RecordSamples
+    nu, ny : int
+        Numbers of inputs and outputs.
+    size : ndarray, shape (ny,)
+        Standard deviation of each output, that it was divided by.
+    """
+
+    records: tuple[RecordSamples, ...]
+    nu: int
+    ny: int
+    size: Array
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several inputs and several outputs."""
+        return min(self.nu, self.ny) > 1
+
+    @property
+    def counts(self) -> Array:
+        """Number of samples of each record and output, (records, ny)."""
+        found = np.zeros((len(self.records), self.ny))
+        for row, record in zip(found, self.records, strict=True):
+            for stream in record.streams:
+                row[stream.channels] = len(stream.times)
+        return found
+
+    @property
+    def length(self) -> float:
+        """Length of the longest record [s]."""
+        return max(r.end - r.start for r in self.records)
+
+    def thinned(self, most: int) -> Samples:
+        """Return every k-th sample of each stream, such that about `most` are left of each."""
+        total = max(sum(len(r.streams[i].times) for r in self.records if i < len(r.streams))
+                    for i in range(max(len(r.streams) for r in self.records)))
+        step = -(-total // most)
+        if step < 2:
+            return self
+        return replace(self, records=tuple(replace(r, streams=tuple(
+            replace(s, times=s.times[::step], y=s.y[::step]) for s in r.streams))
+            for r in self.records))
+
+    def between(self, bounds: Sequence[tuple[float, float]]) -> Samples:
+        """Return the samples of each record within its bounds [s]; states begin where they do."""
+        kept = []
+        for record, (start, end) in zip(self.records, bounds, strict=True):
+            streams = []
+            for s in record.streams:
+                rows = slice(int(np.searchsorted(s.times, start, side='left')),
+                             int(np.searchsorted(s.times, end, side='right')))
+                streams.append(replace(s, times=s.times[rows], y=s.y[rows]))
+            kept.append(replace(record, streams=tuple(streams)))
+        return replace(self, records=tuple(kept))
+
+
+def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None]],
+               ahead: float = 0.0) -> Samples:
+    """
+    Return the samples of records.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of the same channels.
+    corrupt : sequence of sequences of (ndarray of bool, shape (N,), or None)
+        Rows of each output signal of each record that are left out.
+    ahead : float
+        Longest dead time that is looked for: outputs are left out for so long after the first
+        known value of an input [s].
+    """
+    levels = [np.concatenate([s.values[_rows(s, r)] for r in records for s in [r.outputs[i]]])
+              for i in range(len(records[0].outputs))]
+    size = np.concatenate([np.std(level, axis=0) for level in levels])
+    size[~(size > 0.0)] = 1.0
+    found = []
+    for record, bad in zip(records, corrupt, strict=True):
+        known = max((float(s.time[0]) for s in record.inputs if len(s.time)), default=-np.inf)
+        first = max(record.start, min(known + ahead, record.end))
+        streams = []
+        for channels, signal, left_out in zip(channel_slices(record.outputs), record.outputs, bad,
+                                              strict=True):
+            rows = (signal.time >= first) & (signal.time <= record.end)
+            if left_out is not None:
+                rows &= ~left_out
+            streams.append(Stream(signal.time[rows], signal.values[rows] / size[channels],
+                                  channels))
+        found.append(RecordSamples(record.inputs, first, record.end, tuple(streams)))
+    return Samples(tuple(found), records[0].nu, len(size), size)
+
+
+def _rows(signal: Signal, record: Record) -> slice:
+    return slice(int(np.searchsorted(signal.time, record.start, side='left')),
+                 int(np.searchsorted(signal.time, record.end, side='right')))

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""First-order recursions over many steps, by LAPACK's solver for band matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.lapack import ztbtrs
+
+from ctsid_core.linear.types import Array, ComplexArray
+
+
+def chain(factor: ComplexArray, push: Array | ComplexArray) -> ComplexArray:
+    """
+    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, many at once.
+
+    Parameters
+    ----------
+    factor : ndarray, shape (m, K) or (m, 1)
+        One column: the same at every step.
+    push : ndarray, shape (m, w, K)
+
+    Returns
+    -------
+    ndarray, shape (m, w, K + 1)
+    """
+    m, width, count = push.shape
+    z = np.zeros((m, width, count + 1), dtype=complex)
+    if count:
+        band = np.ones((2, count), dtype=complex, order='F')
+        for own, factors, pushes in zip(z, factor, push, strict=True):
+            band[1, :-1] = -factors[1:] if len(factors) > 1 else -factors[0]
+            solved, _ = ztbtrs(band, pushes.T, uplo='L', diag='U')
+            own[:, 1:] = solved.T
+    return z

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The search for order, poles and dead times, from order 1 upwards, on the raw samples.
+
+A model of order n starts from those of order n - 1 and n - 2 with the real pole, or the pair, that
+promises most (`pole_grid.py`), at dead times kept, halved and on a grid; and from the poles of
+HD-PBSID. Each start finds what the other does not. The most promising ones of different kinds
+climb to the maximum of the likelihood.
+
+How much evidence there is for one more state depends on how many samples are independent:
+
+    N_eff = N / (1 + 2 sum_k rho_k)
+
+with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
+Model errors are neither white nor new information, and states that imitate them are not bought.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctsid_core.effort import Effort
+from ctsid_core.likelihood.output_error import (
+    ROUNDING,
+    Fit,
+    Free,
+    climb,
+    evaluation_work,
+    fit_at,
+    split,
+)
+from ctsid_core.likelihood.residuals import independent, residuals
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.search.pole_grid import PoleGrid
+
+ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
+_CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
+_LEAST = 1e-4         # if the errors were more than this part of the motion
+_SEARCHED = 1000      # samples of a stream that the search looks at
+_RANKED = 300         # of which a grid of poles is ranked
+_RATIO = 0.6          # of neighbouring dead times on the grid
+_DELAYS = 8           # on it
+_STEPS = 15           # of a climb of the search
+_LEAST_GAIN = 0.3     # -2 log likelihood that another step of it has to promise
+_LOOKED_AT = {'real': 2, 'pair': 2, 'subspace': 4}      # starts of each kind, exactly
+SEARCH = 0.6          # of a budget that the search may take
+MORE = 2              # orders beyond the chosen one that are tried
+_CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
+
+SubspacePoles = Callable[[int, Array], list[ComplexArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """
+    The best model of one order.
+
+    Parameters
+    ----------
+    fit : Fit
+    independent : ndarray, shape (ny,)
+        Number of independent samples of the errors of each output.
+    parameters : int
+    """
+
+    fit: Fit
+    independent: Array
+    parameters: int
+
+    @property
+    def rms(self) -> float:
+        """Rms error over the motion, of all outputs together."""
+        return float(np.sqrt(np.mean(self.fit.power)))
+
+
+def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort: Effort, *,
+                  order: int, max_order: int, known_delay: Array,
+                  enough: float = ENOUGH) -> dict[int, Tried]:
+    """
+    Return the best model of each order that was tried.
+
+    Parameters
+    ----------
+    samples : Samples
+    free : Free
+    subspace : callable
+        From an order and dead times to the poles of HD-PBSID's models.
+    effort : Effort
+    order : int
+        The only one that is wanted; 0: any up to `max_order`.
+    max_order : int
+    known_delay : ndarray, shape (nu,)
+        Dead times that are given; 0 where they are free [s].
+    enough : float
+        Of the motion, that further states have to explain.
+    """
+    thin = samples.thinned(_SEARCHED)
+    grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
+                    longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
+                    fastest=free.fastest)
+    found: dict[int, Tried] = {}
+    for n in range(1, (order or max_order) + 1):
+        effort.check()
+        best = _best_of(n, found, thin, grid, subspace, free, effort, known_delay,
+                        np.inf if order or not found else _needed(found, thin, n, enough))
+        if best is not None:
+            found[n] = tried(thin, best, free)
+        if effort.beyond(SEARCH) and found:
+            break
+        if order or not found:
+            continue
+        chosen = choose(found, enough)
+        if n >= chosen + MORE or found[max(found)].rms < _CLEAN:
+            break
+    if thin is samples:
+        return found
+    chosen = order or choose(found, enough)
+    return {n: tried(samples, climb(samples, fit_at(
+        samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free, effort,
+        steps=_STEPS if n == chosen else 4), free) for n, one in found.items()}
+
+
+def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
+    """Return a model of an order with what its errors say."""
+    return Tried(fit, independent(residuals(samples, fit)), parameters(samples, fit, free))
+
+
+def parameters(samples: Samples, fit: Fit, free: Free) -> int:
+    """Return how many numbers a model has, its gauge apart."""
+    n, records = fit.model.n, len(samples.records)
+    return (n * (samples.nu + samples.ny) + n * records + samples.ny * samples.nu
+            * free.feedthrough + samples.ny * records * free.trim + sum(free.delays))
+
+
+def choose(found: dict[int, Tried], enough: float = ENOUGH) -> int:
+    """Return the smallest order that no larger one beats, by independent samples."""
+    orders = sorted(found)
+    chosen = orders[-1]
+    for n in orders:
+        own = found[n]
+        if not any(criterion(own, found[m]) > 0.0 for m in orders if m > n):
+            chosen = n
+            break
+    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen], enough))
+
+
+def explains(smaller: Tried, larger: Tried, enough: float = ENOUGH) -> bool:
+    """Return whether what the larger one explains beyond the smaller one matters."""
+    before, after = (np.maximum(t.fit.power.mean(axis=0), ROUNDING) for t in (smaller, larger))
+    return bool(np.max(before - after) > enough ** 2 or
+                np.max((before / after)[before > _LEAST ** 2], initial=0.0) > _CLEANER)
+
+
+def criterion(smaller: Tried, larger: Tried) -> float:
+    """Return how much more likely the larger one is than its further parameters may cost."""
+    power = [np.mean(np.maximum(t.fit.power, ROUNDING), axis=0) for t in (smaller, larger)]
+    n_eff, ratio = np.maximum(smaller.independent, 2.0), np.log(power[0] / power[1])
+    # An output that fits a little worse for the sake of another is no evidence against it.
+    gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
+    share = np.maximum(gain, 1e-6)
+    unit = float(share @ np.log(n_eff) / share.sum())
+    return float(np.sum(gain)) - unit * (larger.parameters - smaller.parameters)
+
+
+def _needed(found: dict[int, Tried], samples: Samples, n: int, enough: float) -> float:
+    """Return the cost that order n must reach at least to beat the best smaller order."""
+    best = found[choose(found, enough)]
+    price = (n - best.fit.model.n) * (samples.nu + samples.ny + len(samples.records))
+    return best.fit.cost - max(price, 0.0) * float(np.log(np.max(samples.counts)))
+
+
+def _delays(free: Free, known: Array) -> list[Array]:
+    """Return the dead times of a first look."""
+    late = np.array(free.delays)
+    found = [known]
+    if late.any():
+        found += [np.where(late, free.longest * _RATIO ** k, known) for k in range(_DELAYS)]
+    return found
+
+
+def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
+             subspace: SubspacePoles, free: Free, effort: Effort, known: Array,
+             needed: float) -> Fit | None:
+    """Return the best model of one order."""
+    starts = sorted(_starts(n, found, grid, subspace, free, known), key=lambda s: s[0])
+    kinds: dict[str, int] = {}
+    fits: list[tuple[str, Fit]] = []
+    for _, kind, poles, delay in starts:
+        kinds[kind] = kinds.get(kind, 0) + 1
+        if kinds[kind] > _LOOKED_AT[kind]:
+            continue
+        effort.check()
+        effort.spend(evaluation_work(samples, len(poles)))
+        try:
+            fits.append((kind, fit_at(samples, poles, delay, free)))
+        except np.linalg.LinAlgError:
+            continue
+    if samples.several and n - 1 in found:
+        try:
+            twin = split(samples, fit_at(samples, found[n - 1].fit.model.poles,
+                                         found[n - 1].fit.model.delay, free,
+                                         found[n - 1].fit), free)
+        except np.linalg.LinAlgError:
+            twin = None
+        fits += [('twin', twin)] if twin is not None else []
+    best: Fit | None = None
+    for start in _different(fits, 2 if n < 3 else 1):
+        reached = climb(samples, start, free, effort, steps=_STEPS, least=_LEAST_GAIN,
+                        rival=needed if best is None else min(best.cost, needed))
+        if best is None or reached.cost < best.cost:
+            best = reached
+        if effort.beyond(SEARCH):
+            break
+    return best
+
+
+def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
+    """Return the best starts of each kind, the best of all first."""
+    ranked = sorted(fits, key=lambda kind_fit: kind_fit[1].cost)
+    kinds = [kind for kind, _ in ranked]
+    return [fit for i, (kind, fit) in enumerate(ranked) if kinds[:i].count(kind) < each]
+
+
+def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles, free: Free,
+            known: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
+    """Yield promising starts of one order: score, kind, poles, dead times."""
+    none = np.empty(0, dtype=complex)
+    for before, real in ((n - 1, True), (n - 2, False)):
+        if before == 0:
+            options = [(none, d) for d in _delays(free, known)]
+        elif before in found:
+            model = found[before].fit.model
+            options = [(model.poles, model.delay)]
+            if any(free.delays):
+                options.append((model.poles, np.where(free.delays, 0.5 * model.delay, known)))
+        else:
+            continue
+        for poles, delay in options:
+            for one in grid.ranked(poles, delay):
+                if (one.pole.imag == 0.0) == real:
+                    kind = 'real' if real else 'pair'
+                    yield one.score, kind, np.append(poles, one.pole), delay
+                    break
+    delay = found[n - 1].fit.model.delay if n - 1 in found else known
+    for poles in subspace(n, delay):
+        poles = poles * np.minimum(1.0, free.fastest / np.maximum(np.abs(poles), 1e-300))
+        yield grid.score(poles, delay), 'subspace', poles, delay

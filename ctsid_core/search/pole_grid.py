@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which mode would explain most of what a model leaves: a grid of poles, ranked.
+
+For ranking alone: the responses of all poles of the grid are computed once, on a uniform grid of
+time by averages of the inputs over its cells, and read at the outputs' stamps less a dead time by
+straight lines, so that a grid of dead times costs little.
+
+References
+----------
+Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
+from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.signals.record import Signal
+
+_REAL = 12            # real poles on the grid
+_PAIRS = 12           # natural frequencies of pairs at each damping
+_DAMPING = (0.02, 0.1, 0.4, 0.8)
+_CELLS = 4000         # of time, at most
+_RIDGE = 1e-9         # of the inner products of a candidate's columns
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """
+    A pole to be added, with dead times.
+
+    Parameters
+    ----------
+    score : float
+        -2 log likelihood of what it would leave (everything linear at its best).
+    pole : complex
+        Of a pair that with positive imaginary part [rad/s].
+    delay : ndarray, shape (nu,)
+        [s]
+    """
+
+    score: float
+    pole: complex
+    delay: Array
+
+
+class PoleGrid:
+    """
+    A grid of poles for samples.
+
+    Parameters
+    ----------
+    samples : Samples
+        Few: thinned ones will do.
+    feedthrough, trim : bool
+    longest : float
+        Of dead times [s].
+    fastest : float
+        Largest magnitude of a pole [rad/s].
+    """
+
+    def __init__(self, samples: Samples, *, feedthrough: bool, trim: bool, longest: float,
+                 fastest: float) -> None:
+        self._samples, self._feedthrough, self._trim = samples, feedthrough, trim
+        slow = 1.0 / samples.length
+        sizes = np.geomspace(2.0 * np.pi * slow, fastest, _PAIRS)
+        pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
+        self.poles: ComplexArray = np.concatenate(
+            (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
+        self._ranked: dict[tuple[bytes, bytes], list[Candidate]] = {}
+        self._cells = [_Cells(r, longest) for r in samples.records]
+        self._shapes = [cells.responses(self.poles) for cells in self._cells]
+
+    def ranked(self, poles: ComplexArray, delay: Array) -> list[Candidate]:
+        """
+        Return every pole of the grid beside given ones, at given dead times, best first.
+
+        Parameters
+        ----------
+        poles : ndarray, shape (m,)
+            Of the model that is to be extended [rad/s].
+        delay : ndarray, shape (nu,)
+            [s]
+        """
+        key = (poles.tobytes(), delay.tobytes())
+        if key not in self._ranked:
+            self._ranked[key] = self._rank(poles, delay)
+        return self._ranked[key]
+
+    def _rank(self, poles: ComplexArray, delay: Array) -> list[Candidate]:
+        score = self._scores(poles, delay, self._shapes)
+        order = np.argsort(score, kind='stable')
+        return [Candidate(float(score[i]), complex(self.poles[i]), delay) for i in order]
+
+    def score(self, poles: ComplexArray, delay: Array) -> float:
+        """Return -2 log likelihood with these poles and no more."""
+        return float(self._scores(poles, delay, [None] * len(self._cells))[0])
+
+    def _scores(self, poles: ComplexArray, delay: Array,
+                shapes: list[ComplexArray] | list[None]) -> Array:
+        # The power of all records together decides here: residues are theirs together.
+        count = len(self.poles) if shapes[0] is not None else 1
+        power, number = np.zeros((count, self._samples.ny)), np.zeros(self._samples.ny)
+        for cells, shape in zip(self._cells, shapes, strict=True):
+            base = cells.responses(poles)
+            for stream in cells.record.streams:
+                known = cells.columns(base, poles, stream, delay, self._trim, self._feedthrough)
+                basis = np.linalg.qr(known)[0]
+                left = stream.y - basis @ (basis.T @ stream.y)
+                squares = np.broadcast_to(np.sum(left ** 2, axis=0), (count, left.shape[1]))
+                if shape is not None:
+                    squares = squares - self._explained(cells, shape, stream, delay, basis, left)
+                power[:, stream.channels] += squares
+                number[stream.channels] += len(left)
+        power = np.maximum(power / np.maximum(number, 1.0), 1e-24)
+        found: Array = np.log(power) @ number
+        return found
+
+    def _explained(self, cells: _Cells, shape: ComplexArray, stream: Stream, delay: Array,
+                   basis: Array, left: Array) -> Array:
+        found = np.zeros((len(self.poles), left.shape[1]))
+        for kind in (self.poles.imag == 0.0, self.poles.imag > 0.0):
+            own = cells.candidates(shape[kind], self.poles[kind], stream, delay)   # (G, q, N)
+            own = own - (own @ basis) @ basis.T
+            gram = own @ own.swapaxes(1, 2)
+            scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
+            gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
+                + _RIDGE * np.eye(gram.shape[1])
+            pull = (own @ left) / scale[:, :, np.newaxis]
+            found[kind] = np.sum(pull * np.linalg.solve(gram, pull), axis=1)
+        return found
+
+
+class _Cells:
+    """The inputs of a record, averaged over the cells of a uniform grid of time."""
+
+    def __init__(self, record: RecordSamples, longest: float) -> None:
+        self.record = record
+        first = record.start - longest
+        finest = min(float(np.median(np.diff(s.times))) if len(s.times) > 1 else np.inf
+                     for s in record.streams)
+        count = int(np.clip((record.end - first) / finest, 16, _CELLS))
+        self._edges = np.linspace(first, record.end, count + 1)
+        self._step = float(self._edges[1] - self._edges[0])
+        self._means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
+
+    def responses(self, poles: ComplexArray) -> ComplexArray:
+        """Return the responses of poles at the edges, (m, nu, cells + 1)."""
+        turn = poles * self._step
+        small = np.abs(turn) < 1e-8
+        gain = self._step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
+        return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self._means)
+
+    def _read(self, rows: Array | ComplexArray, times: Array) -> Array | ComplexArray:
+        at = np.clip((times - self._edges[0]) / self._step, 0.0, len(self._edges) - 1.001)
+        place = at.astype(int)
+        part = at - place
+        found: Array = (1.0 - part) * rows[..., place] + part * rows[..., place + 1]
+        return found
+
+    def candidates(self, z: ComplexArray, poles: ComplexArray, stream: Stream,
+                   delay: Array) -> Array:
+        """Return the columns of each pole: responses to the inputs and free, (m, q, N)."""
+        t = stream.times
+        driven = np.empty((len(poles), len(delay), len(t)), dtype=complex)
+        for d in np.unique(delay):
+            own = np.flatnonzero(delay == d)
+            driven[:, own] = self._read(z[:, own], t - d)
+        free = np.exp(poles[:, np.newaxis] * (t - self.record.start))[:, np.newaxis]
+        both = np.concatenate((driven, free), axis=1)
+        if len(poles) and poles[0].imag > 0.0:
+            return np.concatenate((both.real, both.imag), axis=1)
+        return np.ascontiguousarray(both.real)
+
+    def columns(self, z: ComplexArray, poles: ComplexArray, stream: Stream, delay: Array,
+                trim: bool, feedthrough: bool) -> Array:
+        """Return the columns of a model of given poles, (N, k)."""
+        rows = [np.ones((1, len(stream.times)))] if trim else []
+        if feedthrough:
+            place = 0
+            for s in self.record.inputs:
+                for j in range(s.width):
+                    at = np.searchsorted(s.time, stream.times - delay[place], side='right') - 1
+                    rows.append(s.values[np.maximum(at, 0), j][np.newaxis])
+                    place += 1
+        for kind in (poles.imag == 0.0, poles.imag > 0.0):
+            if kind.any():
+                own = self.candidates(z[kind], poles[kind], stream, delay)
+                rows.append(own.reshape(-1, own.shape[2]))
+        known: Array = np.concatenate(rows).T if rows else np.zeros((len(stream.times), 1))
+        size = np.linalg.norm(known, axis=0)
+        return known / np.where(size > 0.0, size, 1.0)
+
+
+def _cell_means(signal: Signal, edges: Array) -> Array:
+    """Return the mean of each channel over each cell, (w, cells): held before and after."""
+    t, x = signal.time, signal.values
+    steps = np.diff(t)[:, np.newaxis]
+    areas = steps * (x[:-1] if signal.hold == 'zoh' else 0.5 * (x[1:] + x[:-1]))
+    total = np.concatenate((np.zeros((1, signal.width)), np.cumsum(areas, axis=0)))
+    t = np.concatenate(([t[0] - 1.0], t, [t[-1] + 1.0]))
+    total = np.concatenate((total[:1] - x[:1], total, total[-1:] + x[-1:]))
+    found = []
+    for j in range(signal.width):
+        area = np.interp(edges, t, total[:, j])
+        area += np.minimum(edges - t[0], 0.0) * x[0, j] + np.maximum(edges - t[-1], 0.0) * x[-1, j]
+        found.append(np.diff(area) / np.diff(edges))
+    return np.array(found)

@@ -1,0 +1,365 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From records to the model that explains their samples best: HD-PBSID finds, samples decide."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.bases.records import Joint
+from ctsid_core.effort import Effort
+from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
+from ctsid_core.likelihood.residuals import residuals, white_part
+from ctsid_core.likelihood.samples import Samples, samples_of
+from ctsid_core.likelihood.state_space import entry_changes
+from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.model.estimate import Choice, OrderTried
+from ctsid_core.search.by_order import (
+    ENOUGH,
+    MORE,
+    SEARCH,
+    Tried,
+    choose,
+    criterion,
+    explains,
+    search_orders,
+    tried,
+)
+from ctsid_core.search.by_prediction import (
+    HORIZONS,
+    held_out_errors,
+    prediction_errors,
+    predicts_better,
+    solve_by_prediction,
+)
+from ctsid_core.search.solution import Solution, own_delays
+from ctsid_core.settings import Settings
+from ctsid_core.signals.outliers import spikes
+from ctsid_core.subspace.hd_pbsid import Subspaces
+from ctsid_core.subspace.pbsid_equations import Subspace, realise
+
+LONGEST = 0.1         # of the window: the longest dead time that is looked for
+_NEAREST = 1e-6       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
+_FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
+_CLOSED_LOOP = 0.05   # error that is not noise, over the motion, with which a plant in closed ...
+_DISTURBED = 0.5      # ... or open loop may need its outputs' own past
+_CLEANER = 1.3        # power of errors without D over that with it, that is worth a look, too
+_AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
+_MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
+_SURE = 6.0           # standard deviations from which on a dead time needs no further test
+_FEWEST = 3           # states: fewer are found by a grid of poles
+_STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
+
+Corrupt = list[list[Mask | None]]
+
+
+def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
+    """
+    Return the model of records, or None if they are too short for any.
+
+    Parameters
+    ----------
+    part : Joint
+    settings : Settings
+    effort : Effort
+    """
+    own = own_delays(part, settings)
+    corrupt = corrupt_rows(part)
+    samples = samples_of([p.record for p in part.parts], corrupt)
+    free = replace(free_of(samples, own), feedthrough=False)
+    given = np.array(own.delays(samples.nu))
+    subspace = _Subspace(part, own)
+    found = search_orders(samples, free, subspace.poles, effort, order=settings.order,
+                          max_order=settings.max_order, known_delay=given)
+    if not found or settings.order not in (0, *found):
+        return None
+    order = settings.order or choose(found)
+    notes = _left_out(found, order, settings, effort)
+    samples, best, hidden = _without_outliers(part, corrupt, samples, found[order], free, effort)
+    if own.feedthrough:
+        best, free = _direct(part, corrupt, samples, found, best, free, subspace, settings, effort)
+    best, free = _without_needless(samples, best, free, effort)
+    whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
+    if late > 0.0:
+        samples = samples_of([p.record for p in part.parts], corrupt, late)
+        best = _climbed(samples, best, free, effort, steps=5)
+    if solved := _by_prediction(part, settings, corrupt, samples, best, free, subspace, effort):
+        return solved
+    found[best.fit.model.n] = best
+    values, condition = _shown(subspace, best.fit.model.n)
+    return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
+                    best.fit, free, best.independent, _table(settings, found, best),
+                    _choices(part, settings, best, free), notes, whole=whole, hidden=hidden,
+                    singular_values=values, condition=condition)
+
+
+def _climbed(samples: Samples, one: Tried, free: Free, effort: Effort, steps: int = 100) -> Tried:
+    """Return a model at the maximum of the likelihood of other samples."""
+    start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
+    return tried(samples, climb(samples, start, free, effort, steps=steps), free)
+
+
+def _left_out(found: dict[int, Tried], order: int, settings: Settings,
+              effort: Effort) -> tuple[str, ...]:
+    """Return what the budget has left out, in words."""
+    if settings.order or not effort.beyond(SEARCH) or max(found) >= order + MORE:
+        return ()
+    return (f'the budget of {settings.budget:.3g} s ended the search at order {max(found)}; raise '
+            '`budget`, or set `order`',)
+
+
+def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
+                      effort: Effort) -> tuple[Samples, Tried, int]:
+    """Return samples and model without what stands out in its errors, and how many do."""
+    hidden = _hide_outliers(part, corrupt, samples, best.fit)
+    if hidden:
+        samples = samples_of([p.record for p in part.parts], corrupt)
+        best = _climbed(samples, best, free, effort)
+    return samples, best, hidden
+
+
+def _direct(part: Joint, corrupt: Corrupt, samples: Samples, found: dict[int, Tried], best: Tried,
+            free: Free, subspace: _Subspace, settings: Settings,
+            effort: Effort) -> tuple[Tried, Free]:
+    """Return the model with D, if that explains more than it costs."""
+    model, direct = best.fit.model, replace(free, feedthrough=True)
+    known = samples_of([p.record for p in part.parts], corrupt,
+                       _MARGIN * float(np.max(model.delay, initial=0.0)))
+    start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
+    # A pole beyond what samples can show stands for D: then orders are searched with D.
+    orders = found
+    if np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest and not effort.beyond(SEARCH) and \
+            _gains(start.fit, fit_at(known, model.poles, model.delay, direct)):
+        given = np.array(own_delays(part, settings).delays(samples.nu))
+        orders = search_orders(
+            known, direct, subspace.poles, effort, order=settings.order,
+            max_order=min(settings.max_order, model.n), known_delay=given) or found
+    with_D, free = _with_feedthrough(known, orders, start, free, effort, settings.order)
+    if not free.feedthrough:
+        return best, free
+    model = with_D.fit.model
+    return tried(samples, fit_at(samples, model.poles, model.delay, free, with_D.fit), free), free
+
+
+def _used(part: Joint, settings: Settings, order: int, delay: Array) -> Settings:
+    """Return the settings with the order and the dead times that were found."""
+    delays = np.array(settings.delays(part.parts[0].whole.nu))
+    delays[list(part.parts[0].u)] = delay
+    return settings.replace(order=order, delay=as_given(settings, delays))
+
+
+def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[OrderTried, ...]:
+    """Return the orders among which was chosen; none if it was given."""
+    return () if settings.order else tuple(
+        order_row(one, chosen, n) for n, one in sorted(found.items()))
+
+
+def _choices(part: Joint, settings: Settings, best: Tried, free: Free) -> tuple[Choice, ...]:
+    """Return what was chosen, and why."""
+    found = [] if settings.order else [Choice(
+        'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
+        'samples')]
+    found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
+                     f'of input {name}: the most likely, with the poles')
+              for k, name in enumerate(_names(part)) if free.delays[k]]
+    return tuple(found)
+
+
+def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
+                   best: Tried, free: Free, subspace: _Subspace,
+                   effort: Effort) -> Solution | None:
+    """Return a model by its predictions where these are far better than a simulation's."""
+    own, errors = own_delays(part, settings), residuals(samples, best.fit)
+    power = best.fit.power.mean(axis=0)
+    coloured = np.sqrt(np.maximum(power - white_part(errors) ** 2, 0.0))
+    lasting = float(np.max(best.fit.model.poles.real)) * samples.length
+    needed = coloured.max() > _DISTURBED or (
+        not own.feedthrough and (lasting > -1.0 or coloured.max() > _CLOSED_LOOP))
+    if not needed or effort.beyond(SEARCH):
+        return None
+    start = replace(free, delays=own.unknown_delays(samples.nu))
+    found = solve_by_prediction(samples, start, subspace.predictor_poles, effort,
+                                order=settings.order,
+                                max_order=min(settings.max_order, max(best.fit.model.n, 4) + 1),
+                                known_delay=np.array(own.delays(samples.nu)))
+    if found is None:
+        return None
+    last, record = part.last, part.parts[part.last].record
+    rows, delay = tuple(corrupt[last]), found.found.fit.model.delay[:samples.nu]
+    ahead = prediction_errors(found.matrices, delay, record, HORIZONS, rows)
+    # In open loop a stable plant is what simulates best.
+    stable = bool(np.all(np.linalg.eigvals(found.matrices.A).real <= 1e-9))
+    if own.feedthrough and stable or not predicts_better(*held_out_errors(
+            found, best.fit, samples, free, record, rows, effort)):
+        return None
+    return Solution(
+        _used(part, settings, len(found.matrices.A), delay), part, found.samples,
+        found.found.fit, found.free, found.found.independent,
+        _table(settings, found.orders, found.found),
+        (Choice('domain', 'predictions', 'no simulation explains the outputs; predictions from '
+                'their own past do far better'),), plant=found.matrices, errors_ahead=ahead)
+
+
+def _names(part: Joint) -> list[str]:
+    names = part.parts[0].whole.input_names
+    return [names[j] for j in part.parts[0].u]
+
+
+def corrupt_rows(part: Joint) -> Corrupt:
+    """Return which rows of each output signal of each record have a corrupt sample."""
+    return [[f.mask.any(axis=1) if f.any else None for f in p.corrupt_y] for p in part.parts]
+
+
+def free_of(samples: Samples, own: Settings) -> Free:
+    """Return what is free, and within which bounds."""
+    finest = min(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams
+                 if len(s.times) > 1)
+    return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
+                LONGEST * samples.length, -_NEAREST / samples.length, _FASTEST * np.pi / finest)
+
+
+def as_given(settings: Settings, delay: Array) -> float | tuple[float, ...]:
+    """Return dead times as one number if they were asked for so and are alike."""
+    alike = not isinstance(settings.delay, tuple) and bool(np.all(delay == delay[0]))
+    return float(delay[0]) if alike else tuple(delay.tolist())
+
+
+def _shown(subspace: _Subspace, n: int) -> tuple[Array, float]:
+    """Return singular values and condition of HD-PBSID's regression for order n."""
+    found = subspace.subspace(n)
+    return (np.empty(0), float('nan')) if found is None else \
+        (found.singular_values, found.condition)
+
+
+class _Subspace:
+    """Poles of HD-PBSID's models, on lines projected when they are first asked for."""
+
+    def __init__(self, part: Joint, own: Settings) -> None:
+        self._part, self._own = part, own
+        self._made: Subspaces | None = None
+        self._tried = False
+
+    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
+        """Return the poles of models of order n, with given dead times."""
+        return self._found(n, delay, False)
+
+    def predictor_poles(self, n: int, delay: Array) -> list[ComplexArray]:
+        """Return those of their predictors; dead times of the outputs' own past are left out."""
+        return self._found(n, delay[:len(self._part.parts[0].u)], True)
+
+    def subspace(self, n: int) -> Subspace | None:
+        """Return the regression of the middle one of HD-PBSID's tunings for order n."""
+        made = self._projected(np.array(self._own.delays(len(self._part.parts[0].u))))
+        tunings = made.some_tunings(n) if made is not None else []
+        return made.of(tunings[len(tunings) // 2]) if made is not None and tunings else None
+
+    def _found(self, n: int, delay: Array, predictors: bool) -> list[ComplexArray]:
+        if n < _FEWEST:
+            return []
+        subspaces = self._projected(delay)
+        if subspaces is None:
+            return []
+        found = []
+        for tuning in subspaces.some_tunings(n):
+            subspace = subspaces.of(tuning)
+            if n < len(subspace.singular_values):
+                m = realise(subspace, n)
+                A = m.A - m.K @ m.C if predictors else m.A
+                if np.isfinite(A).all():
+                    p = np.linalg.eigvals(A).astype(complex)
+                    found.append(np.where(p.real > 0.0, -p.conj(), p))
+        return [p[p.imag >= 0.0] for p in found]
+
+    def _projected(self, delay: Array) -> Subspaces | None:
+        """Return the regressions, with the dead times that the first call gives."""
+        if self._tried:
+            return self._made
+        self._tried, own = True, self._own.replace(delay=tuple(delay.tolist()))
+        try:
+            layout, _ = self._part.layout(own)
+            projection = self._part.project(own.replace(parts=max(layout.sizes)[1]), layout)
+            self._made = Subspaces(projection, own)
+        except np.linalg.LinAlgError:
+            pass
+        return self._made
+
+
+def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:
+    """Mark the rows whose errors stand out, and return how many there are."""
+    count = 0
+    for errors, p, marks, record in zip(residuals(samples, fit), part.parts, corrupt,
+                                        samples.records, strict=True):
+        for k, (e, s, signal) in enumerate(zip(errors, record.streams, p.record.outputs,
+                                               strict=True)):
+            middle = np.median(np.abs(e), axis=0) * 1.4826
+            if not (np.max(np.abs(e), axis=0) > _STANDING_OUT * middle).any():
+                continue
+            seen = spikes(s.times, e, closely=True)
+            if not seen.any:
+                continue
+            rows = np.searchsorted(signal.time, s.times[seen.mask.any(axis=1)])
+            mask = marks[k]
+            if mask is None:
+                mask = np.zeros(len(signal.time), dtype=bool)
+            mask[rows] = True
+            marks[k], count = mask, count + len(rows)
+    return count
+
+
+def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, free: Free,
+                      effort: Effort, order: int) -> tuple[Tried, Free]:
+    """Return a model with D, of the same or a smaller order, if it explains more than it costs."""
+    direct, without = replace(free, feedthrough=True), best
+    for n, one in sorted(found.items()):
+        if order and n != order or n > without.fit.model.n:
+            continue
+        other = min((fit_at(samples, one.fit.model.poles, delay, direct)
+                     for delay in (one.fit.model.delay, without.fit.model.delay)),
+                    key=lambda fit: fit.cost)
+        if not _gains(fit_at(samples, one.fit.model.poles, one.fit.model.delay,
+                             replace(free, feedthrough=False)), other):
+            continue
+        with_D = tried(samples, climb(samples, other, direct, effort), direct)
+        if with_D.parameters <= best.parameters:
+            better = criterion(with_D, best) <= 0.0
+        else:
+            better = criterion(best, with_D) > 0.0 and explains(best, with_D)
+        if better:
+            best, free = with_D, direct
+    return best, free
+
+
+def _gains(fit: Fit, direct: Fit) -> bool:
+    """Return whether D, at the poles of the model without it, explains anything worth a look."""
+    before, after = fit.power.mean(axis=0), direct.power.mean(axis=0)
+    return bool(np.max(before - after) > 0.1 * ENOUGH ** 2 or np.max(before / after) > _CLEANER)
+
+
+def _without_needless(samples: Samples, best: Tried, free: Free,
+                      effort: Effort) -> tuple[Tried, Free]:
+    """Return the model without dead times that explain too little."""
+    deviation = np.linalg.norm(entry_changes(samples, best.fit, free, float(
+        np.max(samples.counts.sum(axis=0) / best.independent))).delay, axis=0)
+    for j in np.flatnonzero(free.delays):
+        if best.fit.model.delay[j] == 0.0:
+            free = replace(free, delays=tuple(bool(f and k != j)
+                                              for k, f in enumerate(free.delays)))
+        elif best.fit.model.delay[j] < _SURE * deviation[j]:
+            late = tuple(bool(f and k != j) for k, f in enumerate(free.delays))
+            fewer = replace(free, delays=late)
+            delay = np.where(np.arange(samples.nu) == j, 0.0, best.fit.model.delay)
+            other = tried(samples, climb(samples, fit_at(
+                samples, best.fit.model.poles, delay, fewer), fewer, effort), fewer)
+            if criterion(other, best) <= 0.0:
+                best, free = other, fewer
+    return best, free
+
+
+def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
+    """Return a row of the table of orders: all by the independent samples of the chosen one."""
+    n_eff = max(float(np.min(chosen.independent)), 2.0)
+    power = np.mean(one.fit.power, axis=0) / np.mean(chosen.fit.power, axis=0)
+    price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
+    return OrderTried(n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
+                      100.0 * (1.0 - float(np.sqrt(np.max(np.mean(one.fit.power, axis=0))))))

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plant that changes within the window is not handed out as one; a steady one is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import doctest
+import importlib
+
+from marks import slow
+import numpy as np
+from plants import PLANTS, Plant, flown, held, match, noisy, paper, random_signal, running
+import pytest
+from scipy.linalg import expm
+
+from ctsid_core import Record, Settings, Status, identify
+
+CLOSED_LOOP = Settings(feedthrough=False)
+
+
+def faster(p: Plant, factor: float) -> Plant:
+    """All poles times a factor, the steady gain kept."""
+    return replace(p, A=factor * p.A, B=factor * p.B)
+
+
+def changing(rng, before: Plant, after: Plant, share: float, *, snr=20.0, offset=0.0,
+             kick=(0.0, 0.0)) -> Record:
+    """
+    Return a window in which one plant follows another; the states go on.
+
+    `offset` adds to what acts on the plant after the change, and is not measured; `kick` are the
+    intensities of white noise that acts before and after it.
+    """
+    duration, lead, step = 10.0, 8.0, 0.005
+    count = round((duration + lead) / step)
+    time = step * np.arange(count) - lead
+    u = np.repeat(random_signal(rng).at(time[::4]), 4, axis=0)[:count]
+    later = time >= share * duration
+    n = len(before.A)
+    moves = [expm(step * np.block([[p.A, p.B], [np.zeros((1, n + 1))]]))[:n]
+             for p in (before, after)]
+    white = np.where(later, kick[1], kick[0]) / np.sqrt(step) * rng.standard_normal(count)
+    acting = u[:, 0] + offset * later + white
+    x, y = np.zeros(n), np.empty((count, len(before.C)))
+    for k in range(count):
+        y[k] = before.C @ x
+        x = moves[int(later[k])] @ np.append(x, acting[k])
+    inside = time > -1e-9
+    return Record.from_arrays(time[inside][::4], u[inside][::4], time[inside],
+                              noisy(rng, y[inside], snr), input_hold='zoh')
+
+
+def near(estimate, truth) -> bool:
+    """Whether all poles are within three reported standard deviations of the truth."""
+    model = estimate.model or estimate.rejected_model
+    found = match(model.poles, truth)
+    spread = [estimate.pole_std[np.argmin(np.abs(model.poles - p))] for p in found]
+    return bool((np.abs(found - truth) < 3.0 * np.array(spread)).all())
+
+
+STEADY = {
+    'not at rest': (lambda rng: running(rng, PLANTS['hd51'], 20, duration=7.0), None),
+    'asynchronous, held': (lambda rng: held(rng, PLANTS['hd51'], 50.0, 200.0, snr=10), None),
+    'from rest': (lambda rng: paper(rng, 'hd52', 30), Settings(order=3)),
+    'closed loop, gusts': (lambda rng: flown(rng, 1.0), CLOSED_LOOP),
+    'gusts': (lambda rng: changing(rng, PLANTS['hd51'], PLANTS['hd51'], 0.5, snr=30.0,
+                                   kick=(0.05, 0.05)), CLOSED_LOOP),
+    'gusts begin': (lambda rng: changing(rng, PLANTS['hd51'], PLANTS['hd51'], 0.5, snr=30.0,
+                                         kick=(0.0, 0.1)), CLOSED_LOOP),
+    'gusts end early': (lambda rng: changing(rng, PLANTS['hd51'], PLANTS['hd51'], 0.2, snr=30.0,
+                                             kick=(0.1, 0.0)), CLOSED_LOOP),
+}
+
+
+@pytest.mark.parametrize(('name', 'seeds'), [
+    ('not at rest', 1), ('asynchronous, held', 1), ('from rest', 1), ('gusts', 1),
+    *slow(*((name, 30) for name in STEADY))])
+def test_a_steady_plant_is_not_called_changed(name, seeds):
+    make, settings = STEADY[name]
+    found = [identify(make(np.random.default_rng(100 + seed)), settings) for seed in range(seeds)]
+    cost = [e.statistics['change_cost'] for e in found]
+    print(f'\n{name}: largest costs {np.sort(cost)[-3:]} %')
+    assert sum(e.status is Status.CHANGED for e in found) <= seeds // 30
+    assert np.median(cost) < 2.0         # points of fit: not even noted
+
+
+@pytest.mark.parametrize(('share', 'factor'), [
+    (0.3, 1.3), pytest.param(0.7, 0.7, marks=pytest.mark.xfail(
+        reason='in closed loop a change of the plant can pass for disturbances', strict=False)),
+    *slow((0.3, 0.7), (0.7, 1.3))])
+def test_a_change_is_seen_and_said(share, factor):
+    p = PLANTS['hd51']
+    record = changing(np.random.default_rng(5), p, faster(p, factor), share)
+    found = identify(record, CLOSED_LOOP)
+    assert found.status is Status.CHANGED
+    assert found.model is None
+    assert found.rejected_model is not None
+    assert 'changed' in found.verdict.reason
+    part = record.between(0.0, 10.0 * share) if share > 0.5 else \
+        record.between(10.0 * share + 0.1, 10.0)
+    assert identify(part, CLOSED_LOOP).ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('factor', [1.3, 0.7])
+def test_what_is_accepted_is_one_of_the_plants(factor):
+    p, wrong, seen = PLANTS['hd51'], 0, 0
+    shares = np.linspace(0.15, 0.85, 8)
+    for seed, share in enumerate(np.repeat(shares, 4)):
+        found = identify(changing(np.random.default_rng(seed), p, faster(p, factor), share),
+                         CLOSED_LOOP)
+        seen += found.status is Status.CHANGED
+        wrong += found.ok and not (near(found, p.poles) or near(found, factor * p.poles))
+    print(f'\npoles times {factor}: {seen} of 32 seen, {wrong} compromises accepted')
+    assert seen >= 26
+    assert wrong <= 1
+
+
+def test_the_example_of_the_docstring():
+    module = importlib.import_module('ctsid_core.identify')
+    result = doctest.testmod(module)
+    assert result.attempted > 5
+    assert result.failed == 0

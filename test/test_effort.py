@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work is counted, and what nobody wants any more is broken off."""
+
+from time import process_time, thread_time
+
+import numpy as np
+from plants import PLANTS, running
+import pytest
+
+from ctsid_core.effort import RATE, VARIABLE, Effort, measured_rate, work_rate
+from ctsid_core.errors import Cancelled, SettingsError
+from ctsid_core.identify import identify
+from ctsid_core.model.model_json import to_json
+from ctsid_core.sequence.tracking import Tracker
+from ctsid_core.settings import OF_STRIDE, Settings
+
+QUICK = Settings(delay=0.0, order=2)
+
+
+@pytest.fixture
+def record():
+    return running(np.random.default_rng(0), PLANTS['hd51'], 20, rate=50.0)
+
+
+def test_work_becomes_seconds_and_the_budget_ends(monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    effort = Effort(2.0)
+    assert (effort.seconds, effort.over) == (0.0, False)
+    effort.spend(1.5 * RATE)
+    assert (effort.seconds, effort.over) == (1.5, False)
+    effort.spend(0.5 * RATE)
+    assert effort.over
+
+
+def test_without_a_budget_there_is_no_end():
+    effort = Effort()
+    effort.spend(1e30)
+    assert not effort.over
+    effort.check()
+
+
+def test_the_rate_may_be_given(monkeypatch):
+    monkeypatch.setenv(VARIABLE, '1e3')
+    effort = Effort(1.0)
+    effort.spend(999.0)
+    assert not effort.over
+    effort.spend(1.0)
+    assert effort.over
+    monkeypatch.setenv(VARIABLE, '')
+    assert work_rate() == RATE
+
+
+@pytest.mark.parametrize('text', ['fast', '0', '-1', 'nan', 'inf'])
+def test_a_rate_that_is_none_is_named(monkeypatch, text):
+    monkeypatch.setenv(VARIABLE, text)
+    with pytest.raises(SettingsError, match=f"{VARIABLE} is '{text}'; set it to a positive"):
+        Effort(1.0)
+
+
+def test_the_rate_is_measured_with_the_clock_that_is_given():
+    assert 1e7 < measured_rate(process_time) < 1e13  # any computer
+    ticks = iter(range(1000))
+    assert measured_rate(lambda: float(next(ticks))) == 2.0 * 1000 * 40 ** 2
+
+
+def test_an_identification_that_is_cancelled_ends(record):
+    asked = []
+
+    def at(count):
+        asked.clear()
+        return lambda: asked.append(None) or len(asked) == count
+
+    identify(record, QUICK, cancelled=at(0))
+    every = len(asked)
+    assert every >= 3
+    for count in (1, every):
+        with pytest.raises(Cancelled):
+            identify(record, QUICK, cancelled=at(count))
+        assert len(asked) == count
+
+
+def test_it_is_asked_often_enough_to_end_within_a_tenth_of_a_second():
+    record = running(np.random.default_rng(0), PLANTS['hd51'], 60, rate=200.0)
+    times = [thread_time()]
+    identify(record, Settings(max_order=20), cancelled=lambda: times.append(thread_time()))
+    assert len(times) > 10
+    assert max(np.diff([*times, thread_time()])) < 0.1
+
+
+def test_who_asks_does_not_change_the_model(record):
+    assert to_json(identify(record, QUICK, cancelled=lambda: False)) == \
+        to_json(identify(record, QUICK))
+
+
+def test_a_window_that_is_broken_off_leaves_no_trace(record):
+    tracker, other = Tracker(QUICK), Tracker(QUICK)
+    for one in (tracker, other):
+        one.take(record)
+    with pytest.raises(Cancelled):
+        tracker.take(record, lambda: True)
+    assert to_json(tracker.take(record).estimate) == to_json(other.take(record).estimate)
+
+
+def test_windows_have_the_budget_of_their_stride():
+    assert Settings().budget == 0.0
+    assert Settings(window_stride=2.0).for_windows().budget == 2.0 * OF_STRIDE
+    given = Settings(budget=3.0)
+    assert given.for_windows() is given
+    for wrong in (-1.0, float('inf'), float('nan')):
+        with pytest.raises(SettingsError, match='`budget` is'):
+            Settings(budget=wrong)
