@@ -42,6 +42,12 @@ def count(node, word: str) -> int:
     return node.log.splitlines().count(word)
 
 
+def begun_after(live, node, act):
+    before = count(node, 'begun')
+    act()
+    live.wait(lambda: count(node, 'begun') > before, 'an identification')
+
+
 def cancelled_within(live, node, act) -> float:
     """Return how long it takes until an identification is broken off [s]."""
     before, start = count(node, 'cancelled'), time.monotonic()
@@ -55,15 +61,13 @@ def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
     assert node.change_state('deactivate')  # makes the clients: discovery takes its time
     assert count(node, 'cancelled') == 1
     assert node.change_state('activate')
-    robot.send(7.0, speed=10.0)
-    live.wait(lambda: count(node, 'begun') == 2, 'another one')
+    begun_after(live, node, lambda: robot.send(7.0, speed=10.0))
     assert cancelled_within(live, node, lambda: node.change_state('deactivate')) < SOON + BESIDE
+    assert count(node, 'begun') == count(node, 'cancelled')  # and no other is begun on the way
     assert node.change_state('activate')
-    robot.send(11.0, speed=10.0)
-    live.wait(lambda: count(node, 'begun') == 3, 'a third one')
+    begun_after(live, node, lambda: robot.send(11.0, speed=10.0))
     node.trigger('reset')
-    robot.send(15.0, speed=10.0)
-    live.wait(lambda: count(node, 'begun') >= 4, 'one after the reset')
+    begun_after(live, node, lambda: robot.send(15.0, speed=10.0))
     assert cancelled_within(live, node, lambda: node.trigger('reset')) < SOON + BESIDE
     live.pace.write_text('0', encoding='ascii')
     robot.send(18.5, speed=10.0)

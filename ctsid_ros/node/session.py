@@ -165,9 +165,10 @@ class Session:
             self._progress = replace(self._progress, last=None, accepted=None)
 
     def cancel(self) -> None:
-        """Break off the window under way, publish nothing more."""
+        """Break off the window under way, begin no other, publish nothing more."""
         with self._lock:
             self._term += 1
+            self._worker.stop(0.0)
 
     def stop(self, timeout: float) -> bool:
         """Break off, end the thread [s], publish nothing more; return whether it has ended."""
