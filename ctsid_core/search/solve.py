@@ -48,6 +48,7 @@ _CLEANER = 1.3        # power of errors without D over that with it, that is wor
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _SURE = 6.0           # standard deviations from which on a dead time needs no further test
+_MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 
@@ -351,7 +352,7 @@ def _without_needless(samples: Samples, best: Tried, free: Free,
             delay = np.where(np.arange(samples.nu) == j, 0.0, best.fit.model.delay)
             other = tried(samples, climb(samples, fit_at(
                 samples, best.fit.model.poles, delay, fewer), fewer, effort), fewer)
-            if criterion(other, best) <= 0.0:
+            if criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS:
                 best, free = other, fewer
     return best, free
 
