@@ -18,7 +18,7 @@ class ModalModel:
     Parameters
     ----------
     poles : ndarray, shape (m,)
-        Real ones, and one of each pair, that with positive imaginary part [rad/s].
+        Real ones first, then one of each pair, that with positive imaginary part [rad/s].
     b : ndarray, shape (m, nu)
     c : ndarray, shape (ny, m)
     x0 : ndarray, shape (records, m)

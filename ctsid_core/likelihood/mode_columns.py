@@ -8,8 +8,8 @@ state, their derivatives by the pole, the inputs, their derivatives and 1. A QR 
 these columns beside the outputs keeps all inner products, so that residuals, linear fits and
 Gauss-Newton steps are products of small matrices, however many samples there are.
 
-A mode's part of an output is Re(g Z) = Re g Re Z - Im g Im Z with a complex coefficient g, so that
-a sum of columns is a vector of real weights (`weights`).
+A mode's part of an output is Re(g Z) with a complex coefficient g, so that real and imaginary
+part of a response are turned together: the turned ones are complex again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.model.modal import mode_responses
+from ctsid_core.model.modal import steps_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,13 @@ class Triangle:
 
     Parameters
     ----------
-    columns : ndarray, shape (r, k)
-        What a model can do: `weights` says in which order.
+    z, dz : ndarray, shape (r, m, nu + 1)
+        Responses of each mode to the inputs and to its initial state, and their derivatives by
+        the pole.
+    u, rates : ndarray, shape (r, nu)
+        Inputs after their dead time, and their derivatives.
+    one : ndarray, shape (r,)
+        The constant 1.
     y : ndarray, shape (r, channels)
         The outputs.
     channels : ndarray of int
@@ -42,7 +47,11 @@ class Triangle:
         Number of samples of each.
     """
 
-    columns: Array
+    z: ComplexArray
+    dz: ComplexArray
+    u: Array
+    rates: Array
+    one: Array
     y: Array
     channels: Array
     count: int
@@ -73,7 +82,7 @@ def columns_of(samples: Samples, poles: ComplexArray,
     ----------
     samples : Samples
     poles : ndarray, shape (m,)
-        Real ones, and one of each pair, that with positive imaginary part [rad/s].
+        Real ones first, then one of each pair, that with positive imaginary part [rad/s].
     delay : sequence of float, length nu
         [s]
     """
@@ -84,60 +93,39 @@ def _of_record(record: RecordSamples, poles: ComplexArray,
                delay: Array | Sequence[float]) -> Columns:
     times = record.streams[0].times if len(record.streams) == 1 else \
         np.concatenate([s.times for s in record.streams])
-    found = mode_responses(poles, record.inputs, delay, record.start, times)
-    since = times - record.start
-    free = np.exp(poles[:, np.newaxis] * since)[:, np.newaxis]
-    Z = np.concatenate((found.responses, free), axis=1)
-    dZ = np.concatenate((found.slopes, since * free), axis=1)
-    pairs, length = poles.imag > 0.0, len(times)
-    rows = np.concatenate((
-        Z.real.reshape(-1, length), Z[pairs].imag.reshape(-1, length),
-        dZ.real.reshape(-1, length), dZ[pairs].imag.reshape(-1, length),
-        found.inputs, found.rates, np.ones((1, length))))
-    triangles, place = [], 0
+    steps = steps_of(record.drives, delay, record.start, times)
+    since, first, wide = times - record.start, int(np.sum(poles.imag == 0.0)), len(delay) + 1
+    parts = []
+    for kind in (poles[:first].real, poles[first:]):
+        if not len(kind):
+            continue
+        free = np.exp(kind[:, np.newaxis] * since)
+        responses, slopes = steps.responses(kind)
+        for driven, own in ((responses, free), (slopes, since * free)):
+            both = np.concatenate((driven, own[:, np.newaxis]), axis=1).reshape(-1, len(times))
+            parts += [both] if both.dtype == float else [both.real, both.imag]
+    parts += [steps.inputs] if steps.held else [steps.inputs, steps.rates]
+    rows = np.concatenate((*parts, np.ones((1, len(times)))))
+    shape, triangles, place = (first, len(poles) - first, wide, steps.held), [], 0
     for s in record.streams:
-        own = slice(place, place + len(s.times))
-        place = own.stop
-        both = np.vstack((rows[:, own], s.y.T))
-        both = both.T if len(s.times) <= len(both) else triangle(both.T)
-        triangles.append(Triangle(both[:, :len(rows)], both[:, len(rows):],
-                                  np.arange(s.channels.start, s.channels.stop), len(s.times)))
-    return Columns(tuple(triangles), found.first)
+        turned = np.concatenate((rows[:, place:place + len(s.times)], s.y.T))
+        place += len(s.times)
+        turned = turned.T if len(s.times) <= len(turned) else triangle(turned.T)
+        triangles.append(_triangle(turned[:, :len(rows)], turned[:, len(rows):], shape,
+                                   np.arange(s.channels.start, s.channels.stop), len(s.times)))
+    return Columns(tuple(triangles), steps.first)
 
 
-def weights(poles: ComplexArray, of_z: ComplexArray, of_dz: ComplexArray | None = None,
-            of_u: Array | None = None, of_one: Array | None = None,
-            of_rates: Array | None = None) -> Array:
-    """
-    Return sums of columns as weights.
-
-    Parameters
-    ----------
-    poles : ndarray, shape (m,)
-    of_z, of_dz : ndarray, shape (..., m, nu + 1)
-        Coefficients of the responses to the inputs and to the initial state, and of their
-        derivatives by the pole; of_dz None: zero.
-    of_u, of_rates : ndarray, shape (..., nu)
-        Of the inputs and of their derivatives.
-    of_one : ndarray, shape (...)
-
-    Returns
-    -------
-    ndarray, shape (..., k)
-    """
-    lead, pairs, wide = of_z.shape[:-2], poles.imag > 0.0, of_z.shape[-1]
-    half = (len(poles) + int(np.count_nonzero(pairs))) * wide
-    out = np.zeros((*lead, 2 * half + 2 * wide - 1))
-    for place, given in ((0, of_z), (half, of_dz)):
-        if given is not None:
-            real = len(poles) * wide
-            out[..., place:place + real] = given.real.reshape(*lead, real)
-            out[..., place + real:place + half] = -given[..., pairs, :].imag.reshape(
-                *lead, half - real)
-    if of_u is not None:
-        out[..., 2 * half:2 * half + wide - 1] = of_u
-    if of_rates is not None:
-        out[..., 2 * half + wide - 1:-1] = of_rates
-    if of_one is not None:
-        out[..., -1] = of_one
-    return out
+def _triangle(columns: Array, y: Array, shape: tuple[int, int, int, bool], channels: Array,
+              count: int) -> Triangle:
+    """Return the columns by what they are."""
+    real, pairs, wide, held = shape
+    at, blocks = 0, []
+    for m in (real, real, pairs, pairs, pairs, pairs):      # Z, dZ; Re Z, Im Z, Re dZ, Im dZ
+        blocks.append(columns[:, at:at + m * wide].reshape(len(columns), m, wide))
+        at += m * wide
+    z = np.concatenate((blocks[0], blocks[2] + 1j * blocks[3]), axis=1)
+    dz = np.concatenate((blocks[1], blocks[4] + 1j * blocks[5]), axis=1)
+    u = columns[:, at:at + wide - 1]
+    rates = np.zeros_like(u) if held else columns[:, at + wide - 1:-1]
+    return Triangle(z, dz, u, rates, columns[:, -1], y, channels, count)

@@ -111,7 +111,7 @@ def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
         [s]
     """
     K = update / step
-    for _ in range(_FIXED_POINT):
+    for _ in range(_FIXED_POINT if K.any() else 0):
         mean = exponentials(A - K @ C, np.array([step]), 1)[1][0]
         K = 0.5 * K + 0.5 * np.linalg.solve(mean, update)
     return K

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import Columns, Triangle, columns_of, weights
+from ctsid_core.likelihood.mode_columns import Columns, Triangle, columns_of
 from ctsid_core.likelihood.pole_steps import PoleSteps, canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import least_norm
@@ -30,7 +30,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 ROUNDING = 1e-24      # of an output's power: what is left of it is rounding
 _RANK = 1e-13         # relative singular value below which a linear direction is not determined
-_LEAST_GAIN = 1e-4    # -2 log likelihood: a smaller gain is not worth another step
+LEAST_GAIN = 0.01     # -2 log likelihood: a tenth of a standard deviation is not worth a step
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 _OVERHEAD = 3e6       # operations that an evaluation of no samples takes the time of
@@ -117,7 +117,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
 
 
 def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: int = 100,
-          rival: float = np.inf, least: float = _LEAST_GAIN) -> Fit:
+          rival: float = np.inf, least: float = LEAST_GAIN) -> Fit:
     """
     Take a model to the maximum of the likelihood.
 
@@ -130,25 +130,28 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
     steps : int
         At most.
     rival : float
-        Cost of another model: given up when five more steps like the last would not reach it.
+        Cost of another model: given up when five steps like the next would not reach it.
     least : float
-        Gain below which another step is not worth it.
+        Gain of -2 log likelihood below which another step is not worth it: the less of what the
+        step promises and what the last one brought.
     """
-    best, damping = start, _DAMPING
+    best, damping, gain = start, _DAMPING, np.inf
     work = evaluation_work(samples, len(start.model.poles))
     for _ in range(steps):
         rows, error, places = jacobian(samples, best, free)
         gradient, curvature = rows.T @ error, rows.T @ rows
         scale = np.sqrt(np.diag(curvature))
         scale[~(scale > 1e-150)] = 1.0
-        curvature = curvature / np.outer(scale, scale)
+        gradient, curvature = gradient / scale, curvature / np.outer(scale, scale)
         moved = None
         for _ in range(6):
             effort.check()
+            step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
+            hope = min(float(gradient @ step), gain)
+            if hope < least or best.cost - 5.0 * hope > rival:
+                return best
             effort.spend(work)
-            step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient / scale)
-            step /= scale
-            trial = _moved(samples, best, step, places, free)
+            trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
                 break
@@ -156,9 +159,7 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         if moved is None:
             break
         gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, 1e-9)
-        if gain < least or best.cost - 5.0 * gain > rival or effort.over:
-            break
-        if np.all(best.power <= ROUNDING):
+        if effort.over or np.all(best.power <= ROUNDING):
             break
     return best
 
@@ -203,119 +204,97 @@ class Places:
     x0: int          # of one record
 
 
-def _templates(poles: ComplexArray, nu: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return unit changes of b and of one x0: (directions, m, nu + 1)."""
-    m, pairs = len(poles), np.flatnonzero(poles.imag > 0.0)
-    rows = [(i, 1.0) for i in range(m)] + [(int(i), 1j) for i in pairs]
-    of_b = np.zeros((len(rows) * nu, m, nu + 1), dtype=complex)
-    of_x = np.zeros((len(rows), m, nu + 1), dtype=complex)
-    for k, (i, one) in enumerate(rows):
-        of_x[k, i, nu] = one
-        for j in range(nu):
-            of_b[k * nu + j, i, j] = one
-    return of_b, of_x
-
-
 def _driving(model: ModalModel, record: int) -> ComplexArray:
     """Return what moves each mode: inputs and the initial state, (m, nu + 1)."""
     found: ComplexArray = np.concatenate((model.b, model.x0[record][:, np.newaxis]), axis=1)
     return found
 
 
-def _c_units(poles: ComplexArray) -> ComplexArray:
-    m, pairs = len(poles), np.flatnonzero(poles.imag > 0.0)
-    units = np.zeros((m + len(pairs), m), dtype=complex)
-    units[np.arange(m), np.arange(m)] = 1.0
-    units[m + np.arange(len(pairs)), pairs] = 1j
-    return units
+def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
+    """Return the columns of real and, of pairs, imaginary parts of coefficients of responses."""
+    first = int(np.sum(poles.imag == 0.0))
+    found: Array = np.concatenate((responses.real, -responses[:, first:].imag), axis=1)
+    return found.reshape(len(found), -1)
 
 
-def _direct_weights(poles: ComplexArray, nu: int, free: Free) -> Array:
-    """Return the weights of D (if it is free) and of the trim, a row for each."""
-    zero = np.zeros((nu + 1, len(poles), nu + 1), dtype=complex)
-    of_u, of_one = np.zeros((nu + 1, nu)), np.zeros(nu + 1)
-    of_u[:nu] = np.eye(nu)
-    of_one[nu] = 1.0
-    found = weights(poles, zero, None, of_u, of_one)
-    return found[0 if free.feedthrough else nu:nu + free.trim]
+def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:
+    """Return complex coefficients of modes from real ones, all real parts before imaginary."""
+    m = len(poles)
+    found = rows[:m].astype(complex)
+    found[poles.imag > 0.0] += 1j * rows[m:]
+    return found
+
+
+def _direct(t: Triangle, free: Free, record: int, records: int) -> Array:
+    """Return the columns of an output's own D and trims, as far as they are free."""
+    if not free.trim:
+        return t.u if free.feedthrough else t.u[:, :0]
+    trims = np.zeros((len(t.one), records))
+    trims[:, record] = t.one
+    return np.hstack((t.u, trims)) if free.feedthrough else trims
+
+
+def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray) -> Array:
+    """Return the simulation of the outputs of a stream, given what drives each mode's response."""
+    own = t.channels
+    found: Array = (driven @ model.c[own].T).real + t.u @ model.D[own].T
+    found += np.multiply.outer(t.one, model.y0[record, own])
+    return found
 
 
 def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Places]:
     """Return derivatives of the simulation over the noise, the errors over it, and places."""
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
-    poles = model.poles
-    of_b, of_x = _templates(poles, nu)
-    units, direct = _c_units(poles), _direct_weights(poles, nu, free)
+    poles, n = model.poles, model.n
     dp = PoleSteps.of(poles, 1.0 / samples.length, samples.several).derivatives()
     late = np.flatnonzero(free.delays)
-    places = Places(len(dp), len(late), len(of_b), len(of_x))
+    places = Places(len(dp), len(late), n * nu, n)
     shared = places.poles + places.delays + places.b + records * places.x0
-    nd = nu if free.feedthrough else 0
-    own = len(units) + nd + records * free.trim
+    own = n + nu * free.feedthrough + records * free.trim
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
     for r, columns in enumerate(fit.columns):
         driving = _driving(model, r)
-        of_c = weights(poles, units[:, :, np.newaxis] * driving)
-        for triangle in columns.triangles:
-            for k, i in enumerate(triangle.channels):
+        for t in columns.triangles:
+            driven = np.sum(t.z * driving, axis=2)
+            slopes, of_c = np.sum(t.dz * driving, axis=2), _real(driven, poles)
+            error, direct = t.y - _simulated(t, model, r, driven), _direct(t, free, r, records)
+            for k, i in enumerate(t.channels):
                 c = model.c[i]
-                W = np.zeros((shared + own * ny, triangle.columns.shape[1]))
-                W[:places.poles] = weights(
-                    poles, np.zeros((len(dp), *driving.shape), dtype=complex),
-                    dp[:, :, np.newaxis] * (c[:, np.newaxis] * driving))
+                turned = t.z * c[:, np.newaxis]
+                J = np.zeros((len(t.one), shared + own * ny))
+                J[:, :places.poles] = ((slopes * c) @ dp.T).real
                 at = places.poles
-                if len(late):
-                    W[at:at + len(late)] = _by_delay(model, c, model.D[i], columns.first, late)
-                    at += len(late)
-                W[at:at + places.b] = weights(poles, of_b * c[:, np.newaxis])
+                J[:, at:at + len(late)] = _by_delay(t, turned, model, int(i), columns.first, late)
+                at += len(late)
+                J[:, at:at + places.b] = _real(turned[:, :, :nu], poles)
                 at += places.b + r * places.x0
-                W[at:at + places.x0] = weights(poles, of_x * c[:, np.newaxis])
+                J[:, at:at + places.x0] = _real(turned[:, :, nu:], poles)
                 at = shared + own * int(i)
-                W[at:at + len(units)] = of_c
-                W[at + len(units):at + len(units) + nd] = direct[:nd]
-                if free.trim:
-                    W[at + len(units) + nd + r] = direct[nd]
-                blocks.append(triangle.columns @ W.T / size[r, i])
-                w = _output_weights(model, r, int(i), driving)
-                errors.append((triangle.y[:, k] - triangle.columns @ w) / size[r, i])
+                J[:, at:at + n] = of_c
+                J[:, at + n:at + own] = direct
+                blocks.append(J / size[r, i])
+                errors.append(error[:, k] / size[r, i])
     return np.vstack(blocks), np.concatenate(errors), places
 
 
-def _by_delay(model: ModalModel, c: ComplexArray, D: Array, first: Array,
+def _by_delay(t: Triangle, turned: ComplexArray, model: ModalModel, i: int, first: Array,
               late: NDArray[np.intp]) -> Array:
     """Return the derivatives by dead times: dz/dd = -(p z + b u) + b u(start) e^(p t), -D u'."""
-    m, nu = model.b.shape
-    of_z = np.zeros((len(late), m, nu + 1), dtype=complex)
-    of_u, of_rates = np.zeros((len(late), nu)), np.zeros((len(late), nu))
-    for k, j in enumerate(late):
-        gain = c * model.b[:, j]
-        of_z[k, :, j] = -model.poles * gain
-        of_z[k, :, nu] = first[j] * gain
-        of_u[k, j], of_rates[k, j] = -gain.real.sum(), -D[j]
-    return weights(model.poles, of_z, None, of_u, None, of_rates)
-
-
-def _output_weights(model: ModalModel, record: int, i: int, driving: ComplexArray) -> Array:
-    return weights(model.poles, model.c[i][:, np.newaxis] * driving, None, model.D[i],
-                   np.asarray(model.y0[record, i]))
+    b = model.b[:, late]
+    found: Array = (np.sum(turned[:, :, -1:] * (b * first[late]), axis=1)
+                    - np.sum(turned[:, :, late] * (b * model.poles[:, np.newaxis]), axis=1)).real
+    found -= t.u[:, late] * (model.c[i] @ b).real + t.rates[:, late] * model.D[i, late]
+    return found
 
 
 def _with_linear(model: ModalModel, step: Array, places: Places) -> ModalModel:
     """Return the model with b and initial states moved."""
-    m, nu = model.b.shape
-    pairs = np.flatnonzero(model.poles.imag > 0.0)
     at = places.poles + places.delays
-    rows = step[at:at + places.b].reshape(-1, nu)
-    b = model.b + rows[:m]
-    b[pairs] += 1j * rows[m:]
+    b = _complex(step[at:at + places.b].reshape(-1, model.b.shape[1]), model.poles)
     at += places.b
-    x0 = model.x0.copy()
-    for r in range(len(x0)):
-        own = step[at + r * places.x0:at + (r + 1) * places.x0]
-        x0[r] += own[:m]
-        x0[r, pairs] += 1j * own[m:]
-    return replace(model, b=b, x0=x0)
+    x0 = _complex(step[at:at + len(model.x0) * places.x0].reshape(-1, places.x0).T, model.poles)
+    return replace(model, b=model.b + b, x0=model.x0 + x0.T)
 
 
 def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: tuple[Columns, ...],
@@ -328,7 +307,7 @@ def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: tuple[C
     if ny == 1:
         return start
     residues, starts = _free_residues(samples, poles, columns, free, power)
-    reach = _reach(columns, m, nu)
+    reach = _reach(columns)
     left, s, right = np.linalg.svd(residues.transpose(1, 0, 2) * reach[:, np.newaxis],
                                    full_matrices=False)
     c = left[:, :, 0].T.copy()
@@ -344,29 +323,37 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: tuple[Columns
                    free: Free, power: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return residues (ny, m, nu) and free responses (ny, records, m), of any rank."""
     m, nu, ny, records = len(poles), samples.nu, samples.ny, len(columns)
-    of_b, of_x = _templates(poles, nu)
-    fixed = np.vstack((weights(poles, of_b), _direct_weights(poles, nu, free)))
-    free_x = weights(poles, of_x)
     residues = np.zeros((ny, m, nu), dtype=complex)
     starts = np.zeros((ny, records, m), dtype=complex)
     for i in range(ny):
         rows, targets = [], []
         for r, own in enumerate(columns):
             for t, k in _of_output(own, i):
-                apart = np.zeros((len(t.columns), records * len(free_x)))
-                apart[:, r * len(free_x):(r + 1) * len(free_x)] = t.columns @ free_x.T
-                rows.append(np.hstack((t.columns @ fixed.T, apart)) / np.sqrt(power[r, i]))
+                rows.append(np.hstack((*_driven(t, t.z, poles, r, records),
+                                       _direct(t, free, r, records))) / np.sqrt(power[r, i]))
                 targets.append(t.y[:, k] / np.sqrt(power[r, i]))
-        theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-        own_b = theta[:len(of_b)].reshape(-1, nu)
-        residues[i] = own_b[:m]
-        pairs = np.flatnonzero(poles.imag > 0.0)
-        residues[i][pairs] += 1j * own_b[m:]
-        for r in range(records):
-            x = theta[len(fixed) + r * len(free_x):][:len(free_x)]
-            starts[i, r] = x[:m]
-            starts[i, r, pairs] += 1j * x[m:]
+        residues[i], starts[i] = _b_and_x0(
+            _least_squares(np.vstack(rows), np.concatenate(targets)), poles, nu, records)
     return residues, starts
+
+
+def _driven(t: Triangle, turned: ComplexArray, poles: ComplexArray, record: int,
+            records: int) -> tuple[Array, Array]:
+    """Return the columns of b, and those of the initial states of all records."""
+    own = _real(turned[:, :, -1:], poles)
+    n = own.shape[1]
+    apart = np.zeros((len(own), records * n))
+    apart[:, record * n:(record + 1) * n] = own
+    return _real(turned[:, :, :-1], poles), apart
+
+
+def _b_and_x0(theta: Array, poles: ComplexArray, nu: int,
+              records: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return b and initial states from the coefficients of the columns of `_driven`."""
+    n = len(poles) + int(np.sum(poles.imag > 0.0))
+    states = theta[n * nu:n * (nu + records)].reshape(records, n)
+    return (_complex(theta[:n * nu].reshape(n, nu), poles),
+            np.ascontiguousarray(_complex(states.T, poles).T))
 
 
 def split(samples: Samples, fit: Fit, free: Free) -> Fit | None:
@@ -395,23 +382,20 @@ def _residue_of_rest(samples: Samples, fit: Fit, free: Free,
                      k: int) -> tuple[float, int, Array, Array, Array]:
     """Return what one more mode at a real pole would do to the errors: size, k, c, b, x0."""
     model, nu, ny = fit.model, samples.nu, samples.ny
-    m, records = len(model.poles), len(fit.columns)
-    unit = np.zeros((nu + 1, m, nu + 1), dtype=complex)
-    unit[np.arange(nu + 1), k, np.arange(nu + 1)] = 1.0
-    wanted = weights(model.poles, unit)
-    reach = _reach(fit.columns, m, nu)[k]
+    records, reach = len(fit.columns), _reach(fit.columns)[k]
     residue, x0 = np.zeros((ny, nu)), np.zeros((ny, records))
     for i in range(ny):
         rows, errors = [], []
         for r, own in enumerate(fit.columns):
-            w = _output_weights(model, r, i, _driving(model, r))
+            driving = _driving(model, r)
             for t, place in _of_output(own, i):
-                both = t.columns @ wanted.T
+                both = t.z[:, k].real
                 apart = np.zeros((len(both), records))
                 apart[:, r] = both[:, nu]
                 size = np.sqrt(fit.power[r, i]) + 1e-300
                 rows.append(np.hstack((both[:, :nu], apart)) / size)
-                errors.append((t.y[:, place] - t.columns @ w) / size)
+                seen = _simulated(t, model, r, np.sum(t.z * driving, axis=2))
+                errors.append((t.y - seen)[:, place] / size)
         theta = _least_squares(np.vstack(rows), np.concatenate(errors))
         residue[i], x0[i] = theta[:nu], theta[nu:]
     scale = np.sqrt(fit.power.mean(axis=0))[:, np.newaxis] + 1e-300
@@ -420,13 +404,10 @@ def _residue_of_rest(samples: Samples, fit: Fit, free: Free,
     return float(s[0]), k, c, s[0] * right[0] / reach, c @ x0 / float(c @ c)
 
 
-def _reach(columns: tuple[Columns, ...], m: int, nu: int) -> Array:
+def _reach(columns: tuple[Columns, ...]) -> Array:
     """Return the size of the response of each mode to each input, (m, nu)."""
-    total = np.zeros(m * (nu + 1))
-    for own in columns:
-        for t in own.triangles:
-            total += np.sum(t.columns[:, :len(total)] ** 2, axis=0)
-    return np.sqrt(total.reshape(m, nu + 1)[:, :nu]) + 1e-300
+    total = sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0) for own in columns for t in own.triangles)
+    return np.sqrt(np.asarray(total)) + 1e-300
 
 
 def _of_output(columns: Columns, i: int) -> list[tuple[Triangle, int]]:
@@ -462,76 +443,55 @@ def _powers(samples: Samples, model: ModalModel, columns: tuple[Columns, ...]) -
     for r, own in enumerate(columns):
         driving = _driving(model, r)
         for t in own.triangles:
-            for k, i in enumerate(t.channels):
-                error = t.y[:, k] - t.columns @ _output_weights(model, r, int(i), driving)
-                power[r, i] = float(error @ error) / max(t.count, 1) + 1e-300
+            error = t.y - _simulated(t, model, r, np.sum(t.z * driving, axis=2))
+            power[r, t.channels] = np.sum(error ** 2, axis=0) / max(t.count, 1) + 1e-300
     return power
 
 
 def _solve_c(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
              power: Array) -> ModalModel:
-    poles, nu, records = model.poles, samples.nu, len(columns)
-    units, direct = _c_units(poles), _direct_weights(poles, nu, free)
-    nd, m = (nu if free.feedthrough else 0), len(poles)
+    n, nd, records = model.n, samples.nu * free.feedthrough, len(columns)
     c, D, y0 = model.c.copy(), model.D.copy(), model.y0.copy()
-    pairs = np.flatnonzero(poles.imag > 0.0)
-    designs = [weights(poles, units[:, :, np.newaxis] * _driving(model, r))
-               for r in range(records)]
+    designs = [[np.hstack((_real(np.sum(t.z * _driving(model, r), axis=2), model.poles),
+                           _direct(t, free, r, records))) for t in own.triangles]
+               for r, own in enumerate(columns)]
     for i in range(samples.ny):
         rows, targets = [], []
         for r, own in enumerate(columns):
-            for t, k in _of_output(own, i):
-                trim = np.zeros((len(t.columns), records * free.trim))
-                if free.trim:
-                    trim[:, r] = t.columns @ direct[nd]
-                rows.append(np.hstack((t.columns @ designs[r].T, t.columns @ direct[:nd].T, trim))
-                            / np.sqrt(power[r, i]))
-                targets.append(t.y[:, k] / np.sqrt(power[r, i]))
+            for t, design in zip(own.triangles, designs[r], strict=True):
+                for k in np.flatnonzero(t.channels == i):
+                    rows.append(design / np.sqrt(power[r, i]))
+                    targets.append(t.y[:, k] / np.sqrt(power[r, i]))
         theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-        c[i] = theta[:m]
-        c[i, pairs] += 1j * theta[m:len(units)]
-        D[i] = theta[len(units):len(units) + nd] if nd else D[i]
+        c[i] = _complex(theta[:n], model.poles)
+        D[i] = theta[n:n + nd] if nd else D[i]
         if free.trim:
-            y0[:, i] = theta[len(units) + nd:]
+            y0[:, i] = theta[n + nd:]
     return replace(model, c=c, D=D, y0=y0)
 
 
 def _solve_b(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
              power: Array) -> ModalModel:
     poles, nu, ny, records = model.poles, samples.nu, samples.ny, len(columns)
-    of_b, of_x = _templates(poles, nu)
-    direct = _direct_weights(poles, nu, free)
-    nd, m, pairs = (nu if free.feedthrough else 0), len(poles), np.flatnonzero(poles.imag > 0.0)
-    nb, nx = len(of_b), len(of_x)
+    nd, driven = nu * free.feedthrough, model.n * (nu + records)
     own_of_output = nd + records * free.trim
     rows, targets = [], []
     for r, own in enumerate(columns):
         for t in own.triangles:
+            direct = _direct(t, free, r, records)
             for k, i in enumerate(t.channels):
-                c = model.c[i][:, np.newaxis]
-                block = np.zeros((len(t.columns), nb + records * nx + ny * own_of_output))
-                block[:, :nb] = t.columns @ weights(poles, of_b * c).T
-                block[:, nb + r * nx:nb + (r + 1) * nx] = t.columns @ weights(poles, of_x * c).T
-                at = nb + records * nx + int(i) * own_of_output
-                block[:, at:at + nd] = t.columns @ direct[:nd].T
-                if free.trim:
-                    block[:, at + nd + r] = t.columns @ direct[nd]
+                block = np.zeros((len(t.one), driven + ny * own_of_output))
+                block[:, :driven] = np.hstack(_driven(
+                    t, t.z * model.c[i][:, np.newaxis], poles, r, records))
+                at = driven + int(i) * own_of_output
+                block[:, at:at + own_of_output] = direct
                 rows.append(block / np.sqrt(power[r, i]))
                 targets.append(t.y[:, k] / np.sqrt(power[r, i]))
     theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-    of_rows = theta[:nb].reshape(-1, nu)
-    b = of_rows[:m].astype(complex)
-    b[pairs] += 1j * of_rows[m:]
-    x0, D, y0 = np.zeros_like(model.x0), np.zeros_like(model.D), np.zeros_like(model.y0)
-    for r in range(records):
-        own_x = theta[nb + r * nx:nb + (r + 1) * nx]
-        x0[r] = own_x[:m]
-        x0[r, pairs] += 1j * own_x[m:]
-    for i in range(ny):
-        at = nb + records * nx + i * own_of_output
-        D[i] = theta[at:at + nd] if nd else 0.0
-        if free.trim:
-            y0[:, i] = theta[at + nd:at + own_of_output]
+    b, x0 = _b_and_x0(theta, poles, nu, records)
+    of_outputs = theta[driven:].reshape(ny, own_of_output)
+    D = of_outputs[:, :nd] if nd else np.zeros_like(model.D)
+    y0 = of_outputs[:, nd:].T if free.trim else np.zeros_like(model.y0)
     return replace(model, b=b, x0=x0, D=D, y0=y0)
 
 
@@ -560,30 +520,24 @@ def fit_states(samples: Samples, model: ModalModel, free: Free) -> Fit:
 
 def _solve_states(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
                   power: Array) -> ModalModel:
-    poles, ny, m = model.poles, samples.ny, len(model.poles)
-    pairs = np.flatnonzero(poles.imag > 0.0)
-    _, of_x = _templates(poles, samples.nu)
-    nx = len(of_x)
+    poles, ny, n = model.poles, samples.ny, model.n
     x0, y0 = np.zeros_like(model.x0), np.zeros_like(model.y0)
-    one = weights(poles, np.zeros((m, samples.nu + 1), dtype=complex), None,
-                  np.zeros(samples.nu), np.ones(()))
     for r, own in enumerate(columns):
         still = replace(model, x0=x0, y0=y0)
         driving = _driving(still, r)
         rows, targets = [], []
         for t in own.triangles:
+            error = t.y - _simulated(t, still, r, np.sum(t.z * driving, axis=2))
             for k, i in enumerate(t.channels):
-                block = np.zeros((len(t.columns), nx + ny * free.trim))
-                block[:, :nx] = t.columns @ weights(poles, of_x * model.c[i][:, np.newaxis]).T
+                block = np.zeros((len(t.one), n + ny * free.trim))
+                block[:, :n] = _real(t.z[:, :, -1] * model.c[i], poles)
                 if free.trim:
-                    block[:, nx + i] = t.columns @ one
+                    block[:, n + i] = t.one
                 size = np.sqrt(power[r, i])
                 rows.append(block / size)
-                targets.append((t.y[:, k] - t.columns @ _output_weights(
-                    still, r, int(i), driving)) / size)
+                targets.append(error[:, k] / size)
         theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-        x0[r] = theta[:m]
-        x0[r, pairs] += 1j * theta[m:nx]
+        x0[r] = _complex(theta[:n], poles)
         if free.trim:
-            y0[r] = theta[nx:]
+            y0[r] = theta[n:]
     return replace(model, x0=x0, y0=y0)

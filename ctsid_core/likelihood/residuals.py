@@ -34,7 +34,7 @@ def simulated(samples: Samples, fit: Fit) -> Residuals:
     for i, record in enumerate(samples.records):
         own = []
         for s in record.streams:
-            seen = mode_responses(m.poles, record.inputs, m.delay.tolist(), record.start, s.times,
+            seen = mode_responses(m.poles, record.drives, m.delay.tolist(), record.start, s.times,
                                   slopes=False)
             z = np.einsum('mj,mjt->mt', m.b, seen.responses) + m.x0[i][:, np.newaxis] * np.exp(
                 m.poles[:, np.newaxis] * (s.times - record.start))

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ctsid_core.linear.types import Array, Mask
+from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
 
@@ -50,6 +52,11 @@ class RecordSamples:
     end: float
     streams: tuple[Stream, ...]
 
+    @cached_property
+    def drives(self) -> tuple[Drive, ...]:
+        """The inputs as polynomials."""
+        return tuple(Drive.of(s) for s in self.inputs)
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -75,7 +82,7 @@ class Samples:
         """Whether there are several inputs and several outputs."""
         return min(self.nu, self.ny) > 1
 
-    @property
+    @cached_property
     def counts(self) -> Array:
         """Number of samples of each record and output, (records, ny)."""
         found = np.zeros((len(self.records), self.ny))

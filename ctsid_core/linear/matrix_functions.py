@@ -63,12 +63,12 @@ def modes(A: Array, condition_limit: float = CONDITION_LIMIT) -> Modes | None:
     return Modes(values[keep].astype(complex), right.astype(complex), left.astype(complex))
 
 
-def phi(z: ComplexArray, count: int) -> list[ComplexArray]:
+def phi(z: Array | ComplexArray, count: int) -> list[ComplexArray]:
     """
     Return phi_0 ... phi_count of (1), elementwise, to rounding for any z with Re z < 700.
 
     Recursion (1) loses all digits for small z; there the last one comes from its power series
-    and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!.
+    and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!. All are real if z is.
     """
     small = np.abs(z) < 1
     if count and z.size and small.all():
@@ -89,12 +89,12 @@ def phi(z: ComplexArray, count: int) -> list[ComplexArray]:
     return found
 
 
-def _phi_series(x: ComplexArray, j: int) -> ComplexArray:
+def _phi_series(x: Array | ComplexArray, j: int) -> ComplexArray:
     # sum_k x^k / (k + j)!, as many terms as the largest |x| < 1 needs
     largest, terms = float(np.abs(x).max()), 2
     while largest ** terms * factorial(j) / factorial(terms + j) > 1e-17:
         terms += 1
-    value = np.full_like(x, 1 / factorial(terms + j))
+    value: ComplexArray = np.full_like(x, 1 / factorial(terms + j))
     for k in range(terms - 1, -1, -1):
         value *= x
         value += 1 / factorial(k + j)

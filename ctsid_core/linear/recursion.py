@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import ztbtrs
+from scipy.linalg.lapack import dtbtrs, ztbtrs
 
 from ctsid_core.linear.types import Array, ComplexArray
 
 
-def chain(factor: ComplexArray, push: Array | ComplexArray) -> ComplexArray:
+def chain(factor: Array | ComplexArray, push: Array | ComplexArray) -> ComplexArray:
     """
-    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, many at once.
+    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, many at once; real if both are.
 
     Parameters
     ----------
@@ -24,11 +24,13 @@ def chain(factor: ComplexArray, push: Array | ComplexArray) -> ComplexArray:
     ndarray, shape (m, w, K + 1)
     """
     m, width, count = push.shape
-    z = np.zeros((m, width, count + 1), dtype=complex)
+    kind = np.result_type(factor, push)
+    solver = ztbtrs if kind.kind == 'c' else dtbtrs
+    z: ComplexArray = np.zeros((m, width, count + 1), dtype=kind)
     if count:
-        band = np.ones((2, count), dtype=complex, order='F')
+        band = np.ones((2, count), dtype=kind, order='F')
         for own, factors, pushes in zip(z, factor, push, strict=True):
             band[1, :-1] = -factors[1:] if len(factors) > 1 else -factors[0]
-            solved, _ = ztbtrs(band, pushes.T, uplo='L', diag='U')
+            solved, _ = solver(band, pushes.T, uplo='L', diag='U')
             own[:, 1:] = solved.T
     return z

@@ -18,7 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtpqrt
+from scipy.linalg.lapack import dgeqrf, dtpqrt
 
 from ctsid_core.linear.types import Array
 
@@ -26,7 +26,8 @@ Places = NDArray[np.intp]
 
 _SMALL = 2 ** 16        # entries: half a megabyte stays in the cache anyhow
 _ROWS = 1024            # taken at a time
-_PANEL = 8              # columns that LAPACK factorises at a time
+_PANEL = 8              # columns that LAPACK factorises at a time there
+_BLOCK = 32             # and of a small matrix
 
 
 def triangle(columns: Array) -> Array:
@@ -45,8 +46,8 @@ def triangle(columns: Array) -> Array:
     """
     m, n = columns.shape
     if m * n < _SMALL or m < 4 * n:
-        small: Array = np.linalg.qr(columns, mode='r')
-        return small
+        small = dgeqrf(columns, lwork=_BLOCK * max(n, 1))[0][:n]
+        return np.triu(small)
     first, last = _extents(columns)
     found = []
     for start, end in pairwise(_edges(first, last, m, n)):

@@ -10,3 +10,4 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.complex128]  # spectral lines, one column per frequency
 Mask = NDArray[np.bool_]
+Places = NDArray[np.intp]

@@ -11,12 +11,15 @@ and its derivative by p, with phi_j' = phi_j - j phi_(j+1), by
 
     s+ = phi_0(p h) (s + h z) + sum_j h^(j+2) phi_(j+1)'(p h) u^(j).                         (2)
 
-The functions phi are those of `linear/matrix_functions.py`.
+The functions phi are those of `linear/matrix_functions.py`. In an input's own time a dead time
+only shifts where its responses begin and where they are read: the steps between its stamps are
+the same for all dead times, and are taken once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import factorial
 from typing import NamedTuple
 
@@ -24,7 +27,7 @@ import numpy as np
 
 from ctsid_core.linear.matrix_functions import phi
 from ctsid_core.linear.recursion import chain
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.signals.record import Signal
 
@@ -36,7 +39,8 @@ class ModeResponses(NamedTuple):
     Parameters
     ----------
     responses, slopes : ndarray, shape (m, nu, N)
-        Of each mode to each input, and their derivatives by the pole (empty unless wanted).
+        Of each mode to each input, and their derivatives by the pole (empty unless wanted);
+        real if all poles are given as real numbers.
     inputs, rates : ndarray, shape (nu, N)
         The inputs after their dead time, at a jump the new value, and their derivatives.
     first : ndarray, shape (nu,)
@@ -50,8 +54,38 @@ class ModeResponses(NamedTuple):
     first: Array
 
 
-def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Array | Sequence[float],
-                   start: float, times: Array, *, slopes: bool = True) -> ModeResponses:
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """
+    An input signal as polynomials from stamp to stamp.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (K,)
+        [s]
+    pieces : ndarray, shape (degree + 1, w, K + 1)
+        Its derivatives of each degree before the first stamp and just after each one.
+    """
+
+    stamps: Array
+    pieces: Array
+
+    @classmethod
+    def of(cls, signal: Signal) -> Drive:
+        """Return a signal's polynomials."""
+        after = input_polynomials((signal,), (0.0,) * signal.width, signal.time)
+        before = np.concatenate((after[:1, :1], np.zeros_like(after[1:, :1])))
+        return cls(signal.time, np.concatenate((before, after), axis=1).swapaxes(1, 2).copy())
+
+    @property
+    def width(self) -> int:
+        """Number of channels."""
+        return int(self.pieces.shape[1])
+
+
+def mode_responses(poles: Array | ComplexArray, inputs: Sequence[Signal] | Sequence[Drive],
+                   delay: Array | Sequence[float], start: float, times: Array, *,
+                   slopes: bool = True) -> ModeResponses:
     """
     Return what inputs do to modes that are at rest at the start.
 
@@ -59,7 +93,7 @@ def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Array |
     ----------
     poles : ndarray, shape (m,)
         [rad/s]
-    inputs : sequence of Signal
+    inputs : sequence of Signal or of Drive
         Together nu channels.
     delay : sequence of float, length nu
         [s]
@@ -70,58 +104,175 @@ def mode_responses(poles: ComplexArray, inputs: Sequence[Signal], delay: Array |
     slopes : bool
         Whether the derivatives are wanted.
     """
-    m, nu = len(poles), sum(s.width for s in inputs)
-    z = np.empty((m, nu, len(times)), dtype=complex)
-    dz = np.empty((m, nu if slopes else 0, len(times)), dtype=complex)
-    u, first, place = np.empty((2, nu, len(times))), np.empty(nu), 0
-    last = float(np.max(times)) if len(times) else start
-    for signal in inputs:
-        own = np.asarray(delay[place:place + signal.width], dtype=float)
-        for d in (own[:1] if len(own) == 1 else np.unique(own)):
-            wanted = np.flatnonzero(own == d)
-            part = signal if len(wanted) == signal.width else Signal(
-                signal.time, signal.values[:, wanted], signal.hold)
-            to = place + wanted
-            found = _of_signal(poles, part, float(d), start, times, last, slopes)
-            z[:, to], first[to] = found.responses, found.first
-            u[0, to], u[1, to] = found.inputs, found.rates
-            if slopes:
-                dz[:, to] = found.slopes
-        place += signal.width
-    return ModeResponses(z, dz, u[0], u[1], first)
+    steps = steps_of(inputs, delay, start, times)
+    z, dz = steps.responses(poles, slopes=slopes)
+    return ModeResponses(z, dz, steps.inputs, steps.rates, steps.first)
 
 
-def _of_signal(poles: ComplexArray, signal: Signal, delay: float, start: float, times: Array,
-               last: float, slopes: bool) -> ModeResponses:
-    stamps = signal.time + delay
-    knots = np.concatenate(([start], stamps[(stamps > start) & (stamps < last)]))
-    v = input_polynomials((signal,), (delay,) * signal.width, knots)     # (degree + 1, K, w)
-    first = v[0, 0]
-    place = np.maximum(np.searchsorted(knots, times, side='right') - 1, 0)
-    steps = len(knots) - 1
-    h = np.concatenate((np.diff(knots), times - knots[place]))
-    v = np.concatenate((v[:, :steps], v[:, place]), axis=1)              # of each step
-    f = phi(h * poles[:, np.newaxis], len(v) + slopes)                   # (m, steps + N)
-    push = np.zeros((len(poles), v.shape[2], len(h)), dtype=complex)
-    turn = np.zeros_like(push) if slopes else push
-    power = np.ones_like(h)
-    for j, derivative in enumerate(v):
-        power = power * h
-        force = (derivative * power[:, np.newaxis]).T
-        push += f[j + 1][:, np.newaxis] * force
-        if slopes:
-            turn += (f[j + 1] - (j + 1) * f[j + 2])[:, np.newaxis] * (h * force)
-    z = chain(f[0][:, :steps], push[:, :, :steps])
-    out = f[0][:, np.newaxis, steps:] * z[:, :, place] + push[:, :, steps:]
-    bent = out[:, :0]
-    if slopes:
-        lag = (h * f[0])[:, np.newaxis]
-        s = chain(f[0][:, :steps], lag[:, :, :steps] * z[:, :, :-1] + turn[:, :, :steps])
-        bent = f[0][:, np.newaxis, steps:] * s[:, :, place] \
-            + lag[:, :, steps:] * z[:, :, place] + turn[:, :, steps:]
-    u, rate = np.zeros_like(v[0, steps:]), np.zeros_like(v[0, steps:])
-    for j, derivative in enumerate(v[:, steps:]):
-        u += derivative * (h[steps:, np.newaxis] ** j / factorial(j))
-        if j:
-            rate += derivative * (h[steps:, np.newaxis] ** (j - 1) / factorial(j - 1))
-    return ModeResponses(out, bent, u.T, rate.T, first)
+class Steps:
+    """
+    The steps in which modes go from the start to where they are read, made by `steps_of`.
+
+    Attributes
+    ----------
+    inputs, rates, first
+        See `ModeResponses`.
+    held : bool
+        Whether every input is held from stamp to stamp, so that all rates are zero.
+    """
+
+    def __init__(self, parts: list[_Part]) -> None:
+        self._parts = parts
+        self.inputs = np.concatenate([p.inputs for p in parts])
+        self.rates = np.concatenate([p.rates for p in parts])
+        self.first = np.concatenate([p.first for p in parts])
+        self.held = all(len(p.force) == 1 for p in parts)
+
+    def responses(self, poles: Array | ComplexArray, *,
+                  slopes: bool = True) -> tuple[ComplexArray, ComplexArray]:
+        """Return responses and their derivatives by the pole, see `ModeResponses`."""
+        found = [_read(poles, part, slopes) for part in self._parts]
+        if len(found) == 1:
+            return found[0]
+        return (np.concatenate([z for z, _ in found], axis=1),
+                np.concatenate([dz for _, dz in found], axis=1))
+
+
+class _Part(NamedTuple):
+    """
+    The steps of one input signal: S from stamp to stamp, and N to where responses are read.
+
+    Parameters
+    ----------
+    lengths : ndarray, shape (L,)
+        From the start to the first stamp, for each of its D dead times; between stamps; from
+        stamps to where each dead time reads [s].
+    which : ndarray of int, shape (w, S + N), or None
+        Which of the lengths each step of each channel has; None: one after another.
+    steps, late : int
+        S and D.
+    slot : ndarray of int, shape (w, N)
+        After how many steps each reading step begins.
+    force : ndarray, shape (degree + 1, w, S + N)
+        h^(j+1) u^(j) of each step.
+    inputs, rates : ndarray, shape (w, N)
+    first : ndarray, shape (w,)
+    """
+
+    lengths: Array
+    which: Places | None
+    steps: int
+    late: int
+    slot: Places
+    force: Array
+    inputs: Array
+    rates: Array
+    first: Array
+
+
+def steps_of(inputs: Sequence[Signal] | Sequence[Drive], delay: Array | Sequence[float],
+             start: float, times: Array) -> Steps:
+    """
+    Return the steps of inputs with dead times.
+
+    Parameters
+    ----------
+    inputs, delay, start, times
+        See `mode_responses`.
+    """
+    parts, place = [], 0
+    for one in inputs:
+        drive = one if isinstance(one, Drive) else Drive.of(one)
+        own = np.asarray(delay[place:place + drive.width], dtype=float)
+        parts.append(_part(drive, own, start, times))
+        place += drive.width
+    return Steps(parts)
+
+
+def _part(drive: Drive, delay: Array, start: float, times: Array) -> _Part:
+    late, of = np.unique(delay, return_inverse=True) if len(delay) > 1 else (delay, np.zeros(
+        1, dtype=np.intp))
+    begin, wanted = start - late, times - late[:, np.newaxis]                    # (D,), (D, N)
+    first = np.searchsorted(drive.stamps, begin, side='right')
+    place = np.searchsorted(drive.stamps, wanted, side='right')
+    low = int(np.min(first))
+    high = int(np.max(place, initial=low))
+    S, D = high - low, len(late)
+    stamps = drive.stamps[low:high]
+    before = np.concatenate(([-np.inf], stamps))[place - low]
+    begins = np.minimum(first - low, S)                 # the step of each that leaves the start
+    lead = np.append(stamps, np.inf)[begins] - begin
+    lead = np.where(begins < S, lead, 0.0)[:D if S else 0]
+    to = wanted - np.maximum(before, begin[:, np.newaxis])
+    lengths = np.concatenate((lead, np.diff(stamps), to.ravel()))
+    h, which = lengths[np.newaxis], None
+    if D > 1:
+        which = np.empty((D, S + len(times)), dtype=np.intp)
+        which[:, :S] = D - 1 + np.arange(S)
+        own = np.flatnonzero(begins < S)
+        which[own, begins[own]] = own
+        which[:, S:] = len(lengths) - to.size + np.arange(to.size).reshape(D, -1)
+        which = which[of]
+        h = lengths[which]
+    v = drive.pieces[:, :, low:high + 1].copy()
+    for c, d in enumerate(of):
+        v[:, c, begins[d]] = _shifted(v[:, c, begins[d]], drive.stamps, int(first[d]), begin[d])
+        v[:, c, :begins[d]] = 0.0
+    slot = (place - low)[of]
+    now = np.take_along_axis(v, slot[np.newaxis], axis=2)
+    force = np.concatenate((v[:, :, :S], now), axis=2)
+    far = to[of]
+    u, rate = now[0], np.zeros_like(now[0])
+    for j in range(1, len(v)):
+        u = u + now[j] * (far ** j / factorial(j))
+        rate = rate + now[j] * (far ** (j - 1) / factorial(j - 1))
+    for j in range(len(v)):
+        force[j] *= h ** (j + 1)
+    return _Part(lengths, which, S, D, slot, force, u, rate,
+                 v[0, np.arange(len(of)), begins[of]])
+
+
+def _shifted(derivatives: Array, stamps: Array, place: int, to: float) -> Array:
+    """Return the derivatives of the polynomial after the stamp before a place at a later time."""
+    if place == 0 or len(derivatives) == 1:
+        return derivatives
+    h = to - stamps[place - 1]
+    return np.array([sum(x * h ** k / factorial(k) for k, x in enumerate(derivatives[j:]))
+                     for j in range(len(derivatives))])
+
+
+def _read(poles: Array | ComplexArray, part: _Part,
+          slopes: bool) -> tuple[ComplexArray, ComplexArray]:
+    """Return the responses to one signal, and their derivatives by the pole, (m, w, N)."""
+    S, force = part.steps, part.force
+    f = phi(part.lengths * poles[:, np.newaxis], len(force) + slopes)
+    factor = f[0][:, part.late - 1:part.late - 1 + S]
+    if part.which is None:
+        f, h = [one[:, np.newaxis] for one in f], part.lengths
+    else:
+        f, h = [one[:, part.which] for one in f], part.lengths[part.which]
+    push = f[1] * force[0]
+    for j in range(1, len(force)):
+        push += f[j + 1] * force[j]
+    z = chain(factor, push[:, :, :S])
+    read = _at(z, part.slot)
+    out: ComplexArray = f[0][:, :, S:] * read
+    out += push[:, :, S:]
+    if not slopes:
+        return out, out[:, :0]
+    turn = (f[1] - f[2]) * (h * force[0])
+    for j in range(1, len(force)):
+        turn += (f[j + 1] - (j + 1) * f[j + 2]) * (h * force[j])
+    lag = h * f[0]
+    s = chain(factor, lag[:, :, :S] * z[:, :, :-1] + turn[:, :, :S])
+    bent: ComplexArray = f[0][:, :, S:] * _at(s, part.slot)
+    read *= lag[:, :, S:]
+    bent += read
+    bent += turn[:, :, S:]
+    return out, bent
+
+
+def _at(z: ComplexArray, slot: Places) -> ComplexArray:
+    found: ComplexArray = np.take(z, slot[0], axis=2) if len(slot) == 1 else \
+        np.take_along_axis(z, slot[np.newaxis], axis=2)
+    return found

@@ -46,7 +46,7 @@ _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
 _STEPS = 15           # of a climb of the search
 _LEAST_GAIN = 0.3     # -2 log likelihood that another step of it has to promise
-_LOOKED_AT = {'real': 2, 'pair': 2, 'subspace': 4}      # starts of each kind, exactly
+_LOOKED_AT = 2        # starts of each kind, exactly
 SEARCH = 0.6          # of a budget that the search may take
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
@@ -121,7 +121,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     chosen = order or choose(found, enough)
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free, effort,
-        steps=_STEPS if n == chosen else 4), free) for n, one in found.items()}
+        steps=_STEPS if n == chosen else 1, least=_LEAST_GAIN), free) for n, one in found.items()}
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
@@ -191,7 +191,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
     fits: list[tuple[str, Fit]] = []
     for _, kind, poles, delay in starts:
         kinds[kind] = kinds.get(kind, 0) + 1
-        if kinds[kind] > _LOOKED_AT[kind]:
+        if kinds[kind] > _LOOKED_AT:
             continue
         effort.check()
         effort.spend(evaluation_work(samples, len(poles)))

@@ -74,7 +74,9 @@ class PoleGrid:
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._ranked: dict[tuple[bytes, bytes], list[Candidate]] = {}
         self._cells = [_Cells(r, longest) for r in samples.records]
-        self._shapes = [cells.responses(self.poles) for cells in self._cells]
+        self._kinds = (self.poles.imag == 0.0, self.poles.imag > 0.0)
+        self._shapes = [[_Shape(cells, self.poles[kind]) for kind in self._kinds]
+                        for cells in self._cells]
 
     def ranked(self, poles: ComplexArray, delay: Array) -> list[Candidate]:
         """
@@ -102,14 +104,15 @@ class PoleGrid:
         return float(self._scores(poles, delay, [None] * len(self._cells))[0])
 
     def _scores(self, poles: ComplexArray, delay: Array,
-                shapes: list[ComplexArray] | list[None]) -> Array:
+                shapes: list[list[_Shape]] | list[None]) -> Array:
         # The power of all records together decides here: residues are theirs together.
         count = len(self.poles) if shapes[0] is not None else 1
         power, number = np.zeros((count, self._samples.ny)), np.zeros(self._samples.ny)
         for cells, shape in zip(self._cells, shapes, strict=True):
-            base = cells.responses(poles)
+            base = [_Shape(cells, poles[kind]) for kind in (poles.imag == 0.0, poles.imag > 0.0)
+                    if kind.any()]
             for stream in cells.record.streams:
-                known = cells.columns(base, poles, stream, delay, self._trim, self._feedthrough)
+                known = cells.columns(base, stream, delay, self._trim, self._feedthrough)
                 basis = np.linalg.qr(known)[0]
                 left = stream.y - basis @ (basis.T @ stream.y)
                 squares = np.broadcast_to(np.sum(left ** 2, axis=0), (count, left.shape[1]))
@@ -121,11 +124,11 @@ class PoleGrid:
         found: Array = np.log(power) @ number
         return found
 
-    def _explained(self, cells: _Cells, shape: ComplexArray, stream: Stream, delay: Array,
+    def _explained(self, cells: _Cells, shapes: list[_Shape], stream: Stream, delay: Array,
                    basis: Array, left: Array) -> Array:
         found = np.zeros((len(self.poles), left.shape[1]))
-        for kind in (self.poles.imag == 0.0, self.poles.imag > 0.0):
-            own = cells.candidates(shape[kind], self.poles[kind], stream, delay)   # (G, q, N)
+        for kind, shape in zip(self._kinds, shapes, strict=True):
+            own = cells.candidates(shape, stream, delay)                           # (G, q, N)
             own = own - (own @ basis) @ basis.T
             gram = own @ own.swapaxes(1, 2)
             scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
@@ -149,36 +152,30 @@ class _Cells:
         self._step = float(self._edges[1] - self._edges[0])
         self._means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
 
-    def responses(self, poles: ComplexArray) -> ComplexArray:
-        """Return the responses of poles at the edges, (m, nu, cells + 1)."""
+    def responses(self, poles: Array | ComplexArray) -> ComplexArray:
+        """Return the responses of poles at the edges, (m, nu, cells + 1); real if they are."""
         turn = poles * self._step
         small = np.abs(turn) < 1e-8
         gain = self._step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
         return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self._means)
 
-    def _read(self, rows: Array | ComplexArray, times: Array) -> Array | ComplexArray:
-        at = np.clip((times - self._edges[0]) / self._step, 0.0, len(self._edges) - 1.001)
-        place = at.astype(int)
-        part = at - place
-        found: Array = (1.0 - part) * rows[..., place] + part * rows[..., place + 1]
-        return found
-
-    def candidates(self, z: ComplexArray, poles: ComplexArray, stream: Stream,
-                   delay: Array) -> Array:
+    def candidates(self, shape: _Shape, stream: Stream, delay: Array) -> Array:
         """Return the columns of each pole: responses to the inputs and free, (m, q, N)."""
-        t = stream.times
-        driven = np.empty((len(poles), len(delay), len(t)), dtype=complex)
+        times, driven = stream.times, shape.driven
+        found = np.empty((*driven.shape[:2], len(delay) + 1, len(times)))
         for d in np.unique(delay):
-            own = np.flatnonzero(delay == d)
-            driven[:, own] = self._read(z[:, own], t - d)
-        free = np.exp(poles[:, np.newaxis] * (t - self.record.start))[:, np.newaxis]
-        both = np.concatenate((driven, free), axis=1)
-        if len(poles) and poles[0].imag > 0.0:
-            return np.concatenate((both.real, both.imag), axis=1)
-        return np.ascontiguousarray(both.real)
+            at = np.clip((times - d - self._edges[0]) / self._step, 0.0,
+                         len(self._edges) - 1.001)
+            place = at.astype(int)
+            part = at - place
+            for j in np.flatnonzero(delay == d):
+                before, after = driven[:, :, j, place], driven[:, :, j, place + 1]
+                found[:, :, j] = before + part * (after - before)
+        found[:, :, -1] = shape.free(stream, self.record.start)
+        return found.reshape(len(found), -1, len(times))
 
-    def columns(self, z: ComplexArray, poles: ComplexArray, stream: Stream, delay: Array,
-                trim: bool, feedthrough: bool) -> Array:
+    def columns(self, shapes: list[_Shape], stream: Stream, delay: Array, trim: bool,
+                feedthrough: bool) -> Array:
         """Return the columns of a model of given poles, (N, k)."""
         rows = [np.ones((1, len(stream.times)))] if trim else []
         if feedthrough:
@@ -188,13 +185,35 @@ class _Cells:
                     at = np.searchsorted(s.time, stream.times - delay[place], side='right') - 1
                     rows.append(s.values[np.maximum(at, 0), j][np.newaxis])
                     place += 1
-        for kind in (poles.imag == 0.0, poles.imag > 0.0):
-            if kind.any():
-                own = self.candidates(z[kind], poles[kind], stream, delay)
-                rows.append(own.reshape(-1, own.shape[2]))
+        for shape in shapes:
+            own = self.candidates(shape, stream, delay)
+            rows.append(own.reshape(-1, own.shape[2]))
         known: Array = np.concatenate(rows).T if rows else np.zeros((len(stream.times), 1))
         size = np.linalg.norm(known, axis=0)
         return known / np.where(size > 0.0, size, 1.0)
+
+
+class _Shape:
+    """The responses of poles of one kind, all real or all of pairs, to the inputs over cells."""
+
+    def __init__(self, cells: _Cells, poles: ComplexArray) -> None:
+        self._poles = poles if len(poles) and poles[0].imag > 0.0 else poles.real
+        self._free: dict[int, Array] = {}
+        self.driven = _parts(cells.responses(self._poles))         # (m, parts, nu, cells + 1)
+
+    def free(self, stream: Stream, start: float) -> Array:
+        """Return the free responses, (m, parts, N); kept, for dead times do not matter."""
+        if stream.channels.start not in self._free:
+            self._free[stream.channels.start] = _parts(
+                np.exp(self._poles[:, np.newaxis] * (stream.times - start)))
+        return self._free[stream.channels.start]
+
+
+def _parts(responses: ComplexArray) -> Array:
+    """Return real and, of pairs, imaginary parts."""
+    if responses.dtype == float:
+        return responses[:, np.newaxis].real
+    return np.stack((responses.real, responses.imag), axis=1)
 
 
 def _cell_means(signal: Signal, edges: Array) -> Array:

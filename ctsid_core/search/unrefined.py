@@ -107,8 +107,10 @@ def _fitted(one: MethodModel, samples: Samples, own: Settings, free: Free) -> Fi
     found = modes(m.A, _WORST)
     if found is None or np.max(found.values.real, initial=0.0) * samples.length > 20.0:
         return None
+    own_order = np.argsort(found.values.imag > 0.0, kind='stable')        # pairs after real poles
     model = ModalModel(
-        found.values, found.left @ m.B, (m.C @ found.right) / samples.size[:, np.newaxis],
+        found.values[own_order], (found.left @ m.B)[own_order],
+        (m.C @ found.right)[:, own_order] / samples.size[:, np.newaxis],
         np.zeros((len(samples.records), len(found.values)), dtype=complex),
         m.D / samples.size[:, np.newaxis] * own.feedthrough,
         np.zeros((len(samples.records), samples.ny)), np.array(own.delays(samples.nu)))
