@@ -117,14 +117,18 @@ def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
     return K
 
 
-def predicted_states(F: Array, L: Array, C: Array, v: Array) -> Array:
-    """Return x_(k+1) = F x_k + L (v_k - C x_k) from the best first state, (N, n)."""
-    values, right = np.linalg.eig(F - L @ C)
+def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Array:
+    """Return x_(k+1) = F x_k + L (v_k - C x_k), (N, n); the first is best for `count` samples."""
+    closed = F - L @ C
+    values, right = np.linalg.eig(closed) if np.isfinite(closed).all() else (
+        np.full(len(F), np.inf), closed)
+    if not np.max(np.abs(values), initial=0.0) <= 1.0:
+        return np.full((len(v), len(F)), np.inf)
     driven = (np.linalg.inv(right) @ (L @ v.T)).astype(complex)
     free = values[:, np.newaxis] ** np.arange(len(v))                    # (n, N)
     seen = C @ right
-    rest = (v.T - (seen @ _filtered(values, driven)).real).ravel()
-    columns = (seen[:, :, np.newaxis] * free).transpose(0, 2, 1).reshape(len(rest), -1)
+    rest = (v.T - (seen @ _filtered(values, driven)).real)[:, :count].ravel()
+    columns = (seen[:, :, np.newaxis] * free[:, :count]).transpose(0, 2, 1).reshape(len(rest), -1)
     x0 = np.linalg.lstsq(np.hstack((columns.real, -columns.imag)), rest, rcond=1e-9)[0]
     start = (x0[:len(values)] + 1j * x0[len(values):])[:, np.newaxis] * free
     found: Array = (right @ (_filtered(values, driven) + start)).real.T

@@ -26,9 +26,9 @@ import numpy as np
 from scipy.linalg import logm
 
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states, with_noise
+from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
-from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -36,16 +36,19 @@ from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.by_order import SubspacePoles, Tried, choose, search_orders, tried
+from ctsid_core.search.by_order import MORE, Tried, tried
+from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
-_SHARE = 0.3                # of a record, at its end, that two kinds of model are compared on
-_SEARCHED = 4000            # samples of a stream that they are made of then
+_SEARCHED = 1000            # samples of a stream that they are first climbed with
+_STEPS = 15
+_LEAST_GAIN = 0.3           # -2 log likelihood that another step has to promise
+_JITTER = 0.1               # of a sample interval: of stamps
+_FORGETS = 10.0             # times e, that predictors forget their start within the record
 _GROWTH = 3.0               # times e, that an unstable mode grows at least to be believed
 _LITTLE = 1e-5              # relative step of a difference
-_BETTER = 0.95              # geometric mean of the errors over these, over those of a simulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +65,26 @@ class PredictionFit:
     found : Tried
         The predictor (1), of these.
     free : Free
+    errors : ndarray, shape (horizons, ny)
+        Of predictions on the last record, over the motion.
+    information : float
+        Akaike's criterion of these.
     orders : dict of int to Tried
+        All that were tried.
     """
 
     matrices: Matrices
     samples: Samples
     found: Tried
     free: Free
+    errors: Array
+    information: float
     orders: dict[int, Tried]
 
 
-def solve_by_prediction(samples: Samples, free: Free, subspace: SubspacePoles, effort: Effort, *,
-                        order: int, max_order: int, known_delay: Array) -> PredictionFit | None:
+def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: int,
+                        max_order: int, known_delay: Array, record: Record,
+                        corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """
     Return the model that predicts the samples best, or None.
 
@@ -81,24 +92,97 @@ def solve_by_prediction(samples: Samples, free: Free, subspace: SubspacePoles, e
     ----------
     samples : Samples
     free : Free
-    subspace : callable
-        From an order and dead times to the poles of predictors of HD-PBSID's models.
     effort : Effort
     order, max_order : int
     known_delay : ndarray, shape (nu,)
+    record : Record
+        The last of the samples, on which orders are compared.
+    corrupt : tuple of (ndarray of bool or None)
+        Rows of each of its output signals that do not count.
     """
-    joint = with_own_past(samples)
-    own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny)
-    known = np.concatenate((known_delay, np.zeros(samples.ny)))
-    orders = search_orders(joint, own, subspace, effort, order=order, max_order=max_order,
-                           known_delay=known, enough=0.0)
-    if not orders or order not in (0, *orders):
+    samples = _before_inputs(samples)
+    joint, step = with_own_past(samples), sample_interval(samples)
+    own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
+                  limit=-_FORGETS / samples.length)
+    starts = regressed(samples, step, order or max_order, known_delay, own)
+    if not starts or order not in (0, *starts):
         return None
-    found = orders[order or choose(orders, 0.0)]
-    found = tried(joint, climb(joint, fit_at(
-        joint, found.fit.model.poles, found.fit.model.delay, own, found.fit), own, effort), own)
-    m = plant_of(found.fit, joint, len(joint.records) - 1)
-    return None if m is None else PredictionFit(m, joint, found, own, orders)
+    thin, found = joint.thinned(_SEARCHED), {}
+    n = order or min(starts, key=lambda n: starts[n].score)
+    best = n
+    while n in starts and n <= best + MORE and not (order and found or effort.over):
+        effort.check()
+        try:
+            one = tried(joint, _climbed(joint, thin, starts[n], own, effort), own)
+        except np.linalg.LinAlgError:
+            one = None
+        plant = None if one is None else plant_of(one.fit, joint, len(joint.records) - 1)
+        if one is not None and plant is not None:
+            errors = prediction_errors(plant, one.fit.model.delay[:samples.nu], record, HORIZONS,
+                                       corrupt)
+            found[n] = PredictionFit(plant, joint, one, own, errors, information(
+                errors, samples, one.parameters), {})
+        if n in found and (best not in found or found[n].information < found[best].information):
+            best = n
+        n += 1
+    return None if best not in found else replace(
+        found[best], orders={n: f.found for n, f in found.items()})
+
+
+def _climbed(joint: Samples, thin: Samples, start: Start, free: Free, effort: Effort) -> Fit:
+    """Return the predictor of greatest likelihood near one of the regression."""
+    delay = np.concatenate((start.delay, np.zeros(joint.ny)))
+    near = _near(start, joint, delay)
+    fit = climb(thin, fit_at(thin, start.poles, delay, free, near), free, effort, steps=_STEPS,
+                least=_LEAST_GAIN)
+    return fit if thin is joint else climb(joint, fit_at(
+        joint, fit.model.poles, fit.model.delay, free, fit), free, effort, steps=_STEPS,
+        least=_LEAST_GAIN)
+
+
+def _near(start: Start, joint: Samples, delay: Array) -> Fit:
+    """Return a start of the regression as what `fit_at` starts from."""
+    m, ny, records = len(start.poles), joint.ny, len(joint.records)
+    return Fit(ModalModel(start.poles, start.b, np.ones((ny, m), dtype=complex),
+                          np.zeros((records, m), dtype=complex), np.zeros((ny, joint.nu)),
+                          np.zeros((records, ny)), delay), (), np.ones((records, ny)), np.inf)
+
+
+def information(errors: Array, samples: Samples, parameters: int) -> float:
+    """
+    Return Akaike's criterion of predictions so many samples ahead, all horizons together.
+
+    The least is expected to predict new data best. Errors h samples ahead are alike for h samples,
+    so that one of h is independent.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (horizons, ny)
+        Root mean squares.
+    samples : Samples
+    parameters : int
+    """
+    counts = samples.counts.sum(axis=0) / np.array(HORIZONS)[:, np.newaxis]
+    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) + 2.0 * parameters
+
+
+def _before_inputs(samples: Samples) -> Samples:
+    """
+    Return the samples, those that closely follow an input put to its instant.
+
+    In closed loop an input is computed from the sample before it and tells its noise. Where
+    stamps jitter it may seem to be the earlier one, and would predict it.
+    """
+    near = _JITTER * sample_interval(samples)
+
+    def earlier(times: Array, inputs: tuple[Signal, ...]) -> Array:
+        stamps = np.unique(np.concatenate([s.time for s in inputs]))
+        last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
+        return np.where((times >= last) & (times - last < near), last, times)
+
+    return replace(samples, records=tuple(replace(r, streams=tuple(
+        replace(s, times=earlier(s.times, r.inputs)) for s in r.streams))
+        for r in samples.records))
 
 
 def with_own_past(samples: Samples) -> Samples:
@@ -148,9 +232,12 @@ def sample_interval(samples: Samples) -> float:
 
 
 def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple[int, ...],
-                      corrupt: tuple[Mask | None, ...], since: float = -np.inf) -> Array:
+                      corrupt: tuple[Mask | None, ...]) -> Array:
     """
     Return rms errors of predictions so many samples ahead, over the motion, (horizons, ny).
+
+    The first tenth of the record starts the filter and does not count. Infinite if the filter is
+    not stable.
 
     Parameters
     ----------
@@ -161,8 +248,6 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
     horizons : tuple of int
     corrupt : tuple of (ndarray of bool or None)
         Rows of each output signal that do not count.
-    since : float
-        Predictions of earlier samples do not count [s].
     """
     slowest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
     t = record.outputs[slowest].time
@@ -178,8 +263,8 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
-        states = predicted_states(F, F @ M, m.C, rest)
-        errors, first = [], max(len(t) // 10, int(np.searchsorted(t, since)))
+        errors, first = [], len(t) // 10
+        states = predicted_states(F, F @ M, m.C, rest, first)
         for horizon in horizons:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
@@ -187,48 +272,6 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
                           / np.std(y, axis=0))
     found = np.array(errors)
     return np.where(np.isfinite(found), found, np.inf)
-
-
-def held_out_errors(found: PredictionFit, simulating: Fit, samples: Samples, free: Free,
-                    record: Record, corrupt: tuple[Mask | None, ...], effort: Effort,
-                    ) -> tuple[Array, Array]:
-    """
-    Return errors ahead on the last part of a record, of both models made of the first parts.
-
-    Parameters
-    ----------
-    found : PredictionFit
-    simulating : Fit
-        An output-error model, whose noise is found after the plant.
-    samples : Samples
-        Of that.
-    free : Free
-        Of that.
-    record : Record
-        The last of the samples.
-    corrupt : tuple of (ndarray of bool or None)
-    effort : Effort
-    """
-    bounds = [(r.start, r.end - _SHARE * (r.end - r.start)) for r in samples.records]
-    since, errors = bounds[-1][1], []
-    early = found.samples.between(bounds).thinned(_SEARCHED)
-    own = climb(early, fit_at(early, found.found.fit.model.poles, found.found.fit.model.delay,
-                              found.free, found.found.fit), found.free, effort, steps=4)
-    plant = plant_of(own, early, len(early.records) - 1)
-    early = samples.between(bounds).thinned(_SEARCHED)
-    other = climb(early, fit_at(early, simulating.model.poles, simulating.model.delay, free),
-                  free, effort, steps=6)
-    rival, _ = with_noise(early, other, residuals(early, other), len(early.records) - 1)
-    for m, delay in ((plant, own.model.delay[:samples.nu]), (rival, other.model.delay)):
-        errors.append(np.full((len(HORIZONS), samples.ny), np.inf) if m is None else
-                      prediction_errors(m, delay, record, HORIZONS, corrupt, since))
-    return errors[0], errors[1]
-
-
-def predicts_better(one: Array, other: Array) -> bool:
-    """Return whether predictions of the first are better by far than those of the second."""
-    ratio = np.log(np.maximum(one, 1e-12) / np.maximum(other, 1e-12))
-    return bool(np.exp(np.mean(np.clip(ratio, -3.0, 3.0))) < _BETTER)
 
 
 def _proven(A: Array, length: float) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
+from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
 from ctsid_core.likelihood.residuals import residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
@@ -28,9 +29,8 @@ from ctsid_core.search.by_order import (
 )
 from ctsid_core.search.by_prediction import (
     HORIZONS,
-    held_out_errors,
+    information,
     prediction_errors,
-    predicts_better,
     solve_by_prediction,
 )
 from ctsid_core.search.solution import Solution, own_delays
@@ -85,7 +85,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0:
         samples = samples_of([p.record for p in part.parts], corrupt, late)
         best = _climbed(samples, best, free, effort, steps=5)
-    if solved := _by_prediction(part, settings, corrupt, samples, best, free, subspace, effort):
+    if solved := _by_prediction(part, settings, corrupt, samples, best, free, effort):
         return solved
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
@@ -168,8 +168,7 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free) -> tuple[
 
 
 def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
-                   best: Tried, free: Free, subspace: _Subspace,
-                   effort: Effort) -> Solution | None:
+                   best: Tried, free: Free, effort: Effort) -> Solution | None:
     """Return a model by its predictions where these are far better than a simulation's."""
     own, errors = own_delays(part, settings), residuals(samples, best.fit)
     power = best.fit.power.mean(axis=0)
@@ -179,27 +178,28 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
         not own.feedthrough and (lasting > -1.0 or coloured.max() > _CLOSED_LOOP))
     if not needed or effort.beyond(SEARCH):
         return None
-    start = replace(free, delays=own.unknown_delays(samples.nu))
-    found = solve_by_prediction(samples, start, subspace.predictor_poles, effort,
-                                order=settings.order,
-                                max_order=min(settings.max_order, max(best.fit.model.n, 4) + 1),
-                                known_delay=np.array(own.delays(samples.nu)))
-    if found is None:
-        return None
     last, record = part.last, part.parts[part.last].record
-    rows, delay = tuple(corrupt[last]), found.found.fit.model.delay[:samples.nu]
-    ahead = prediction_errors(found.matrices, delay, record, HORIZONS, rows)
+    rows, start = tuple(corrupt[last]), replace(free, delays=own.unknown_delays(samples.nu))
+    found = solve_by_prediction(samples, start, effort, order=settings.order,
+                                max_order=settings.max_order,
+                                known_delay=np.array(own.delays(samples.nu)), record=record,
+                                corrupt=rows)
     # In open loop a stable plant is what simulates best.
-    stable = bool(np.all(np.linalg.eigvals(found.matrices.A).real <= 1e-9))
-    if own.feedthrough and stable or not predicts_better(*held_out_errors(
-            found, best.fit, samples, free, record, rows, effort)):
+    if found is None or own.feedthrough and np.all(
+            np.linalg.eigvals(found.matrices.A).real <= 1e-9):
         return None
+    rival, _ = with_noise(samples, best.fit, errors, last)
+    if found.information > information(prediction_errors(
+            rival, best.fit.model.delay, record, HORIZONS, rows), samples,
+            best.parameters + int(np.count_nonzero(rival.K))):
+        return None
+    delay = found.found.fit.model.delay[:samples.nu]
     return Solution(
         _used(part, settings, len(found.matrices.A), delay), part, found.samples,
         found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', 'no simulation explains the outputs; predictions from '
-                'their own past do far better'),), plant=found.matrices, errors_ahead=ahead)
+                'their own past do far better'),), plant=found.matrices, errors_ahead=found.errors)
 
 
 def _names(part: Joint) -> list[str]:
@@ -243,11 +243,7 @@ class _Subspace:
 
     def poles(self, n: int, delay: Array) -> list[ComplexArray]:
         """Return the poles of models of order n, with given dead times."""
-        return self._found(n, delay, False)
-
-    def predictor_poles(self, n: int, delay: Array) -> list[ComplexArray]:
-        """Return those of their predictors; dead times of the outputs' own past are left out."""
-        return self._found(n, delay[:len(self._part.parts[0].u)], True)
+        return self._found(n, delay)
 
     def subspace(self, n: int) -> Subspace | None:
         """Return the regression of the middle one of HD-PBSID's tunings for order n."""
@@ -255,7 +251,7 @@ class _Subspace:
         tunings = made.some_tunings(n) if made is not None else []
         return made.of(tunings[len(tunings) // 2]) if made is not None and tunings else None
 
-    def _found(self, n: int, delay: Array, predictors: bool) -> list[ComplexArray]:
+    def _found(self, n: int, delay: Array) -> list[ComplexArray]:
         if n < _FEWEST:
             return []
         subspaces = self._projected(delay)
@@ -266,9 +262,8 @@ class _Subspace:
             subspace = subspaces.of(tuning)
             if n < len(subspace.singular_values):
                 m = realise(subspace, n)
-                A = m.A - m.K @ m.C if predictors else m.A
-                if np.isfinite(A).all():
-                    p = np.linalg.eigvals(A).astype(complex)
+                if np.isfinite(m.A).all():
+                    p = np.linalg.eigvals(m.A).astype(complex)
                     found.append(np.where(p.real > 0.0, -p.conj(), p))
         return [p[p.imag >= 0.0] for p in found]
 
