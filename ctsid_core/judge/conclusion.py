@@ -88,7 +88,7 @@ def _covariances(solution: Solution, model: StateSpace,
                  moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
     """Return the covariance of the model of all channels, and of the moving ones."""
     try:
-        changes = entry_changes(solution.samples, solution.fit, solution.free, solution.inflation)
+        changes = entry_changes(solution.samples, solution.fit, solution.free)
         if solution.plant is not None:
             changes = changes_of_plant(solution.samples, solution.fit, changes)
     except np.linalg.LinAlgError:

@@ -64,8 +64,8 @@ class Columns:
     first: Array
 
 
-def columns_of(samples: Samples, poles: ComplexArray,
-               delay: Array | Sequence[float]) -> tuple[Columns, ...]:
+def columns_of(samples: Samples, poles: ComplexArray, delay: Array | Sequence[float], *,
+               turned: bool = True) -> tuple[Columns, ...]:
     """
     Return the columns of given poles and dead times, of each record.
 
@@ -76,12 +76,14 @@ def columns_of(samples: Samples, poles: ComplexArray,
         Real ones, and one of each pair, that with positive imaginary part [rad/s].
     delay : sequence of float, length nu
         [s]
+    turned : bool
+        Whether few rows are wanted; else there is one for each sample.
     """
-    return tuple(_of_record(r, poles, delay) for r in samples.records)
+    return tuple(_of_record(r, poles, delay, turned) for r in samples.records)
 
 
-def _of_record(record: RecordSamples, poles: ComplexArray,
-               delay: Array | Sequence[float]) -> Columns:
+def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
+               turned: bool) -> Columns:
     times = record.streams[0].times if len(record.streams) == 1 else \
         np.concatenate([s.times for s in record.streams])
     found = mode_responses(poles, record.inputs, delay, record.start, times)
@@ -99,7 +101,7 @@ def _of_record(record: RecordSamples, poles: ComplexArray,
         own = slice(place, place + len(s.times))
         place = own.stop
         both = np.vstack((rows[:, own], s.y.T))
-        both = both.T if len(s.times) <= len(both) else triangle(both.T)
+        both = triangle(both.T) if turned and len(s.times) > len(both) else both.T
         triangles.append(Triangle(both[:, :len(rows)], both[:, len(rows):],
                                   np.arange(s.channels.start, s.channels.stop), len(s.times)))
     return Columns(tuple(triangles), found.first)
