@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Did the plant change? What one model costs, compared with two, in points of fit.
+Did the plant change? What one model misses that two explain, over the motion.
 
-A record is divided at a few instants; each side gets a model of its own, of the same order. One
-model loses little against two where the plant is the same; where it has changed it loses as much
-as the change matters to who simulates. The states and the trim at the start of a side are free in
-both, so that disturbances are no change of the plant.
+A record is divided at a few instants; each side gets a model of its own, of the same order. The
+states and the trim at the start of a side are free in both, so that disturbances are no change of
+the plant. Two models are always a little better, of drag, friction or gusts as well, but of a
+plant that changes they leave noise only: how much independent evidence there is for two is
+counted in *their* errors, and nearly all that one model leaves, noise apart, has to be gone.
 """
 
 from __future__ import annotations
@@ -17,18 +18,19 @@ import numpy as np
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at, fit_states
-from ctsid_core.likelihood.residuals import Residuals, residuals
+from ctsid_core.likelihood.residuals import Residuals, independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 
 _INSTANTS = (0.2, 0.35, 0.5, 0.65, 0.8)     # parts of a record at which it is divided
-_CLOSER = (-0.1, -0.05, 0.05, 0.1)          # from the best of them
-_SEARCHED = 600                             # samples of a side that are looked at
+_CLOSER = (0.07, 0.025, 0.01)               # steps from the best of them, one after another
+_EDGE = 0.08          # of a record, within which it is not divided
+_SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5
-_LEAST_GAIN = 0.3                           # -2 log likelihood that another step has to promise
-_FEWEST = 3                                 # samples of a side for each number of a model
-_QUIET = 0.03         # error over motion below which no change can matter
-_WHITE = 0.6          # share of independent errors above which nothing is left to explain
+_LEAST_GAIN = 0.3     # -2 log likelihood that another step has to promise
+_FEWEST = 3           # samples of a side for each number of a model
+_LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
+NOTED = 2.0           # points that one model has to miss, to be worth a word
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,12 @@ class Change:
     share : float
         Where, as a part of it.
     cost : float
-        Points of fit that one model loses on the side where it loses more [%].
+        Rms of what one model misses and two explain, over the motion, on the side where it is
+        more [%].
     gain : float
         By how much two models are more likely, in independent samples, beyond their price.
+    left : float
+        Power of the errors that two models leave over that of one, white noise apart.
     one, two : tuple of float
         Fit of one model and of two, before and after [%].
     """
@@ -54,14 +59,14 @@ class Change:
     share: float = 0.5
     cost: float = 0.0
     gain: float = 0.0
+    left: float = 1.0
     one: tuple[float, float] = (float('nan'), float('nan'))
     two: tuple[float, float] = (float('nan'), float('nan'))
 
 
-def most_likely_change(samples: Samples, fit: Fit, free: Free, independent: Array,
-                       effort: Effort) -> Change:
+def most_likely_change(samples: Samples, fit: Fit, free: Free, effort: Effort) -> Change:
     """
-    Return where two models gain most.
+    Return where the plant changes, if two models explain what one does not.
 
     Parameters
     ----------
@@ -69,27 +74,24 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free, independent: Arra
     fit : Fit
         Of all samples.
     free : Free
-    independent : ndarray, shape (ny,)
-        Number of independent errors of each output.
     effort : Effort
     """
-    quiet = np.sqrt(fit.power.max(axis=0)) < _QUIET
-    white = independent > _WHITE * samples.counts.sum(axis=0)
-    if (quiet | white).all():
+    if np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
         return Change()
     best = Change()
     for place in range(len(samples.records)):
         one = replace(samples, records=samples.records[place:place + 1])
         own = replace(fit.model, x0=fit.model.x0[place:place + 1],
                       y0=fit.model.y0[place:place + 1])
-        for share in _INSTANTS:
-            best = max(best, _divided(one, own, free, place, share, independent, effort),
-                       key=_gain)
-        if best.record == place:
-            for more in _CLOSER:
-                share = best.share + more
-                best = max(best, _divided(one, own, free, place, share, independent, effort)
-                           if 0.1 <= share <= 0.9 else best, key=_gain)
+        found = max((_divided(one, own, free, place, share, effort) for share in _INSTANTS),
+                    key=_gain)
+        for step in _CLOSER if found.gain > 0.0 else ():
+            found = max(found, *(
+                _divided(one, own, free, place, share, effort)
+                for share in (found.share - step, found.share + step)
+                if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
+        if found.left < _LEFT:
+            best = max(best, found, key=_gain)
     return best
 
 
@@ -98,10 +100,11 @@ def _gain(change: Change) -> float:
 
 
 def _divided(samples: Samples, model: ModalModel, free: Free, place: int, share: float,
-             n_eff: Array, effort: Effort) -> Change:
+             effort: Effort) -> Change:
     record = samples.records[0]
     at = record.start + share * (record.end - record.start)
-    one, two = [], []
+    one: list[tuple[Array, ...]] = []
+    two: list[tuple[Array, ...]] = []
     for start, end in ((record.start, at), (at, record.end)):
         side = samples.between([(start, end)]).thinned(_SEARCHED)
         if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
@@ -113,22 +116,37 @@ def _divided(samples: Samples, model: ModalModel, free: Free, place: int, share:
                           effort, steps=_STEPS, least=_LEAST_GAIN)
         except np.linalg.LinAlgError:
             return Change()
-        one.append(_rms(residuals(side, same)))
-        two.append(np.minimum(_rms(residuals(side, other)), one[-1]))
+        one += residuals(side, same)
+        two += residuals(side, min(same, other, key=lambda fit: fit.cost))
     parts = np.array([share, 1.0 - share])
-    powers = [parts @ np.array(side) ** 2 for side in (one, two)]
+    before, after = (np.array([_power((side,)) for side in both]) for both in (one, two))
+    power, rest = parts @ before, parts @ after
+    counts = samples.counts[0]
+    n_eff = counts * independent(tuple(two)) / [
+        sum(len(e) for e in own) for own in zip(*two, strict=True) for _ in range(own[0].shape[1])]
     count = model.n * (samples.nu + samples.ny) + sum(free.delays) + 1
-    gain = float(n_eff @ np.log(powers[0] / powers[1])) - count * float(
+    fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
+    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - count * float(
         np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0:
         return Change()
-    cost = [float(np.max(a - b)) for a, b in zip(one, two, strict=True)]
-    return Change(place, share, 100.0 * max(cost), gain, *(
-        (100.0 * (1.0 - float(np.max(side[0]))), 100.0 * (1.0 - float(np.max(side[1]))))
-        for side in (one, two)))
+    where = int(np.argmax(power - rest))
+    left = _coloured(tuple(two))[where] / max(float(_coloured(tuple(one))[where]), 1e-300)
+    missed = np.sqrt(np.maximum(before - after, 0.0))
+    return Change(place, share, 100.0 * float(np.max(missed)), gain, float(left), *(
+        (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
+         100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
 
 
-def _rms(errors: Residuals) -> Array:
-    found: Array = np.sqrt(np.concatenate([
-        np.mean(e ** 2, axis=0) for own in errors for e in own])) + 1e-300
+def _power(errors: Residuals) -> Array:
+    """Return the mean square of the errors of each output, (ny,)."""
+    found: Array = np.concatenate([
+        np.mean(np.concatenate([own[k] for own in errors]) ** 2, axis=0)
+        for k in range(len(errors[0]))]) + 1e-300
+    return found
+
+
+def _coloured(errors: Residuals) -> Array:
+    """Return the mean square of what is not white noise, (ny,)."""
+    found: Array = np.maximum(_power(errors) - white_part(errors) ** 2, 0.0)
     return found

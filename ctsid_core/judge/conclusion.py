@@ -53,7 +53,7 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
     share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
     tested = held_out(samples, fit, solution.free, share, effort, solution.refit)
     change = Change() if solution.refit or solution.by_prediction else most_likely_change(
-        samples, fit, solution.free, solution.independent, effort)
+        samples, fit, solution.free, effort)
     names = tuple(last.whole.input_names[j] for j in last.u)
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     evidence = _evidence(solution, errors, tested.error, change, (seen, unsure), model,
@@ -88,7 +88,7 @@ def _covariances(solution: Solution, model: StateSpace,
                  moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
     """Return the covariance of the model of all channels, and of the moving ones."""
     try:
-        changes = entry_changes(solution.samples, solution.fit, solution.free, solution.inflation)
+        changes = entry_changes(solution.samples, solution.fit, solution.free)
         if solution.plant is not None:
             changes = changes_of_plant(solution.samples, solution.fit, changes)
     except np.linalg.LinAlgError:

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate, Status
@@ -31,8 +32,7 @@ _LEAST = 0.05           # ... or this part of the motion
 _DISTURBED = 0.5        # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
 _CURVED = 2.0           # points of fit that a curve after the model gains
-_CHANGED = 4.0          # points of fit that one model loses against two
-_NOTED = 2.0            # points from which on it is noted
+_CHANGED = 4.0          # points of motion that one model misses and two explain
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
@@ -89,10 +89,10 @@ def _changed(e: Evidence) -> str:
 
 def change_note(e: Evidence) -> tuple[str, ...]:
     """Return a sentence on a change of the plant that is small, or none."""
-    if not _NOTED < e.change.cost <= _CHANGED:
+    if not NOTED < e.change.cost <= _CHANGED:
         return ()
-    return (f'one model of the whole loses {e.change.cost:.1f} points of fit against two, before '
-            f'and after {e.where.removeprefix("about ")}',)
+    return (f'one model of the whole misses {e.change.cost:.1f} % of the motion that two explain, '
+            f'before and after {e.where.removeprefix("about ")}',)
 
 
 def _weaknesses(e: Evidence) -> Iterator[str]:

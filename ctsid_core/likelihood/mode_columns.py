@@ -73,8 +73,8 @@ class Columns:
     first: Array
 
 
-def columns_of(samples: Samples, poles: ComplexArray,
-               delay: Array | Sequence[float]) -> tuple[Columns, ...]:
+def columns_of(samples: Samples, poles: ComplexArray, delay: Array | Sequence[float], *,
+               turned: bool = True) -> tuple[Columns, ...]:
     """
     Return the columns of given poles and dead times, of each record.
 
@@ -85,12 +85,14 @@ def columns_of(samples: Samples, poles: ComplexArray,
         Real ones first, then one of each pair, that with positive imaginary part [rad/s].
     delay : sequence of float, length nu
         [s]
+    turned : bool
+        Whether few rows are wanted; else there is one for each sample.
     """
-    return tuple(_of_record(r, poles, delay) for r in samples.records)
+    return tuple(_of_record(r, poles, delay, turned) for r in samples.records)
 
 
-def _of_record(record: RecordSamples, poles: ComplexArray,
-               delay: Array | Sequence[float]) -> Columns:
+def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
+               turned: bool) -> Columns:
     times = record.streams[0].times if len(record.streams) == 1 else \
         np.concatenate([s.times for s in record.streams])
     steps = steps_of(record.drives, delay, record.start, times)
@@ -108,10 +110,10 @@ def _of_record(record: RecordSamples, poles: ComplexArray,
     rows = np.concatenate((*parts, np.ones((1, len(times)))))
     shape, triangles, place = (first, len(poles) - first, wide, steps.held), [], 0
     for s in record.streams:
-        turned = np.concatenate((rows[:, place:place + len(s.times)], s.y.T))
+        both = np.concatenate((rows[:, place:place + len(s.times)], s.y.T))
         place += len(s.times)
-        turned = turned.T if len(s.times) <= len(turned) else triangle(turned.T)
-        triangles.append(_triangle(turned[:, :len(rows)], turned[:, len(rows):], shape,
+        both = triangle(both.T) if turned and len(s.times) > len(both) else both.T
+        triangles.append(_triangle(both[:, :len(rows)], both[:, len(rows):], shape,
                                    np.arange(s.channels.start, s.channels.stop), len(s.times)))
     return Columns(tuple(triangles), steps.first)
 

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
@@ -16,6 +19,8 @@ from ctsid_core.model.covariance import Entries
 
 _MET = 0.03           # relative distance of two poles below which they share a block
 _GAUGE = 1e-7         # relative singular value below which a direction changes nothing
+_SAME = 1e-12         # ... below which two columns are the same
+_SPARE = 0.05         # share of the errors' power that a fit leaves at least
 
 
 def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
@@ -70,9 +75,13 @@ def _mended(model: ModalModel) -> Array:
     return T
 
 
-def entry_changes(samples: Samples, fit: Fit, free: Free, inflation: float) -> Entries:
+def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     """
     Return the root of the covariance of A, B, C, D and dead times, a row for each direction.
+
+    With J the derivatives of the simulation and S the spectrum of the errors, the covariance is
+    (J'J)^-1 (J' S J) (J'J)^-1: noise counts at the frequencies at which it is, and so does what
+    the model leaves of the plant.
 
     Parameters
     ----------
@@ -80,31 +89,41 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, inflation: float) -> E
     fit : Fit
         At the maximum of the likelihood.
     free : Free
-    inflation : float
-        N / N_eff, by which the covariance of white errors is multiplied.
+
+    References
+    ----------
+    Ljung, System Identification, 2nd edition, (9.55): output error in noise of any colour.
     """
     model = fit.model
     rows, _, places = jacobian(samples, fit, free)
-    plant = _of_plant(samples, fit, free, places, rows.shape[1])
+    width = rows.shape[1]
+    plant = _of_plant(samples, fit, free, places, width)
     nuisance = ~plant.any(axis=0)
     wanted = plant.any(axis=0)
     if samples.ny == 1:                             # c is 1 then
         wanted &= ~plant[1]
     elif samples.nu == 1:
         wanted[places.poles + places.delays:places.poles + places.delays + places.b] = False
-    basis = _orthonormal(rows[:, nuisance])
+    apart = _orthonormal(rows[:, nuisance])
+    basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
     moving = moving - basis @ (basis.T @ moving)
-    moving = np.vstack((moving, _intervals(samples, free, places, rows.shape[1])[:, wanted]
-                        * np.sqrt(inflation)))
+    moving = np.vstack((moving, _intervals(samples, free, places, width)[:, wanted]))
     norm = np.linalg.norm(moving, axis=0)
     norm[norm == 0.0] = np.inf
-    _, s, right = np.linalg.svd(moving / norm, full_matrices=False)
+    left, s, right = np.linalg.svd(moving / norm, full_matrices=False)
     kept = s > _GAUGE * s[0]
-    total = float(samples.counts.sum())
-    spare = max(1.0 - (np.count_nonzero(kept) + basis.shape[1]) / total, 0.05)
-    root = np.zeros((int(np.count_nonzero(kept)), rows.shape[1]))
-    root[:, wanted] = right[kept] / s[kept, np.newaxis] / norm * np.sqrt(inflation / spare)
+    turned = right[kept] / s[kept, np.newaxis] / norm
+    directions = np.zeros((width, apart.shape[1] + len(turned)))
+    directions[nuisance, :apart.shape[1]] = apart
+    directions[wanted, apart.shape[1]:] = turned.T
+    directions[nuisance, apart.shape[1]:] = -apart @ (basis.T @ rows[:, wanted] @ turned.T)
+    known = left[len(rows):, kept]
+    power = known.T @ known + _noise_power(samples, fit, free, directions)[
+        apart.shape[1]:, apart.shape[1]:]
+    values, vectors = np.linalg.eigh(power)
+    root = np.zeros((len(turned), width))
+    root[:, wanted] = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ turned
     steps = PoleSteps.of(model.poles, 1.0 / samples.length, samples.several).derivatives()
     m, nu, ny, pairs = *model.b.shape, samples.ny, np.flatnonzero(model.poles.imag > 0.0)
     n, r = model.n, len(root)
@@ -138,6 +157,40 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, inflation: float) -> E
     return Entries(dA, dB, dC, dD * samples.size[:, np.newaxis], delay)
 
 
+def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> Array:
+    """
+    Return the covariance of the errors' sums over orthonormal directions of the simulation.
+
+    The spectrum of the errors is a mean over as many neighbouring frequencies as can be without
+    error by the fit, and more: what directions take out of it is allowed for.
+    """
+    whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
+                                            turned=False))
+    rows, errors, _ = jacobian(samples, whole, free)
+    found, at = np.zeros((directions.shape[1],) * 2), 0
+    for own in whole.columns:
+        for t in own.triangles:
+            for _ in t.channels:
+                block = slice(at, at + t.count)
+                at += t.count
+                seen = np.fft.rfft(rows[block] @ directions, axis=0) / np.sqrt(t.count)
+                taken = np.sum(np.abs(seen) ** 2, axis=1)
+                both = 1.0 + (np.arange(len(seen)) % (0.5 * t.count) > 0.0)     # half-planes
+                reach = min(int(np.ceil(both @ taken)), len(seen) - 1)
+                left = np.maximum(_mean_around(1.0 - taken, reach), _SPARE)
+                spectrum = _mean_around(np.abs(np.fft.rfft(errors[block])) ** 2 / t.count,
+                                        reach) / left
+                found += ((seen.conj().T * (both * spectrum)) @ seen).real
+    return found
+
+
+def _mean_around(values: Array, reach: int) -> Array:
+    """Return means over so many neighbours on each side, mirrored at the ends."""
+    total = np.cumsum(np.concatenate(([0.0], np.pad(values, reach, mode='reflect'))))
+    found: Array = (total[2 * reach + 1:] - total[:-2 * reach - 1]) / (2 * reach + 1)
+    return found
+
+
 def _intervals(samples: Samples, free: Free, places: Places, count: int) -> Array:
     """
     Return rows that say: dead times are known to a sample interval of the input, (delays, count).
@@ -168,13 +221,14 @@ def _of_plant(samples: Samples, fit: Fit, free: Free, places: Places, count: int
 
 
 def _orthonormal(columns: Array) -> Array:
-    """Return a basis of what columns span."""
+    """Return W such that columns @ W is an orthonormal basis of what they span."""
     size = np.linalg.norm(columns, axis=0)
-    kept = columns[:, size > 0.0] / size[size > 0.0]
-    if not kept.shape[1]:
-        return np.zeros((len(columns), 0))
-    left, s, _ = np.linalg.svd(kept, full_matrices=False)
-    found: Array = left[:, s > 1e-12 * s[0]]
+    size[size == 0.0] = np.inf
+    if not np.isfinite(size).any():
+        return np.zeros((columns.shape[1], 0))
+    _, s, right = np.linalg.svd(columns / size, full_matrices=False)
+    kept = s > _SAME * s[0]
+    found: Array = (right[kept] / s[kept, np.newaxis] / size).T
     return found
 
 

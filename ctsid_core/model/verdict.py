@@ -87,8 +87,8 @@ class Verdict:
     independent : ndarray, shape (ny,)
         Share of independent samples among the errors, N_eff / N: 1 if they are white.
     change_cost : float
-        Points of fit that one model loses against two, before and after the instant at which it
-        loses most [%].
+        Rms of what one model misses and two explain, before and after the instant at which two
+        gain most, over the motion [%].
     curve_gain : ndarray, shape (ny,)
         Points of fit that a curve (a cubic of the simulated output) gains after the model; 0 where
         the data do not show it [%].

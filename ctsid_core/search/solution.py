@@ -84,12 +84,6 @@ class Solution:
         delay: Array = self.fit.model.delay[:len(self.part.parts[0].u)]
         return delay
 
-    @property
-    def inflation(self) -> float:
-        """N / N_eff: how much larger the variance of estimates is than with white errors."""
-        share = self.samples.counts.sum(axis=0) / self.independent
-        return float(np.max(share))
-
 
 def own_delays(part: Joint, settings: Settings) -> Settings:
     """Return the settings with the dead times of the moving inputs only."""

@@ -335,8 +335,7 @@ def _gains(fit: Fit, direct: Fit) -> bool:
 def _without_needless(samples: Samples, best: Tried, free: Free,
                       effort: Effort) -> tuple[Tried, Free]:
     """Return the model without dead times that explain too little."""
-    deviation = np.linalg.norm(entry_changes(samples, best.fit, free, float(
-        np.max(samples.counts.sum(axis=0) / best.independent))).delay, axis=0)
+    deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
     for j in np.flatnonzero(free.delays):
         if best.fit.model.delay[j] == 0.0:
             free = replace(free, delays=tuple(bool(f and k != j)
