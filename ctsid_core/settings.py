@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from ctsid_core.errors import SettingsError
 
+LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s]
 OF_STRIDE = 0.8  # budget of a window: the rest is for publishing, and for estimates of work
 Hold = Literal['zoh', 'linear', 'smooth']
 METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
@@ -98,7 +99,7 @@ class Settings:
         when='Set it to false only if all signals are deviations from an equilibrium.')
     delay: float | str | tuple[float | str, ...] = parameter(
         'auto', 'Dead time of the inputs: one for all, or one per input; auto: estimated from '
-        'the data.', unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
+        'the data.', unit='s', low=0.0, high=LONGEST_DELAY, words=('auto',), structural=True,
         when='Set it to 0.0 where commands act at once, or to a known value.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',
