@@ -18,6 +18,7 @@ from ctsid_core.errors import SettingsError
 
 OF_STRIDE = 0.8  # budget of a window: the rest is for publishing, and for estimates of work
 Hold = Literal['zoh', 'linear', 'smooth']
+LONGEST_DELAY = 60.0  # s
 METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
 UNCHECKED = 'none'
 HOLDS: tuple[Hold, ...] = ('zoh', 'linear', 'smooth')
@@ -98,7 +99,7 @@ class Settings:
         when='Set it to false only if all signals are deviations from an equilibrium.')
     delay: float | str | tuple[float | str, ...] = parameter(
         'auto', 'Dead time of the inputs: one for all, or one per input; auto: estimated from '
-        'the data.', unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
+        'the data.', unit='s', low=0.0, high=LONGEST_DELAY, words=('auto',), structural=True,
         when='Set it to 0.0 where commands act at once, or to a known value.')
     refine: bool = parameter(
         True, 'Whether the subspace estimate is taken to the maximum of the likelihood.',

@@ -34,7 +34,7 @@ from ctsid_core.search.by_prediction import (
     solve_by_prediction,
 )
 from ctsid_core.search.solution import Solution, own_delays
-from ctsid_core.settings import Settings
+from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.signals.outliers import spikes
 from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import Subspace, realise
@@ -126,6 +126,8 @@ def _direct(part: Joint, corrupt: Corrupt, samples: Samples, found: dict[int, Tr
     model, direct = best.fit.model, replace(free, feedthrough=True)
     known = samples_of([p.record for p in part.parts], corrupt,
                        _MARGIN * float(np.max(model.delay, initial=0.0)))
+    if np.min(known.counts.sum(axis=0)) <= best.parameters:
+        return best, free
     start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
     # A pole beyond what samples can show stands for D: then orders are searched with D.
     orders = found
@@ -216,7 +218,8 @@ def free_of(samples: Samples, own: Settings) -> Free:
     finest = min(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams
                  if len(s.times) > 1)
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
-                LONGEST * samples.length, -_NEAREST / samples.length, _FASTEST * np.pi / finest)
+                min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
+                _FASTEST * np.pi / finest)
 
 
 def as_given(settings: Settings, delay: Array) -> float | tuple[float, ...]:
