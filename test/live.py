@@ -68,17 +68,10 @@ class Program:
         return self.process.poll() is None
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, float]:
-        """
-        Return exit code and the time it took to end [s].
-
-        It is the processor time that a loop beside it has had: on a computer that does nothing
-        else the time that passes, on a busy one its share of that.
-        """
-        last, start = time.monotonic() + PATIENCE, time.thread_time()
+        """Return exit code and the time it took to end [s], see `seconds_until`."""
         self.process.send_signal(number)
-        while self.alive and time.monotonic() < last:
-            pass
-        return self.process.wait(0.0), time.thread_time() - start
+        seconds = seconds_until(lambda: not self.alive, f'the end of {self.process.args}')
+        return self.process.wait(0.0), seconds
 
     def memory(self) -> int:
         """Return the resident memory [bytes]."""
@@ -163,12 +156,7 @@ class Live:
 
     def wait(self, condition: Callable[[], object], what: str):
         """Return what the condition returns once it is true."""
-        end = time.monotonic() + PATIENCE
-        while not (found := condition()):
-            if time.monotonic() > end:
-                raise AssertionError(f'waited {PATIENCE:g} s in vain for {what}')
-            time.sleep(0.01)
-        return found
+        return wait(condition, what)
 
     def call(self, kind, name: str, request):
         """Call a service; return its answer."""
@@ -255,6 +243,28 @@ class Identifier:
 
     def wait_state(self, label: str) -> None:
         self._live.wait(lambda: self.state() == label, f'the state {label}')
+
+
+def wait(condition: Callable[[], object], what: str, between: Callable[[], object] | None = None):
+    """Return what the condition returns once it is true; between two questions it sleeps."""
+    end = time.monotonic() + PATIENCE
+    while not (found := condition()):
+        if time.monotonic() > end:
+            raise AssertionError(f'waited {PATIENCE:g} s in vain for {what}')
+        between() if between else time.sleep(0.01)
+    return found
+
+
+def seconds_until(condition: Callable[[], object], what: str) -> float:
+    """
+    Return how long it takes until a condition is true [s].
+
+    It is the processor time that a loop beside it has: on a computer that does nothing else the
+    time that passes, on a busy one its share of that.
+    """
+    start = time.thread_time()
+    wait(condition, what, lambda: None)
+    return time.thread_time() - start
 
 
 def meet(node: Node, name: str, wait: Callable[[Callable[[], object], str], object]) -> None:

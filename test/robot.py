@@ -14,6 +14,8 @@ from scipy.linalg import expm
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 
+from ctsid_ros.messages import Health
+
 S = 10**9
 EPOCH = 1_700_000_000 * S
 SOFT = plant([[-1.0, 4.0], [-4.0, -1.0]], [[1.0], [2.0]], [[1.0, 0.0], [0.0, 1.0]])
@@ -126,6 +128,12 @@ class Robot:
             count, end = count + 1, end + stride
             node.wait_models(count)
         self.send(speed=10.0)
+
+    def wait_taken(self, node: Identifier) -> Health:
+        """Return what the node says of its ingest once it has all that was sent."""
+        return node.wait_health('ingest', lambda h: all(
+            h.values[f'{publisher.topic_name} messages'] == str(self.sent[name])
+            for name, publisher in self.publishers.items()), 'all messages')
 
     def publish(self, name: str, stamp_ns: int, values: Sequence[float]) -> None:
         """Publish one message."""

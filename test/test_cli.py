@@ -236,7 +236,7 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
 
 
 def test_study_prints_its_table(ctsid, tmp_path):
-    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '2', '--jobs', '1', '--out',
+    code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '1', '--jobs', '1', '--out',
                            tmp_path)
     assert code == 0, err
     for method in ("paper's HD", 'ours', 'CT-PBSID'):
@@ -969,7 +969,7 @@ def environment() -> dict[str, str]:
 
 @pytest.mark.usefixtures('interruptible')
 def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
-    params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.01'))
+    params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.05'))
     process = subprocess.Popen(
         [sys.executable, '-m', 'ctsid_ros.cli', 'replay', shared / 'bag', '--params', params,
          '--out', tmp_path / 'res'], env=environment(), cwd=tmp_path, text=True,
@@ -986,7 +986,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     assert 'Traceback' not in err
     assert 'the results are those of the first' in err
     series = load_series(tmp_path / 'res/estimates.npz')
-    assert 1 <= len(series) < 1400
+    assert 1 <= len(series) < 280
     assert sorted(p.name for p in (tmp_path / 'res').iterdir()) == FILES
     assert 'Models along the bag' in out
 

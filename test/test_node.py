@@ -95,8 +95,7 @@ def test_late_joiners_get_the_last_model(flight):
 
 def test_diagnostics_tell_latency_and_counts(flight):
     _, node, robot = flight
-    ingest = node.wait_health('ingest', lambda h: h.values['/imu messages'] == str(
-        robot.sent['imu']), 'all messages')
+    ingest = robot.wait_taken(node)
     identification = node.next_health('identification')
     assert (ingest.level, identification.level) == (Level.OK, Level.OK), (ingest, identification)
     values = ingest.values

@@ -3,12 +3,13 @@
 
 from pathlib import Path
 import signal
-import time
+from threading import Thread
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
-from live import Live  # noqa: E402
+from live import Live, seconds_until  # noqa: E402
 from robot import Robot, motion, params  # noqa: E402
 
 from ctsid_ros.messages import Level  # noqa: E402
@@ -48,12 +49,13 @@ def begun_after(live, node, act):
     live.wait(lambda: count(node, 'begun') > before, 'an identification')
 
 
-def cancelled_within(live, node, act) -> float:
+def cancelled_within(node, act) -> float:
     """Return how long it takes until an identification is broken off [s]."""
-    before, start = count(node, 'cancelled'), time.monotonic()
-    act()
-    live.wait(lambda: count(node, 'cancelled') > before, 'the end of it')
-    return time.monotonic() - start
+    before, acting = count(node, 'cancelled'), Thread(target=act)
+    acting.start()
+    seconds = seconds_until(lambda: count(node, 'cancelled') > before, 'the end of it')
+    acting.join()
+    return seconds
 
 
 def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
@@ -62,13 +64,13 @@ def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
     assert count(node, 'cancelled') == 1
     assert node.change_state('activate')
     begun_after(live, node, lambda: robot.send(7.0, speed=10.0))
-    assert cancelled_within(live, node, lambda: node.change_state('deactivate')) < SOON + BESIDE
+    assert cancelled_within(node, lambda: node.change_state('deactivate')) < SOON + BESIDE
     assert count(node, 'begun') == count(node, 'cancelled')  # and no other is begun on the way
     assert node.change_state('activate')
     begun_after(live, node, lambda: robot.send(11.0, speed=10.0))
     node.trigger('reset')
     begun_after(live, node, lambda: robot.send(15.0, speed=10.0))
-    assert cancelled_within(live, node, lambda: node.trigger('reset')) < SOON + BESIDE
+    assert cancelled_within(node, lambda: node.trigger('reset')) < SOON + BESIDE
     live.pace.write_text('0', encoding='ascii')
     robot.send(18.5, speed=10.0)
     node.wait_models(1)  # of the real one
@@ -80,7 +82,7 @@ def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
 def test_a_signal_breaks_off(live, number):
     node, _ = busy(live)
     assert cancelled_within(
-        live, node, lambda: node.program.process.send_signal(number)) < SOON + BESIDE
+        node, lambda: node.program.process.send_signal(number)) < SOON + BESIDE
     code, seconds = node.program.end(number)
     assert code == 0
     assert seconds < 1.0
@@ -99,10 +101,11 @@ def test_diagnostics_say_how_long_it_has_taken_and_what_it_skips(live):
     assert f'{said.values["skipped meanwhile"]} newer windows were skipped' in said.message
     assert said.values['window under way'] == '1'
     live.pace.write_text('0', encoding='ascii')
+    robot.wait_taken(node)
     node.trigger('reset')
-    for end in (11.0, 11.5, 12.0, 12.5):  # one by one: none is skipped any more
-        robot.send(end, speed=3.0)
-        time.sleep(0.3)
+    for number, end in enumerate(np.arange(10.45, 12.0, 0.5), 1):  # none is skipped any more
+        robot.send(end, speed=10.0)
+        node.wait_models(number)
     said = node.wait_health('identification', lambda h: 'skipped' not in h.message
                             and 'verdict' in h.values, 'the end of the warning')
     assert int(said.values['skipped windows']) > 2

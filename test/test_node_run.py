@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 from builtin_interfaces.msg import Time  # noqa: E402
-from live import claim_domain  # noqa: E402
+from live import claim_domain, wait  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -78,15 +78,13 @@ def test_messages_have_simulated_times_between_those_of_the_ticks_around_them(no
     intake = Intake(node, feed, made.classes, NodeSettings(), lambda _: None, clock)
     ticks = node.create_publisher(ClockMessage, '/clock', 10)
     messages = node.create_publisher(cls, '/u', 10)
-    while not ticks.get_subscription_count() or not messages.get_subscription_count():
-        pass
+    wait(lambda: ticks.get_subscription_count() and messages.get_subscription_count(), 'discovery')
     with intake.lock:  # as if the thread had been held up: all is there when it goes on
         for seconds in (10, 11, 12, 13):
             ticks.publish(ClockMessage(clock=Time(sec=seconds)))
             messages.publish(cls())
         ticks.publish(ClockMessage(clock=Time(sec=14)))
-    while len(pushed) < 4:
-        pass
+    wait(lambda: len(pushed) >= 4, 'all messages')
     assert intake.stop(180.0)
     for log_ns, (low, high) in zip(pushed, ((10, 11), (11, 12), (12, 13), (13, 14)), strict=True):
         assert low * S < log_ns < high * S
@@ -114,19 +112,16 @@ def test_two_publishers_of_one_topic_are_named(node):
                     NodeSettings(), lambda _: None)
     others = [Node(name, context=node.context) for name in ('left', 'right')]
     publishers = [other.create_publisher(made.classes['/u'], '/u', 10) for other in others]
-    while not all(publisher.get_subscription_count() for publisher in publishers):
-        pass
-    while len(found := [end.node_name for end in node.get_publishers_info_by_topic('/u')]) < 2:
-        pass
-    assert sorted(found) == ['left', 'right']
+    wait(lambda: all(publisher.get_subscription_count() for publisher in publishers), 'discovery')
+    wait(lambda: sorted(end.node_name for end in node.get_publishers_info_by_topic('/u')) ==
+         ['left', 'right'], 'both names')
     fault, = intake.faults()
     assert fault.startswith('2 publishers are on /u, whose samples are mixed into the same '
                             'channels: the publisher `/')
     assert '`/left`' in fault
     assert '`/right`' in fault
     others[0].destroy_node()
-    while len(node.get_publishers_info_by_topic('/u')) > 1:
-        pass
+    wait(lambda: len(node.get_publishers_info_by_topic('/u')) == 1, 'the end of one')
     assert list(intake.faults()) == []
     others[1].destroy_node()
     assert intake.stop(180.0)

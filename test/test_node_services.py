@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 
 from ctsid_core.model.model_json import to_json  # noqa: E402
 from ctsid_core.model.storage import load_estimate  # noqa: E402
-from ctsid_ros.messages import Health, Level  # noqa: E402
+from ctsid_ros.messages import Level  # noqa: E402
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_identify_save_and_reset(live, tmp_path):
     assert node.trigger('save') == (False, 'there is no accepted model yet; see /diagnostics')
     robot.send(6.0)
     node.wait_models(1)
-    wait_for_all(node, robot)
+    robot.wait_taken(node)
     success, _ = node.trigger('identify')
     assert success
     regular, requested = node.wait_models(2)
@@ -63,13 +63,6 @@ def test_identify_save_and_reset(live, tmp_path):
     assert set(node.metadata()[2]['modes']).isdisjoint(node.metadata()[1]['modes'])
 
 
-def wait_for_all(node, robot) -> Health:
-    """Return what the node says of its ingest once it has all that a robot has sent."""
-    return node.wait_health('ingest', lambda h: all(
-        h.values[f'/{name} messages'] == str(sent) for name, sent in robot.sent.items()),
-        'all messages')
-
-
 def simulate(robot, clock, seconds, speed=2.0):
     """Publish messages and /clock as a simulator does: in small steps, twice the real time."""
     start, step = time.monotonic(), 0.008
@@ -88,7 +81,7 @@ def test_simulated_time_stamps_what_has_no_header(live):
     simulate(robot, clock, 4.8)
     estimates = node.wait_models(2)
     assert 10 * S <= estimates[0].start_ns < 10.5 * S
-    said = wait_for_all(node, robot)
+    said = robot.wait_taken(node)
     assert said.values['torque stamps from'] == 'log'
     for estimate in estimates:
         assert estimate.ok

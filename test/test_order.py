@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections import Counter
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, flown, match, paper, random_plant, running
 import pytest
@@ -28,10 +29,9 @@ def chosen(p, snr, seed=0) -> int:
 
 @pytest.mark.parametrize(('nu', 'ny', 'n'), [
     *((1, 1, n) for n in range(1, 6)),
-    *((2, 3, n) for n in range(1, 7)),
+    *((2, 3, n) for n in (2, 4)), *slow(*((2, 3, n) for n in (1, 3, 5, 6))),
     pytest.param(1, 1, 6, marks=pytest.mark.xfail(
-        reason='with the true order the climb ends in another valley, at 93 % fit',
-        strict=False))])
+        reason='order 8 is found, at 99.9 % fit; with order 6 the climb ends at 93 %'))])
 def test_the_order_of_clean_plants(n, nu, ny):
     p = random_plant(np.random.default_rng(n), n, nu, ny)
     assert chosen(p, 60, n) == n
@@ -84,7 +84,7 @@ def test_parts_are_judged_by_their_own_length():
     assert min(t.beta for t in subspaces.tunings(2)) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
 def test_the_order_under_process_noise(seed):
     """Simulations of a disturbed plant would want more states: the innovation form does not."""
     settings = Settings(feedthrough=False, held_out=0.0)
@@ -104,9 +104,10 @@ def test_stable_plants_give_stable_models(name, snr):
     assert (found.model or found.rejected_model).poles.real.max() < 0.1   # 1 / duration
 
 
-@pytest.mark.parametrize('q', [0.0, 0.05, 0.2])
-def test_an_unstable_plant_is_seen_to_be_unstable(q):
-    for seed in range(3):
+@pytest.mark.parametrize(('q', 'seeds'), [
+    (0.0, 1), (0.05, 1), (0.2, 1), *slow((0.0, 3), (0.05, 3), (0.2, 3))])
+def test_an_unstable_plant_is_seen_to_be_unstable(q, seeds):
+    for seed in range(seeds):
         found = identify(flown(np.random.default_rng(seed), q),
                          Settings(feedthrough=False, order=2, held_out=0.0))
         model = found.model or found.rejected_model

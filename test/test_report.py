@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from html.parser import HTMLParser
+from io import StringIO
 import math
 import re
-import time
+from threading import Event, active_count
 import xml.etree.ElementTree as ET
 
 from flights import TRUTH
@@ -439,15 +440,22 @@ def test_time_left_is_told_once_it_can_be_known():
     assert time_left(0.1, 100.0) == 'about 15 min left'
 
 
-def test_work_without_an_end_is_one_line_once_it_has_taken_a_while(capsys):
-    with working('thinking'):
+def test_work_without_an_end_is_one_line_once_it_has_taken_a_while(monkeypatch):
+    class Stream(StringIO):
+        def flush(self) -> None:
+            told.set()
+
+    told, stream = Event(), Stream()
+    monkeypatch.setattr('ctsid_ros.progress._PATIENCE', 1000.0)
+    with working('brief', stream=stream):
         pass
-    with working('hidden', quiet=True):
-        time.sleep(0.6)
-    assert capsys.readouterr().err == ''
-    with working('thinking'):
-        time.sleep(0.7)
-    assert capsys.readouterr().err == 'thinking ...\n'
+    monkeypatch.setattr('ctsid_ros.progress._PATIENCE', 0.0)
+    with working('thinking', stream=stream):
+        assert told.wait(180.0)
+    assert stream.getvalue() == 'thinking ...\n'
+    threads = active_count()
+    with working('hidden', quiet=True, stream=stream):
+        assert active_count() <= threads  # nobody who could tell it
 
 
 def test_an_estimate_without_a_model_is_told_once():

@@ -142,10 +142,16 @@ def _power(parts: Sequence[Array]) -> Array:
 
 def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight: Array,
          derivatives: bool) -> tuple[Array, Array, float] | None:
-    """Return derivatives of -e by K, e (both over the errors' size), and its sum of squares."""
+    """
+    Return derivatives of -e by K, e (both over the errors' size), and its sum of squares.
+
+    None if the predictor is unstable, or changes its sign from sample to sample: continuous in
+    time there is no such predictor.
+    """
     P = F - G @ K @ C
     values, right = np.linalg.eig(P)
-    if np.max(np.abs(values), initial=0.0) > _LIMIT or np.linalg.cond(right) > 1e10:
+    if np.max(np.abs(values), initial=0.0) > _LIMIT or np.linalg.cond(right) > 1e10 or \
+            np.any((values.real < 0.0) & (values.imag == 0.0)):
         return None
     left = np.linalg.inv(right)
     rows, errors = [], []

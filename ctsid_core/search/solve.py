@@ -127,6 +127,8 @@ def _direct(part: Joint, corrupt: Corrupt, samples: Samples, found: dict[int, Tr
     model, direct = best.fit.model, replace(free, feedthrough=True)
     known = samples_of([p.record for p in part.parts], corrupt,
                        _MARGIN * float(np.max(model.delay, initial=0.0)))
+    if np.min(known.counts.sum(axis=0)) <= best.parameters:
+        return best, free
     start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
     # A pole beyond what samples can show stands for D: then orders are searched with D.
     orders = found
@@ -217,7 +219,8 @@ def free_of(samples: Samples, own: Settings) -> Free:
     finest = min(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams
                  if len(s.times) > 1)
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
-                min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length, _FASTEST * np.pi / finest)
+                min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
+                _FASTEST * np.pi / finest)
 
 
 def as_given(settings: Settings, delay: Array) -> float | tuple[float, ...]:
