@@ -75,7 +75,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free, independent: Arra
     """
     quiet = np.sqrt(fit.power.max(axis=0)) < _QUIET
     white = independent > _WHITE * samples.counts.sum(axis=0)
-    if (quiet | white).all():
+    if (quiet | white).all() or effort.over:
         return Change()
     best = Change()
     for place in range(len(samples.records)):
@@ -83,6 +83,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free, independent: Arra
         own = replace(fit.model, x0=fit.model.x0[place:place + 1],
                       y0=fit.model.y0[place:place + 1])
         for share in _INSTANTS:
+            if effort.over:
+                return best
             best = max(best, _divided(one, own, free, place, share, independent, effort),
                        key=_gain)
         if best.record == place:
