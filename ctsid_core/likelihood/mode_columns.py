@@ -102,8 +102,8 @@ def evaluation_work(samples: Samples, modes: int) -> float:
     count = sum(float(len(s.times)) for r in samples.records for s in r.streams)
     stamps = sum(float(len(s.time)) for r in samples.records for s in r.inputs)
     columns = 4.0 * modes * (samples.nu + 1) + samples.nu + samples.ny + 1
-    return _OVERHEAD * (samples.ny + 1) + _PER_RESPONSE * (count * (samples.nu + 1) + stamps) * modes \
-        + 2.0 * count * columns ** 2
+    responses = modes * (count * (samples.nu + 1) + stamps)
+    return _OVERHEAD * (samples.ny + 1) + _PER_RESPONSE * responses + 2.0 * count * columns ** 2
 
 
 def _of_record(record: RecordSamples, poles: ComplexArray,
