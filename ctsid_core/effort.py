@@ -43,7 +43,7 @@ class Effort:
 
     def __init__(self, budget: float = 0.0, cancelled: Callable[[], bool] | None = None) -> None:
         self.budget, self._cancelled = budget, cancelled
-        self._work, self._rate = 0.0, work_rate()
+        self._work, self._kept, self._rate = 0.0, 0.0, work_rate()
 
     def check(self) -> None:
         """
@@ -58,8 +58,24 @@ class Effort:
             raise Cancelled
 
     def spend(self, work: float) -> None:
-        """Count work that has been done."""
+        """
+        Count work that is about to be done, if it is still wanted.
+
+        Raises
+        ------
+        Cancelled
+            If it is not.
+        """
+        self.check()
         self._work += work
+
+    def keep(self, work: float) -> None:
+        """Keep work of the budget for what has to be done at the end; 0: nothing any more."""
+        self._kept = work
+
+    def worth(self, seconds: float) -> float:
+        """Return the work that takes so many seconds."""
+        return seconds * self._rate
 
     @property
     def seconds(self) -> float:
@@ -68,12 +84,13 @@ class Effort:
 
     @property
     def over(self) -> bool:
-        """Whether the budget is spent."""
+        """Whether the budget is spent, but for what is kept."""
         return self.beyond(1.0)
 
     def beyond(self, share: float) -> bool:
-        """Return whether more than a share of the budget is spent."""
-        return 0.0 < share * self.budget <= self.seconds
+        """Return whether more than a share of the budget, less what is kept, is spent."""
+        free = max(self.budget - self._kept / self._rate, 0.0)
+        return self.budget > 0.0 and share * free <= self.seconds
 
 
 def work_rate() -> float:

@@ -101,6 +101,36 @@ def test_a_window_that_is_broken_off_leaves_no_trace(record):
     assert to_json(tracker.take(record).estimate) == to_json(other.take(record).estimate)
 
 
+def test_what_is_kept_is_not_spent_by_a_search():
+    effort = Effort(1.0)
+    effort.keep(effort.worth(0.4))
+    effort.spend(effort.worth(0.59))
+    assert not effort.over
+    assert effort.beyond(0.9)
+    effort.spend(effort.worth(0.02))
+    assert effort.over
+    effort.keep(0.0)
+    assert not effort.over
+
+
+def test_nothing_is_counted_any_more_once_it_is_cancelled():
+    effort = Effort(cancelled=lambda: True)
+    with pytest.raises(Cancelled):
+        effort.spend(1.0)
+    assert effort.seconds == 0.0
+
+
+@pytest.mark.parametrize(('budget', 'order'), [(0.1, 1), (0.3, 2)])
+def test_a_budget_holds_for_every_stage(budget, order):
+    """Counted: what a second is depends on the computer."""
+    record = running(np.random.default_rng(0), PLANTS['hd51'], 60, rate=200.0)
+    whole, short = (identify(record, Settings(budget=b)) for b in (0.0, budget))
+    assert short.statistics['seconds_spent'] < min(1.3 * budget, whole.statistics['seconds_spent'])
+    assert short.model is not None
+    assert (whole.model.n, short.model.n) == (2, order)     # the less time, the fewer orders
+    assert any('budget' in note for note in short.notes)
+
+
 def test_windows_have_the_budget_of_their_stride():
     assert Settings().budget == 0.0
     assert Settings(window_stride=2.0).for_windows().budget == 2.0 * OF_STRIDE

@@ -76,7 +76,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free, effort: Effort) -
     free : Free
     effort : Effort
     """
-    if np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
+    if samples.effort.over or \
+            np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
         return Change()
     best = Change()
     for place in range(len(samples.records)):

@@ -42,6 +42,7 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
     effort : Effort
     """
     part, fit, samples = solution.part, solution.fit, solution.samples
+    effort.keep(0.0)
     errors = residuals(samples, fit)
     m, intensity = _matrices(solution, errors)
     last = part.parts[part.last]
@@ -69,10 +70,17 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
         fit=100.0 * (1.0 - evidence.error), held_out_fit=100.0 * (1.0 - evidence.held_out),
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
-        notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence)),
+        notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
+               *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds,
                     'change_cost': change.cost, 'change_share': _share(part, change)},
         records=_shares(solution) if part.several else ())
+
+
+def _spent(effort: Effort) -> tuple[str, ...]:
+    """Return what the budget has left out at the end, in words."""
+    return (f'the budget of {effort.budget:.3g} s is spent: whether the plant changed within the '
+            'window was looked at in part or not at all; raise `budget`',) if effort.over else ()
 
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:

@@ -24,6 +24,9 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import steps_of
 
+_OVERHEAD = 3e6       # operations that an evaluation of no samples takes, and each output
+_PER_RESPONSE = 700.0  # operations for each sample and response
+
 
 @dataclass(frozen=True, eq=False)
 class Triangle:
@@ -88,7 +91,21 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array | Sequence[fl
     turned : bool
         Whether few rows are wanted; else there is one for each sample.
     """
+    samples.effort.spend(evaluation_work(samples, len(poles)))
     return tuple(_of_record(r, poles, delay, turned) for r in samples.records)
+
+
+def evaluation_work(samples: Samples, modes: int) -> float:
+    """
+    Return the work of one evaluation and the step after it, in operations (`effort.py`).
+
+    Measured, within 40 %.
+    """
+    count = sum(float(len(s.times)) for r in samples.records for s in r.streams)
+    stamps = sum(float(len(s.time)) for r in samples.records for s in r.inputs)
+    columns = 4.0 * modes * (samples.nu + 1) + samples.nu + samples.ny + 1
+    responses = modes * (count * (samples.nu + 1) + stamps)
+    return _OVERHEAD * (samples.ny + 1) + _PER_RESPONSE * responses + 2.0 * count * columns ** 2
 
 
 def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],

@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import expm
 
+from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import Residuals
 from ctsid_core.likelihood.samples import Samples
@@ -37,9 +38,11 @@ _HALVINGS = 6
 _LEAST = 0.02         # part of the errors' size that innovations must be smaller, to be worth K
 _FIXED_POINT = 20
 _LIMIT = 0.999        # largest magnitude of the predictor's modes
+_WORK, _PER_NUMBER = 6e7, 4e3           # work: at least, and for each entry of K and sample
 
 
-def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float) -> tuple[Array, Array]:
+def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
+               effort: Effort | None = None) -> tuple[Array, Array]:
     """
     Return the gain K and the covariance of the innovations.
 
@@ -52,6 +55,8 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float) -> tuple
         What the simulation of each record leaves, uniformly sampled.
     step : float
         [s]
+    effort : Effort, optional
+        That it is part of.
 
     Returns
     -------
@@ -60,7 +65,7 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float) -> tuple
     R : ndarray, shape (ny, ny)
         Of the innovations.
     """
-    n, ny = len(A), len(C)
+    n, ny, effort = len(A), len(C), effort or Effort()
     total = sum(len(v) for v in parts)
     joint = np.zeros((2 * n, 2 * n))
     joint[:n, :n], joint[:n, n:] = A, np.eye(n)
@@ -80,6 +85,7 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float) -> tuple
                                  rows.T @ error / scale) / scale
         moved = False
         for k in range(_HALVINGS):
+            effort.check()
             trial = K + 0.5 ** k * change.reshape(n, ny)
             seen = _run(F, G, C, trial, parts, weight, False)
             if seen is not None and seen[2] < best:
@@ -204,8 +210,10 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
     m = matrices_of(fit.model, samples.size, record)
     step, parts = uniform(samples, errors)
     K, R = np.zeros_like(m.K), np.diag(fit.power[record] * samples.size ** 2)
+    samples.effort.spend(_WORK + _PER_NUMBER * m.K.size * float(len(parts[0]) * len(parts)))
     if len(m.A) and np.max(np.linalg.eigvals(m.A).real) < 0.0:
-        K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step)
+        K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step,
+                          samples.effort)
     return replace(m, K=K), R * step
 
 

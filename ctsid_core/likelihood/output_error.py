@@ -33,8 +33,6 @@ _RANK = 1e-13         # relative singular value below which a linear direction i
 LEAST_GAIN = 0.01     # -2 log likelihood: a tenth of a standard deviation is not worth a step
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
-_OVERHEAD = 3e6       # operations that an evaluation of no samples takes the time of
-_PER_RESPONSE = 1e3   # operations for each sample and response
 _DAMPING = 1e-4       # of the first step
 
 
@@ -136,7 +134,6 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         step promises and what the last one brought.
     """
     best, damping, gain = start, _DAMPING, np.inf
-    work = evaluation_work(samples, len(start.model.poles))
     for _ in range(steps):
         rows, error, places = jacobian(samples, best, free)
         gradient, curvature = rows.T @ error, rows.T @ rows
@@ -150,7 +147,6 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
             hope = min(float(gradient @ step), gain)
             if hope < least or best.cost - 5.0 * hope > rival:
                 return best
-            effort.spend(work)
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
@@ -162,13 +158,6 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         if effort.over or np.all(best.power <= ROUNDING):
             break
     return best
-
-
-def evaluation_work(samples: Samples, modes: int) -> float:
-    """Return the work of one evaluation, in operations (`effort.py`): measured, within 20 %."""
-    count = sum(float(len(s.times)) for r in samples.records for s in r.streams)
-    columns = 4.0 * modes * (samples.nu + 1) + samples.nu + samples.ny + 1
-    return _OVERHEAD + count * (_PER_RESPONSE * modes * (samples.nu + 1) + 2.0 * columns ** 2)
 
 
 def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free) -> Fit | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
@@ -31,6 +32,7 @@ def residuals(samples: Samples, fit: Fit) -> Residuals:
 def simulated(samples: Samples, fit: Fit) -> Residuals:
     """Return the simulation at the samples, over the size of the outputs, likewise."""
     m, found = fit.model, []
+    samples.effort.spend(0.3 * evaluation_work(samples, len(m.poles)))
     for i, record in enumerate(samples.records):
         own = []
         for s in record.streams:

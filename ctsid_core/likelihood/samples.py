@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from ctsid_core.effort import Effort
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Record, Signal, channel_slices
@@ -70,12 +71,15 @@ class Samples:
         Numbers of inputs and outputs.
     size : ndarray, shape (ny,)
         Standard deviation of each output, that it was divided by.
+    effort : Effort
+        That looking at them is part of.
     """
 
     records: tuple[RecordSamples, ...]
     nu: int
     ny: int
     size: Array
+    effort: Effort = field(default_factory=Effort)
 
     @property
     def several(self) -> bool:
@@ -121,7 +125,7 @@ class Samples:
 
 
 def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None]],
-               ahead: float = 0.0) -> Samples:
+               ahead: float = 0.0, effort: Effort | None = None) -> Samples:
     """
     Return the samples of records.
 
@@ -134,6 +138,8 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
     ahead : float
         Longest dead time that is looked for: outputs are left out for so long after the first
         known value of an input [s].
+    effort : Effort, optional
+        That looking at them is part of.
     """
     levels = [np.concatenate([s.values[_rows(s, r)] for r in records for s in [r.outputs[i]]])
               for i in range(len(records[0].outputs))]
@@ -152,7 +158,7 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
             streams.append(Stream(signal.time[rows], signal.values[rows] / size[channels],
                                   channels))
         found.append(RecordSamples(record.inputs, first, record.end, tuple(streams)))
-    return Samples(tuple(found), records[0].nu, len(size), size)
+    return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())
 
 
 def _rows(signal: Signal, record: Record) -> slice:

@@ -28,7 +28,6 @@ from ctsid_core.likelihood.output_error import (
     Fit,
     Free,
     climb,
-    evaluation_work,
     fit_at,
     split,
 )
@@ -119,6 +118,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     if thin is samples:
         return found
     chosen = order or choose(found, enough)
+    if effort.beyond(SEARCH):
+        found = {chosen: found[chosen]}
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free, effort,
         steps=_STEPS if n == chosen else 1, least=_LEAST_GAIN), free) for n, one in found.items()}
@@ -193,8 +194,8 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         kinds[kind] = kinds.get(kind, 0) + 1
         if kinds[kind] > _LOOKED_AT:
             continue
-        effort.check()
-        effort.spend(evaluation_work(samples, len(poles)))
+        if fits and effort.beyond(SEARCH):
+            break
         try:
             fits.append((kind, fit_at(samples, poles, delay, free)))
         except np.linalg.LinAlgError:

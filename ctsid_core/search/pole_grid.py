@@ -27,6 +27,7 @@ _PAIRS = 12           # natural frequencies of pairs at each damping
 _DAMPING = (0.02, 0.1, 0.4, 0.8)
 _CELLS = 4000         # of time, at most
 _RIDGE = 1e-9         # of the inner products of a candidate's columns
+_LOOK, _PER_POLE = 3e6, 300.0           # work: of any look, and for each pole, input and sample
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,8 @@ class PoleGrid:
                 shapes: list[list[_Shape]] | list[None]) -> Array:
         # The power of all records together decides here: residues are theirs together.
         count = len(self.poles) if shapes[0] is not None else 1
+        self._samples.effort.spend(_LOOK + _PER_POLE * count * (self._samples.nu + 1) * float(
+            np.max(self._samples.counts.sum(axis=0))))
         power, number = np.zeros((count, self._samples.ny)), np.zeros(self._samples.ny)
         for cells, shape in zip(self._cells, shapes, strict=True):
             base = [_Shape(cells, poles[kind]) for kind in (poles.imag == 0.0, poles.imag > 0.0)

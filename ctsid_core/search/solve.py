@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
+from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
 from ctsid_core.likelihood.residuals import residuals, white_part
@@ -52,7 +54,14 @@ _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at l
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 
+_FEWEST_SAMPLES = 300  # of a stream, that are always looked at
+_LATER = 14           # evaluations of all samples that have to be after the search,
+_MODES = 3            # of so many modes,
+_FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
+_PROJECTION, _PER_SAMPLE, _REGRESSION = 2.5e7, 1e4, 2e7      # work of HD-PBSID
+
 Corrupt = list[list[Mask | None]]
+Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
 
 
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
@@ -67,23 +76,29 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """
     own = own_delays(part, settings)
     corrupt = corrupt_rows(part)
-    samples = samples_of([p.record for p in part.parts], corrupt)
+    records, most = [p.record for p in part.parts], _affordable(part, corrupt, settings, effort)
+
+    def seen(ahead: float = 0.0) -> Samples:
+        return samples_of(records, corrupt, ahead, effort).thinned(most)
+
+    samples = seen()
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
-    subspace = _Subspace(part, own)
+    subspace = _Subspace(part, own, effort)
     found = search_orders(samples, free, subspace.poles, effort, order=settings.order,
                           max_order=settings.max_order, known_delay=given)
     if not found or settings.order not in (0, *found):
         return None
     order = settings.order or choose(found)
     notes = _left_out(found, order, settings, effort)
-    samples, best, hidden = _without_outliers(part, corrupt, samples, found[order], free, effort)
+    samples, best, hidden = _without_outliers(
+        part, corrupt, samples, found[order], free, effort, seen)
     if own.feedthrough:
-        best, free = _direct(part, corrupt, samples, found, best, free, subspace, settings, effort)
+        best, free = _direct(part, seen, samples, found, best, free, subspace, settings, effort)
     best, free = _without_needless(samples, best, free, effort)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
-        samples = samples_of([p.record for p in part.parts], corrupt, late)
+        samples = seen(late)
         best = _climbed(samples, best, free, effort, steps=5)
     if solved := _by_prediction(part, settings, corrupt, samples, best, free, effort):
         return solved
@@ -93,6 +108,19 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free), notes, whole=whole, hidden=hidden,
                     singular_values=values, condition=condition)
+
+
+def _affordable(part: Joint, corrupt: Corrupt, settings: Settings, effort: Effort) -> int:
+    """Return how many samples of a stream the budget suffices for; keep what they need later."""
+    samples = samples_of([p.record for p in part.parts], corrupt)
+    most = max(int(np.max(samples.counts.sum(axis=0))), 1)
+    if not settings.budget:
+        return most
+    while most > _FEWEST_SAMPLES and _LATER * evaluation_work(
+            samples.thinned(most), _MODES) > _FOR_LATER * effort.worth(settings.budget):
+        most = int(0.8 * most)
+    effort.keep(_LATER * evaluation_work(samples.thinned(most), _MODES))
+    return most
 
 
 def _climbed(samples: Samples, one: Tried, free: Free, effort: Effort, steps: int = 100) -> Tried:
@@ -111,22 +139,21 @@ def _left_out(found: dict[int, Tried], order: int, settings: Settings,
 
 
 def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
-                      effort: Effort) -> tuple[Samples, Tried, int]:
+                      effort: Effort, seen: Seen) -> tuple[Samples, Tried, int]:
     """Return samples and model without what stands out in its errors, and how many do."""
     hidden = _hide_outliers(part, corrupt, samples, best.fit)
     if hidden:
-        samples = samples_of([p.record for p in part.parts], corrupt)
+        samples = seen()
         best = _climbed(samples, best, free, effort)
     return samples, best, hidden
 
 
-def _direct(part: Joint, corrupt: Corrupt, samples: Samples, found: dict[int, Tried], best: Tried,
+def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
             free: Free, subspace: _Subspace, settings: Settings,
             effort: Effort) -> tuple[Tried, Free]:
     """Return the model with D, if that explains more than it costs."""
     model, direct = best.fit.model, replace(free, feedthrough=True)
-    known = samples_of([p.record for p in part.parts], corrupt,
-                       _MARGIN * float(np.max(model.delay, initial=0.0)))
+    known = seen(_MARGIN * float(np.max(model.delay, initial=0.0)))
     if np.min(known.counts.sum(axis=0)) <= best.parameters:
         return best, free
     start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
@@ -239,8 +266,8 @@ def _shown(subspace: _Subspace, n: int) -> tuple[Array, float]:
 class _Subspace:
     """Poles of HD-PBSID's models, on lines projected when they are first asked for."""
 
-    def __init__(self, part: Joint, own: Settings) -> None:
-        self._part, self._own = part, own
+    def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
+        self._part, self._own, self._effort = part, own, effort
         self._made: Subspaces | None = None
         self._tried = False
 
@@ -261,7 +288,9 @@ class _Subspace:
         if subspaces is None:
             return []
         found = []
+        self._effort.spend(_REGRESSION)
         for tuning in subspaces.some_tunings(n):
+            self._effort.check()
             subspace = subspaces.of(tuning)
             if n < len(subspace.singular_values):
                 m = realise(subspace, n)
@@ -275,6 +304,8 @@ class _Subspace:
         if self._tried:
             return self._made
         self._tried, own = True, self._own.replace(delay=tuple(delay.tolist()))
+        self._effort.spend(_PROJECTION + _PER_SAMPLE * sum(
+            float(len(s.time)) for p in self._part.parts for s in p.record.outputs))
         try:
             layout, _ = self._part.layout(own)
             projection = self._part.project(own.replace(parts=max(layout.sizes)[1]), layout)
@@ -313,6 +344,8 @@ def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, fr
     for n, one in sorted(found.items()):
         if order and n != order or n > without.fit.model.n:
             continue
+        if effort.over:
+            break
         other = min((fit_at(samples, one.fit.model.poles, delay, direct)
                      for delay in (one.fit.model.delay, without.fit.model.delay)),
                     key=lambda fit: fit.cost)
@@ -343,7 +376,7 @@ def _without_needless(samples: Samples, best: Tried, free: Free,
         if best.fit.model.delay[j] == 0.0:
             free = replace(free, delays=tuple(bool(f and k != j)
                                               for k, f in enumerate(free.delays)))
-        elif best.fit.model.delay[j] < _SURE * deviation[j]:
+        elif best.fit.model.delay[j] < _SURE * deviation[j] and not effort.over:
             late = tuple(bool(f and k != j) for k, f in enumerate(free.delays))
             fewer = replace(free, delays=late)
             delay = np.where(np.arange(samples.nu) == j, 0.0, best.fit.model.delay)

@@ -50,7 +50,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
     settings = settings.with_known_delays().replace(refine=False)
     own = own_delays(part, settings)
     samples = samples_of([p.record for p in part.parts], corrupt_rows(part),
-                         max(own.delays(len(part.parts[0].u))))
+                         max(own.delays(len(part.parts[0].u))), effort)
     free = replace(free_of(samples, own), delays=(False,) * samples.nu, limit=np.inf)
     orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
     best = _likeliest(method.models(part, own, orders), samples, own, free, effort)
