@@ -44,6 +44,7 @@ HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
 _STEPS = 15
+_FINAL = 2                  # orders that are climbed with all samples
 _LEAST_GAIN = 0.3           # -2 log likelihood that another step has to promise
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
@@ -69,7 +70,7 @@ class PredictionFit:
     errors : ndarray, shape (horizons, ny)
         Of predictions on the last record, over the motion.
     information : float
-        Akaike's criterion of these.
+        Akaike's criterion, by which orders are compared.
     orders : dict of int to Tried
         All that were tried.
     """
@@ -110,13 +111,15 @@ def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: 
         return None
     thin = joint.thinned(_SEARCHED)
     found = _orders(thin, starts, own, record, corrupt, effort, order)
-    for likely in sorted(found.values(), key=lambda one: one.information):
-        fit = likely.found.fit
-        chosen = likely if thin is joint else _judged(joint, fit_at(
-            joint, fit.model.poles, fit.model.delay, own, fit), own, record, corrupt, effort)
-        if chosen is not None:
-            return replace(chosen, orders={n: one.found for n, one in found.items()})
-    return None
+    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
+    last = [_judged(joint, fit_at(joint, one.found.fit.model.poles, one.found.fit.model.delay, own,
+                                  one.found.fit), own, record, corrupt, effort) for one in likely]
+    known = [one for one in last if one is not None]
+    if not known:
+        return None
+    # As they are used: the filter starts from the first samples, not from the best states.
+    best = min(known, key=lambda one: information(one.errors, joint, one.found.parameters))
+    return replace(best, orders={n: one.found for n, one in found.items()})
 
 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record,
@@ -152,8 +155,10 @@ def _judged(joint: Samples, start: Fit, free: Free, record: Record,
                                HORIZONS, corrupt)
     if not np.max(errors) < _DIVERGED:
         return None
+    # One sample ahead the likelihood itself says it, with the initial states that suit it best.
+    likely = np.vstack((np.sqrt(one.fit.power.mean(axis=0)), errors[1:]))
     return PredictionFit(plant, joint, one, free, errors,
-                         information(errors, joint, one.parameters), {})
+                         information(likely, joint, one.parameters), {})
 
 
 def _near(start: Start, joint: Samples, delay: Array) -> Fit:
