@@ -77,8 +77,7 @@ class Tried:
 
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort: Effort, *,
-                  order: int, max_order: int, known_delay: Array,
-                  enough: float = ENOUGH) -> dict[int, Tried]:
+                  order: int, max_order: int, known_delay: Array) -> dict[int, Tried]:
     """
     Return the best model of each order that was tried.
 
@@ -94,8 +93,6 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     max_order : int
     known_delay : ndarray, shape (nu,)
         Dead times that are given; 0 where they are free [s].
-    enough : float
-        Of the motion, that further states have to explain.
     """
     thin = samples.thinned(_SEARCHED)
     grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
@@ -105,19 +102,19 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     for n in range(1, (order or max_order) + 1):
         effort.check()
         best = _best_of(n, found, thin, grid, subspace, free, effort, known_delay,
-                        np.inf if order or not found else _needed(found, thin, n, enough))
+                        np.inf if order or not found else _needed(found, thin, n))
         if best is not None:
             found[n] = tried(thin, best, free)
         if effort.beyond(SEARCH) and found:
             break
         if order or not found:
             continue
-        chosen = choose(found, enough)
+        chosen = choose(found)
         if n >= chosen + MORE or found[max(found)].rms < _CLEAN:
             break
     if thin is samples:
         return found
-    chosen = order or choose(found, enough)
+    chosen = order or choose(found)
     if effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
     return {n: tried(samples, climb(samples, fit_at(
@@ -137,7 +134,7 @@ def parameters(samples: Samples, fit: Fit, free: Free) -> int:
             * free.feedthrough + samples.ny * records * free.trim + sum(free.delays))
 
 
-def choose(found: dict[int, Tried], enough: float = ENOUGH) -> int:
+def choose(found: dict[int, Tried]) -> int:
     """Return the smallest order that no larger one beats, by independent samples."""
     orders = sorted(found)
     chosen = orders[-1]
@@ -146,13 +143,13 @@ def choose(found: dict[int, Tried], enough: float = ENOUGH) -> int:
         if not any(criterion(own, found[m]) > 0.0 for m in orders if m > n):
             chosen = n
             break
-    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen], enough))
+    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen]))
 
 
-def explains(smaller: Tried, larger: Tried, enough: float = ENOUGH) -> bool:
+def explains(smaller: Tried, larger: Tried) -> bool:
     """Return whether what the larger one explains beyond the smaller one matters."""
     before, after = (np.maximum(t.fit.power.mean(axis=0), ROUNDING) for t in (smaller, larger))
-    return bool(np.max(before - after) > enough ** 2 or
+    return bool(np.max(before - after) > ENOUGH ** 2 or
                 np.max((before / after)[before > _LEAST ** 2], initial=0.0) > _CLEANER)
 
 
@@ -167,9 +164,9 @@ def criterion(smaller: Tried, larger: Tried) -> float:
     return float(np.sum(gain)) - unit * (larger.parameters - smaller.parameters)
 
 
-def _needed(found: dict[int, Tried], samples: Samples, n: int, enough: float) -> float:
+def _needed(found: dict[int, Tried], samples: Samples, n: int) -> float:
     """Return the cost that order n must reach at least to beat the best smaller order."""
-    best = found[choose(found, enough)]
+    best = found[choose(found)]
     price = (n - best.fit.model.n) * (samples.nu + samples.ny + len(samples.records))
     return best.fit.cost - max(price, 0.0) * float(np.log(np.max(samples.counts)))
 

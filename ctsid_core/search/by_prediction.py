@@ -44,10 +44,12 @@ HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
 _STEPS = 15
+_FINAL = 2                  # orders that are climbed with all samples
 _LEAST_GAIN = 0.3           # -2 log likelihood that another step has to promise
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _GROWTH = 3.0               # times e, that an unstable mode grows at least to be believed
+_DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _LITTLE = 1e-5              # relative step of a difference
 
 
@@ -68,7 +70,7 @@ class PredictionFit:
     errors : ndarray, shape (horizons, ny)
         Of predictions on the last record, over the motion.
     information : float
-        Akaike's criterion of these.
+        Akaike's criterion, by which orders are compared.
     orders : dict of int to Tried
         All that were tried.
     """
@@ -107,37 +109,56 @@ def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: 
     starts = regressed(samples, step, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
-    thin, found = joint.thinned(_SEARCHED), {}
-    n = order or min(starts, key=lambda n: starts[n].score)
-    best = n
-    while n in starts and n <= best + MORE and not (order and found or effort.over):
+    thin = joint.thinned(_SEARCHED)
+    found = _orders(thin, starts, own, record, corrupt, effort, order)
+    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
+    last = [_judged(joint, fit_at(joint, one.found.fit.model.poles, one.found.fit.model.delay, own,
+                                  one.found.fit), own, record, corrupt, effort) for one in likely]
+    known = [one for one in last if one is not None]
+    if not known:
+        return None
+    # As they are used: the filter starts from the first samples, not from the best states.
+    best = min(known, key=lambda one: information(one.errors, joint, one.found.parameters))
+    return replace(best, orders={n: one.found for n, one in found.items()})
+
+
+def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record,
+            corrupt: tuple[Mask | None, ...], effort: Effort,
+            order: int) -> dict[int, PredictionFit]:
+    """Return predictors from the order below the regression's choice upwards, or of one order."""
+    found: dict[int, PredictionFit] = {}
+    n = best = order or max(min(starts, key=lambda n: starts[n].score) - 1, 1)
+    while n in starts and n <= best + MORE and not effort.over:
         effort.check()
+        delay = np.concatenate((starts[n].delay, np.zeros(joint.ny)))
         try:
-            one = tried(joint, _climbed(joint, thin, starts[n], own, effort), own)
+            one = _judged(joint, fit_at(joint, starts[n].poles, delay, free, _near(
+                starts[n], joint, delay)), free, record, corrupt, effort)
         except np.linalg.LinAlgError:
             one = None
-        plant = None if one is None else plant_of(one.fit, joint, len(joint.records) - 1)
-        if one is not None and plant is not None:
-            errors = prediction_errors(plant, one.fit.model.delay[:samples.nu], record, HORIZONS,
-                                       corrupt)
-            found[n] = PredictionFit(plant, joint, one, own, errors, information(
-                errors, samples, one.parameters), {})
-        if n in found and (best not in found or found[n].information < found[best].information):
-            best = n
+        if one is not None:
+            found[n] = one
+            if best not in found or one.information < found[best].information:
+                best = n
         n += 1
-    return None if best not in found else replace(
-        found[best], orders={n: f.found for n, f in found.items()})
+    return found
 
 
-def _climbed(joint: Samples, thin: Samples, start: Start, free: Free, effort: Effort) -> Fit:
-    """Return the predictor of greatest likelihood near one of the regression."""
-    delay = np.concatenate((start.delay, np.zeros(joint.ny)))
-    near = _near(start, joint, delay)
-    fit = climb(thin, fit_at(thin, start.poles, delay, free, near), free, effort, steps=_STEPS,
-                least=_LEAST_GAIN)
-    return fit if thin is joint else climb(joint, fit_at(
-        joint, fit.model.poles, fit.model.delay, free, fit), free, effort, steps=_STEPS,
-        least=_LEAST_GAIN)
+def _judged(joint: Samples, start: Fit, free: Free, record: Record,
+            corrupt: tuple[Mask | None, ...], effort: Effort) -> PredictionFit | None:
+    """Return the predictor of greatest likelihood near a start; None: no plant that predicts."""
+    one = tried(joint, climb(joint, start, free, effort, steps=_STEPS, least=_LEAST_GAIN), free)
+    plant = plant_of(one.fit, joint, len(joint.records) - 1)
+    if plant is None:
+        return None
+    errors = prediction_errors(plant, one.fit.model.delay[:joint.nu - joint.ny], record,
+                               HORIZONS, corrupt)
+    if not np.max(errors) < _DIVERGED:
+        return None
+    # One sample ahead the likelihood itself says it, with the initial states that suit it best.
+    likely = np.vstack((np.sqrt(one.fit.power.mean(axis=0)), errors[1:]))
+    return PredictionFit(plant, joint, one, free, errors,
+                         information(likely, joint, one.parameters), {})
 
 
 def _near(start: Start, joint: Samples, delay: Array) -> Fit:
@@ -196,7 +217,7 @@ def plant_of(fit: Fit, samples: Samples, record: int) -> Matrices | None:
     """Return the plant of a predictor (1), with the trim of a record; None if there is none."""
     m, ny = matrices_of(fit.model, samples.size, record), samples.ny
     nu = samples.nu - ny
-    step = sample_interval(samples)
+    step = _held_interval(samples)
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
         A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, samples.length)
@@ -229,6 +250,12 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
 def sample_interval(samples: Samples) -> float:
     """Return the median interval of the slowest output [s]."""
     return max(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams)
+
+
+def _held_interval(joint: Samples) -> float:
+    """Return the median interval of the slowest output, however thin the samples are [s]."""
+    return max(float(np.median(np.diff(s.time)))
+               for r in joint.records for s in r.inputs[-len(r.streams):])
 
 
 def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple[int, ...],
@@ -288,7 +315,7 @@ def _proven(A: Array, length: float) -> Array:
 def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
     """Return changes of A, B, C and dead times of the plant, from those of its predictor (1)."""
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
-        sample_interval(samples)
+        _held_interval(samples)
     K = m.B[:, nu:] / samples.size
     found = []
     for k in range(len(changes.A)):

@@ -26,7 +26,7 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.pole_grid import cell_means
 
-_PAST = 20            # samples that a prediction looks back at most
+_WEIGHTS = 60         # of a prediction, at most: more would fit the noise
 _ROWS = 4             # equations for each weight, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
 _RIDGE = 1e-8         # of the power of the signals
@@ -87,9 +87,9 @@ def regressed(samples: Samples, step: float, highest: int, known: Array,
 def _at(samples: Samples, step: float, highest: int, delay: Array,
         free: Free) -> Iterator[Start]:
     """Yield predictors of all orders with given dead times."""
-    signals = [_uniform(r, samples.ny, step, delay) for r in samples.records]
+    signals = [_signals(r, samples.ny, step, delay) for r in samples.records]
     ny, width = samples.ny, samples.nu + samples.ny
-    past = min(_PAST, sum(len(z) for z in signals) // (_ROWS * width))
+    past = min(_WEIGHTS, sum(len(z) for z in signals) // _ROWS) // width
     signals = [z for z in signals if len(z) > past]
     if past < 2 or not signals:
         return
@@ -131,18 +131,16 @@ def _modes(F: Array, G: Array, step: float, free: Free) -> tuple[ComplexArray, C
     return poles[order], b[order]
 
 
-def _uniform(record: RecordSamples, ny: int, step: float, delay: Array) -> Array:
-    """Return inputs, averaged until the next instant, and outputs there, less their means."""
-    first = max(s.times[0] for s in record.streams)
-    last = min(s.times[-1] for s in record.streams)
-    t = first + step * np.arange(max(int((last - first) / step) + 1, 1))
+def _signals(record: RecordSamples, ny: int, step: float, delay: Array) -> Array:
+    """Return inputs, averaged until the next sample, and the last outputs, less their means."""
+    t = min((s.times for s in record.streams), key=len)
     z = np.empty((len(t), len(delay) + ny))
     edges, place = np.append(t, t[-1] + step), 0
     for s in record.inputs:
         for j in range(s.width):
             z[:, place] = cell_means(s, edges - delay[place])[j]
             place += 1
-    for s in record.streams:
-        for j in range(s.y.shape[1]):
-            z[:, len(delay) + s.channels.start + j] = np.interp(t, s.times, s.y[:, j])
+    for stream in record.streams:
+        at = np.searchsorted(stream.times, t, side='right') - 1
+        z[:, len(delay):][:, stream.channels] = stream.y[np.maximum(at, 0)]
     return np.asarray(z - z.mean(axis=0))

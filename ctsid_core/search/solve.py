@@ -218,7 +218,8 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
             np.linalg.eigvals(found.matrices.A).real <= 1e-9):
         return None
     rival, _ = with_noise(samples, best.fit, errors, last)
-    if found.information > information(prediction_errors(
+    own_price = information(found.errors, samples, found.found.parameters)
+    if own_price > information(prediction_errors(
             rival, best.fit.model.delay, record, HORIZONS, rows), samples,
             best.parameters + int(np.count_nonzero(rival.K))):
         return None
