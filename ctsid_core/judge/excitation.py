@@ -2,26 +2,21 @@
 """
 Where each input excites the plant, and how well the response to it is known there.
 
-The spectrum of the differenced response to an input, over omega, says which frequencies matter:
-differenced, so that a single step, which is an edge, counts at all frequencies up to the plant's
-bandwidth; over omega, so that every octave counts alike. With this weight the standard deviation
-of the frequency response is averaged.
+The standard deviation of the frequency response is averaged with the weight of
+`likelihood/excited.py`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.samples import RecordSamples, Samples
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.likelihood.excited import input_spectra
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance
-from ctsid_core.model.modal import mode_responses
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 
-_POINTS = 4096        # of the uniform grid of time, at most
-_LINES = 200          # of the spectrum of the inputs, the strongest
-_LOBE = 2.0           # lines that one sine has after the taper
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
 
 
@@ -41,8 +36,7 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
         The same model, of the moving channels.
     names : tuple of str, length nu
     """
-    record = max(samples.records, key=_motion)
-    omega, weight, lines, inputs, frequencies = _spectra(record, delay)
+    omega, weight, lines, inputs, frequencies = input_spectra(samples, delay)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, changes = np.full(response.shape, np.inf), None
     if covariance is not None:
@@ -72,37 +66,6 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
             by_output = np.sqrt(np.sum(np.abs(moved) ** 2, axis=(0, 2))
                                 / np.sum(np.abs(seen) ** 2, axis=0))
     return tuple(found), np.nan_to_num(by_output, nan=np.inf)
-
-
-def _motion(record: RecordSamples) -> float:
-    """Return by how much the inputs of a record change in all."""
-    return float(sum(np.abs(np.diff(s.values, axis=0)).sum() for s in record.inputs))
-
-
-def _spectra(record: RecordSamples,
-             delay: Array) -> tuple[Array, Array, ComplexArray, Array, Array]:
-    """
-    Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
-
-    The strongest lines only. Further the inputs at uniform instants, and the effective number of
-    frequencies of each.
-    """
-    finest = min(float(np.median(np.diff(s.times))) for s in record.streams)
-    count = int(np.clip((record.end - record.start) / finest, 32, _POINTS))
-    t = np.linspace(record.start, record.end, count)
-    ends = np.cumsum([s.width for s in record.inputs])
-    inputs = record.inputs[:int(np.searchsorted(ends, len(delay))) + 1]
-    u = mode_responses(np.empty(0, dtype=complex), inputs, delay.tolist(), record.start, t,
-                       slopes=False).inputs
-    lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:]
-    omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
-    power = np.abs(lines) ** 2 / omega
-    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
-    places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
-    tapered = np.abs(np.fft.rfft(np.diff(u, axis=1) * np.hanning(count - 1), axis=1)) ** 2
-    breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
-    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
-            breadth / _LOBE)
 
 
 def _uncorrelated(u: Array) -> Array:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.effort import Effort
+from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.output_error import (
     ROUNDING,
     Fit,
@@ -46,6 +47,8 @@ _DELAYS = 8           # on it
 _STEPS = 15           # of a climb of the search
 _LEAST_GAIN = 0.3     # -2 log likelihood that another step of it has to promise
 _LOOKED_AT = 2        # starts of each kind, exactly
+_OTHER = 0.05         # of a response: differences that matter
+_AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
@@ -153,14 +156,29 @@ def explains(smaller: Tried, larger: Tried) -> bool:
                 np.max((before / after)[before > _LEAST ** 2], initial=0.0) > _CLEANER)
 
 
-def criterion(smaller: Tried, larger: Tried) -> float:
-    """Return how much more likely the larger one is than its further parameters may cost."""
+def responds_otherwise(samples: Samples, smaller: Tried, larger: Tried) -> bool:
+    """
+    Return whether the larger one has another response, and is likelier by Akaike's criterion.
+
+    A state too few shows in the response before it shows in the fit (a dead time stands in for
+    it), and no deviation knows; one too many does no more than make the deviations larger.
+    """
+    return criterion(smaller, larger, _AKAIKE) > 0.0 and response_difference(
+        samples, smaller.fit.model, larger.fit.model) > _OTHER
+
+
+def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
+    """
+    Return how much more likely the larger one is than its further parameters may cost.
+
+    A parameter costs the logarithm of the number of independent samples, unless `price` says.
+    """
     power = [np.mean(np.maximum(t.fit.power, ROUNDING), axis=0) for t in (smaller, larger)]
     n_eff, ratio = np.maximum(smaller.independent, 2.0), np.log(power[0] / power[1])
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
     share = np.maximum(gain, 1e-6)
-    unit = float(share @ np.log(n_eff) / share.sum())
+    unit = price or float(share @ np.log(n_eff) / share.sum())
     return float(np.sum(gain)) - unit * (larger.parameters - smaller.parameters)
 
 

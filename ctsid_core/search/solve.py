@@ -26,6 +26,7 @@ from ctsid_core.search.by_order import (
     choose,
     criterion,
     explains,
+    responds_otherwise,
     search_orders,
     tried,
 )
@@ -90,6 +91,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if not found or settings.order not in (0, *found):
         return None
     order = settings.order or choose(found)
+    if not settings.order and order + 1 in found and responds_otherwise(
+            samples, found[order], found[order + 1]):
+        order += 1
+        found[order] = _climbed(samples, found[order], free, effort)
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
         part, corrupt, samples, found[order], free, effort, seen)

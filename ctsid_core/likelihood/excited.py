@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which frequencies of a response matter: the spectrum of inputs.
+
+That of the differenced response to an input, over omega: differenced, so that a single step,
+which is an edge, counts at all frequencies up to the plant's bandwidth; over omega, so that every
+octave counts alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.modal import mode_responses
+
+_POINTS = 4096        # of the uniform grid of time, at most
+_LINES = 200          # of the spectrum of the inputs, the strongest
+_LOBE = 2.0           # lines that one sine has after the taper
+
+
+def input_spectra(samples: Samples,
+                  delay: Array) -> tuple[Array, Array, ComplexArray, Array, Array]:
+    """
+    Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
+
+    Of the record in which inputs change most, the strongest lines only. Further the inputs at
+    uniform instants, and the effective number of frequencies of each.
+    """
+    record = max(samples.records, key=_motion)
+    finest = min(float(np.median(np.diff(s.times))) for s in record.streams)
+    count = int(np.clip((record.end - record.start) / finest, 32, _POINTS))
+    t = np.linspace(record.start, record.end, count)
+    ends = np.cumsum([s.width for s in record.inputs])
+    inputs = record.inputs[:int(np.searchsorted(ends, len(delay))) + 1]
+    u = mode_responses(np.empty(0, dtype=complex), inputs, delay.tolist(), record.start, t,
+                       slopes=False).inputs
+    lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:]
+    omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
+    power = np.abs(lines) ** 2 / omega
+    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
+    places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
+    tapered = np.abs(np.fft.rfft(np.diff(u, axis=1) * np.hanning(count - 1), axis=1)) ** 2
+    breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
+    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
+            breadth / _LOBE)
+
+
+def response_difference(samples: Samples, one: ModalModel, other: ModalModel) -> float:
+    """Return by how much two responses differ over the first, of the worst input and output."""
+    omega, weight = input_spectra(samples, one.delay)[:2]
+    a, b = (_response(m, omega) for m in (one, other))
+    power, apart = (np.einsum('fj,fij->ij', weight, np.abs(x) ** 2) for x in (a, a - b))
+    return float(np.sqrt(np.max(apart.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300))))
+
+
+def _response(model: ModalModel, omega: Array) -> ComplexArray:
+    """Return the frequency response of a modal model, (M, ny, nu)."""
+    s = 1j * omega[:, np.newaxis]
+    found: ComplexArray = model.D.astype(complex)
+    for p, c, b in ((model.poles, model.c, model.b),
+                    (model.poles.conj(), model.c.conj(), model.b.conj())):
+        found = found + 0.5 * np.einsum('im,fm,mj->fij', c, 1.0 / (s - p), b)
+    delayed: ComplexArray = found * np.exp(-s * model.delay)[:, np.newaxis]
+    return delayed
+
+
+def _motion(record: RecordSamples) -> float:
+    """Return by how much the inputs of a record change in all."""
+    return float(sum(np.abs(np.diff(s.values, axis=0)).sum() for s in record.inputs))
