@@ -128,7 +128,7 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
     steps : int
         At most.
     rival : float
-        Cost of another model: given up when five steps like the next would not reach it.
+        Cost of another model: given up when five more steps like the last would not reach it.
     least : float
         Gain of -2 log likelihood below which another step is not worth it: the less of what the
         step promises and what the last one brought.
@@ -140,13 +140,13 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         scale = np.sqrt(np.diag(curvature))
         scale[~(scale > 1e-150)] = 1.0
         gradient, curvature = gradient / scale, curvature / np.outer(scale, scale)
+        promise = gradient @ np.linalg.solve(curvature + _DAMPING * np.eye(len(scale)), gradient)
         moved = None
+        if min(float(promise), gain) < least or best.cost - 5.0 * gain > rival:
+            break
         for _ in range(6):
             effort.check()
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
-            hope = min(float(gradient @ step), gain)
-            if hope < least or best.cost - 5.0 * hope > rival:
-                return best
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial

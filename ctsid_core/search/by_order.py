@@ -122,7 +122,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
         found = {chosen: found[chosen]}
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free, effort,
-        steps=_STEPS if n == chosen else 1, least=_LEAST_GAIN), free) for n, one in found.items()}
+        steps=_STEPS if n == chosen else 1), free) for n, one in found.items()}
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
