@@ -14,7 +14,7 @@ from ctsid_core.judge.changed import Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
-from ctsid_core.judge.rules import change_note, judge, pole_uncertainty
+from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import uniform, with_noise
 from ctsid_core.likelihood.output_error import fit_states
 from ctsid_core.likelihood.residuals import Residuals, residuals, white_part
@@ -27,7 +27,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import AHEAD, changes_of_plant, plant_of
-from ctsid_core.search.held_out import held_out
+from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.stuck import stuck_outputs
 
@@ -52,12 +52,12 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
     share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
-    tested = held_out(samples, fit, solution.free, share, effort, solution.refit)
+    unseen = held_out(samples, fit, solution.free, share, effort, solution.refit)
     change = Change() if solution.refit or solution.by_prediction else most_likely_change(
         samples, fit, solution.free, effort)
     names = tuple(last.whole.input_names[j] for j in last.u)
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
-    evidence = _evidence(solution, errors, tested.error, change, (seen, unsure), model,
+    evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,
                          deviation)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
@@ -108,7 +108,7 @@ def _covariances(solution: Solution, model: StateSpace,
             Covariance.of_entries(changes, moving))
 
 
-def _evidence(solution: Solution, errors: Residuals, unseen: Array, change: Change,
+def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,
               seen: tuple[tuple[Excitation, ...], Array], model: StateSpace,
               deviation: Array) -> Evidence:
     part = solution.part
@@ -133,14 +133,15 @@ def _evidence(solution: Solution, errors: Residuals, unseen: Array, change: Chan
                                        for i in range(errors[0][k].shape[1])])),
         response_uncertainty=everywhere(seen[1]), error=everywhere(error),
         coloured_error=everywhere(coloured),
-        held_out_error=everywhere(unseen), independent=everywhere(share),
-        change_cost=change.cost, curve_gain=everywhere(curve_gains(
+        held_out_error=everywhere(tested(unseen.error, unseen.expected, error)),
+        independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curve_gains(
             solution.samples, solution.fit, errors, solution.independent)))
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
         error=numbers.error, coloured=numbers.coloured_error, held_out=numbers.held_out_error,
+        expected=everywhere(unseen.expected),
         poles=model.poles, deviation=deviation, change=change, where=_where(part, change),
         numbers=numbers, by_prediction=solution.by_prediction)
 

@@ -29,6 +29,8 @@ class Evidence:
         The part of it that is not white noise.
     held_out : ndarray, shape (ny,)
         Rms error on the part held out, over the motion of the whole window.
+    expected : ndarray, shape (ny,)
+        The part of it that the uncertainty of the rest's model lets expect.
     poles : ndarray, shape (n,)
     deviation : ndarray, shape (n,)
         Standard deviations, in the same order [rad/s].
@@ -49,6 +51,7 @@ class Evidence:
     error: Array
     coloured: Array
     held_out: Array
+    expected: Array
     poles: ComplexArray
     deviation: Array
     change: Change

@@ -28,7 +28,8 @@ _UNCORRELATED = 0.1     # part of an input's power that other inputs do not expl
 _ONE_SINE = 3.0         # effective number of frequencies of an input
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
-_LEAST = 0.05           # ... or this part of the motion
+_LEAST = 0.05           # ... or this part of the motion; no test if ...
+_EXPECTED = 2.0         # ... so many deviations that the rest of the data leaves are more
 _DISTURBED = 0.5        # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
 _CURVED = 2.0           # points of fit that a curve after the model gains
@@ -73,7 +74,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion; check with '
             '`ctsid plot` that these are the right signals and that nothing else drives the '
             'plant.')
-    for i in np.flatnonzero(e.numbers.response_uncertainty > _FOLLOWS):
+    follows = (e.numbers.response_uncertainty <= _FOLLOWS) | (e.held_out < _UNEXPLAINED)
+    for i in np.flatnonzero(~follows & np.isfinite(e.error)):
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
             'as far as the noise lets see; check its sensor and that it is the right signal, or '
@@ -121,13 +123,22 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
                f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit; '
                'something saturates or is clipped, or the motion is too large: move less, or '
                'elsewhere.')
-    allowed = np.maximum(_HELD_OUT * e.error, _LEAST)
-    for i in np.flatnonzero(e.held_out > allowed):
+    for i in np.flatnonzero(e.held_out > _allowed(e.error)):
         yield (f'On the part of the window that was held out the error of output '
                f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
                f'{_percent(e.error[i])}; take a longer window (`--window`), or lower `order`.')
-    if not np.isfinite(e.held_out).any():
+    if not np.isfinite(e.expected).any():
         yield UNTESTED
+
+
+def _allowed(error: Array) -> Array:
+    """Return the error that a model may have on a part held out, by its own error."""
+    return np.asarray(np.maximum(_HELD_OUT * error, _LEAST))
+
+
+def tested(held_out: Array, expected: Array, error: Array) -> Array:
+    """Return the errors on the part held out; NaN where the rest cannot tell what to expect."""
+    return np.where(_EXPECTED * expected > _allowed(error), np.nan, held_out)
 
 
 def _percent(part: float) -> str:
@@ -142,12 +153,13 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
 def _summary(e: Evidence) -> str:
     unsure = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
                  if j not in e.fixed_inputs)
-    held = float(np.nanmax(e.held_out))
+    held = np.nanmax(e.held_out, initial=-np.inf)
+    unseen = f'and the part held out to {np.floor(100 * (1 - float(held))):.0f} % ' \
+        if held >= 0.0 else ''
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
-            f'{np.floor(100 * (1 - float(np.nanmax(e.error)))):.0f} % and the part held out to '
-            f'{np.floor(100 * (1 - held)):.0f} % of the motion; the response to each input is '
-            f'known to {_percent(unsure)}.')
+            f'{np.floor(100 * (1 - float(np.nanmax(e.error)))):.0f} % {unseen}of the motion; the '
+            f'response to each input is known to {_percent(unsure)}.')
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -9,8 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at, fit_states
-from ctsid_core.likelihood.residuals import residuals
+from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.output_error import (
+    Fit,
+    Free,
+    climb,
+    fit_at,
+    fit_states,
+    jacobian,
+)
+from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, Mask
 
@@ -18,6 +26,7 @@ _MANY = 4             # records from which on whole ones are held out
 _STEPS = 6
 _PARTS = 3            # of each record are held out
 _SEARCHED = 2000      # samples of a stream that are looked at
+_GAUGE = 1e-7         # relative singular value below which a direction changes nothing
 
 
 @dataclass(frozen=True)
@@ -29,9 +38,14 @@ class HeldOut:
     ----------
     error : ndarray, shape (ny,)
         Rms error over the motion of the whole window; NaN if nothing was held out.
+    expected : ndarray, shape (ny,)
+        The part of it that is to be expected, because the rest of the data leaves the model
+        uncertain: after the only step nobody can tell what the step would have shown. NaN if
+        nothing was held out.
     """
 
     error: Array
+    expected: Array
 
 
 def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effort,
@@ -56,7 +70,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effor
     refit : callable, optional
         Makes the model of the first part; by default output error.
     """
-    nothing = HeldOut(np.full(samples.ny, np.nan))
+    nothing = HeldOut(np.full(samples.ny, np.nan), np.full(samples.ny, np.nan))
     if share == 0.0 or not len(fit.model.poles):
         return nothing
     samples = samples.thinned(_SEARCHED)
@@ -71,7 +85,8 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effor
                     steps=_STEPS, least=0.3) if refit is None else refit(early)
         if own is None:
             return nothing
-        return HeldOut(_rms(late, own))
+        return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
+                       _expected(early, late, own, free))
     except np.linalg.LinAlgError:
         return nothing
 
@@ -99,7 +114,29 @@ def _by_records(samples: Samples, fit: Fit, free: Free, share: float, effort: Ef
         r for i, r in enumerate(samples.records) if i in held))
     own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free, effort,
                 steps=_STEPS, least=0.3)
-    return HeldOut(_rms(rest, fit_states(rest, own.model, free)))
+    return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny))
+
+
+def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
+    """Return the rms error that a model's own uncertainty lets expect on other samples, (ny,)."""
+    rows, _, _ = jacobian(early, own, free)
+    there = replace(own, columns=columns_of(late, own.model.poles, own.model.delay))
+    seen, _, _ = jacobian(late, there, free)
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0.0] = np.inf
+    _, s, right = np.linalg.svd(rows / size, full_matrices=False)
+    kept = s > _GAUGE * s[0]
+    moved = np.sum(((seen / size) @ (right[kept] / s[kept, np.newaxis]).T) ** 2, axis=1)
+    squares, at = np.zeros(late.ny), 0
+    for r, columns in enumerate(there.columns):
+        for t in columns.triangles:
+            for i in t.channels:
+                squares[i] += own.power[r, i] * np.sum(moved[at:at + len(t.y)])
+                at += len(t.y)
+    counts = early.counts.sum(axis=0)
+    found: Array = np.sqrt(squares / np.maximum(late.counts.sum(axis=0), 1.0)
+                           * counts / independent(residuals(early, own)))
+    return found
 
 
 def _rms(samples: Samples, fit: Fit) -> Array:
