@@ -238,7 +238,8 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
     transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
     with warnings.catch_warnings():                 # it judges its own accuracy too strictly
         warnings.simplefilter('ignore', RuntimeWarning)
-        plant = np.asarray(logm(transition + integral @ K @ C)) / step
+        moved = transition + integral @ K @ C
+        plant = np.asarray(logm(moved)) / step if np.isfinite(moved).all() else moved
     if not np.isfinite(plant).all():
         raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
     if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
