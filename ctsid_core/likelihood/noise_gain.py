@@ -120,6 +120,8 @@ def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
     for _ in range(_FIXED_POINT if K.any() else 0):
         mean = exponentials(A - K @ C, np.array([step]), 1)[1][0]
         K = 0.5 * K + 0.5 * np.linalg.solve(mean, update)
+        if not np.isfinite(K).all():
+            raise np.linalg.LinAlgError('a predictor has no gain in continuous time')
     return K
 
 

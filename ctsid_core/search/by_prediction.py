@@ -70,7 +70,7 @@ class PredictionFit:
     errors : ndarray, shape (horizons, ny)
         Of predictions on the last record, over the motion.
     information : float
-        Akaike's criterion, by which orders are compared.
+        Schwarz's criterion, by which orders are compared.
     orders : dict of int to Tried
         All that were tried.
     """
@@ -125,10 +125,10 @@ def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record,
             corrupt: tuple[Mask | None, ...], effort: Effort,
             order: int) -> dict[int, PredictionFit]:
-    """Return predictors from the order below the regression's choice upwards, or of one order."""
+    """Return predictors of orders from below the regression's choice upwards, or of one order."""
     found: dict[int, PredictionFit] = {}
-    n = best = order or max(min(starts, key=lambda n: starts[n].score) - 1, 1)
-    while n in starts and n <= best + MORE and not effort.over:
+    n = best = order or max(min(starts, key=lambda n: starts[n].score) - MORE, 1)
+    while n in starts and not effort.over and (not found or n <= best + MORE):
         effort.check()
         delay = np.concatenate((starts[n].delay, np.zeros(joint.ny)))
         try:
@@ -171,9 +171,9 @@ def _near(start: Start, joint: Samples, delay: Array) -> Fit:
 
 def information(errors: Array, samples: Samples, parameters: int) -> float:
     """
-    Return Akaike's criterion of predictions so many samples ahead, all horizons together.
+    Return Schwarz's criterion of predictions so many samples ahead, all horizons together.
 
-    The least is expected to predict new data best. Errors h samples ahead are alike for h samples,
+    The least is most likely. Errors h samples ahead are alike for h samples,
     so that one of h is independent.
 
     Parameters
@@ -184,7 +184,8 @@ def information(errors: Array, samples: Samples, parameters: int) -> float:
     parameters : int
     """
     counts = samples.counts.sum(axis=0) / np.array(HORIZONS)[:, np.newaxis]
-    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) + 2.0 * parameters
+    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
+        + float(np.log(counts[0].max())) * parameters
 
 
 def _before_inputs(samples: Samples) -> Samples:
@@ -237,7 +238,8 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
     transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
     with warnings.catch_warnings():                 # it judges its own accuracy too strictly
         warnings.simplefilter('ignore', RuntimeWarning)
-        plant = np.asarray(logm(transition + integral @ K @ C)) / step
+        moved = transition + integral @ K @ C
+        plant = np.asarray(logm(moved)) / step if np.isfinite(moved).all() else moved
     if not np.isfinite(plant).all():
         raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
     if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
