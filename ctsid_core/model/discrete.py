@@ -96,7 +96,7 @@ class Discrete:
         z = np.exp(1j * np.asarray(omega, dtype=float) * self.period)[:, np.newaxis, np.newaxis]
         lag = np.array(self.lag, dtype=int)
         drive = self.now * z ** -lag + self.before * z ** (-lag - 1)
-        states = np.linalg.solve(z * np.eye(len(self.A)) - self.A, drive)
+        states: ComplexArray = np.linalg.solve(z * np.eye(len(self.A)) - self.A, drive)
         response: ComplexArray = self.C @ states + self.D * z ** -self.memory
         return response
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import re
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.types import Array
 from ctsid_core.model.discrete import Discrete, discretise
 from ctsid_ros.export.content import Content
 
@@ -87,7 +88,8 @@ void {name}_step({name}_state *state, const double *u, double *y)
     next[i] = offset[i];
     for (j = 0; j < {NAME}_STATES; ++j) next[i] += A[i][j] * state->x[j];
     for (j = 0; j < {NAME}_INPUTS; ++j)
-      next[i] += B_now[i][j] * past(state, j, lag[j]) + B_before[i][j] * past(state, j, lag[j] + 1);
+      next[i] += B_now[i][j] * past(state, j, lag[j])
+        + B_before[i][j] * past(state, j, lag[j] + 1);
   }}
   for (i = 0; i < {NAME}_STATES; ++i) state->x[i] = next[i];
 }}
@@ -141,7 +143,7 @@ def _constants(found: Discrete) -> Iterator[str]:
     yield _constant('int', 'seen', found.memory)
 
 
-def _constant(kind: str, name: str, values: Array) -> str:
+def _constant(kind: str, name: str, values: NDArray[Any]) -> str:
     shape = [max(size, 1) for size in values.shape]
     padded = np.zeros(shape, dtype=values.dtype)
     padded[tuple(slice(size) for size in values.shape)] = values

@@ -41,7 +41,8 @@ def control_program(content: Content, *, pade: int, rate: float | None = None) -
         ('inputs', control_labels(model.input_names)),
         ('outputs', control_labels(model.output_names))) if names)
     # The first line: else a name in the second could declare another encoding (PEP 263).
-    lines = ['# -*- coding: utf-8 -*-', *(f'# {line}' for line in content.comments()), f'# dead times: {how}',
+    lines = ['# -*- coding: utf-8 -*-', *(f'# {line}' for line in content.comments()),
+             f'# dead times: {how}',
              'import control', 'import numpy as np', '',
              *(f'{name} = {_matrix(value)}'
                for name, value in zip('ABCD', matrices, strict=True)),
