@@ -24,7 +24,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         *((f'share/{PACKAGE}/{folder}', sorted(glob(f'{folder}/{pattern}')))
-          for folder, pattern in (('config', '*.yaml'), ('launch', '*.launch.py'))
+          for folder, pattern in (('config', '*.*'), ('launch', '*.launch.py'))
           if glob(f'{folder}/{pattern}')),
     ],
     python_requires='>=3.11',

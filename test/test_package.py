@@ -169,7 +169,7 @@ def test_colcon_builds_the_package(copied, tmp_path, option):
     assert (share / 'ament_index/resource_index/packages/ctsid').exists()
     assert (share / 'ctsid/package.xml').read_text() == (ROOT / 'package.xml').read_text()
     assert sorted(f.name for f in (share / 'ctsid/config').iterdir()) == sorted(
-        f.name for f in (ROOT / 'config').glob('*.yaml'))
+        f.name for f in (ROOT / 'config').glob('*.*'))
     # As `ros2 run ctsid ctsid --version` does, from a shell that sourced the workspace.
     ran = run('sh', '-c', '. install/local_setup.sh && install/ctsid/lib/ctsid/ctsid --version',
               cwd=tmp_path, env=environment)
