@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import replace
+import os
 from pathlib import Path
 import shutil
 import subprocess
@@ -305,6 +306,15 @@ def test_the_python_file_is_not_decoded_as_a_name_says(folder):
     save_model('coding: rot13.json', estimate_of(model_of()))
     assert main(['export', 'coding: rot13.json', '--to', 'python-control', '-o', 'a.py']) == 0
     compile(Path('a.py').read_bytes(), 'a.py', 'exec')
+
+
+@pytest.mark.parametrize('to', SUFFIXES)
+def test_a_model_stored_by_itself_under_any_name(folder, to):
+    name = os.fsdecode(b'm\xff*/.json')
+    Path('m\udcff*').mkdir()
+    save_model(name, model_of(names=True))
+    words = ['--rate', '100'] if to == 'c' else []
+    assert main(['export', name, '--to', to, '-o', f'out{SUFFIXES[to][0]}', *words]) == 0
 
 
 def test_the_python_file_needs_numpy_and_control_only(folder):

@@ -151,6 +151,7 @@ def test_pip_puts_the_command_into_bin(copied, tmp_path):
                 if '__pycache__' not in f.parts} == {
             f.relative_to(ROOT) for f in (ROOT / package).rglob('*.py*')
             if '__pycache__' not in f.parts}
+    assert (installed / 'ctsid_core/model/model.schema.json').exists()
     version = run(sys.executable, tmp_path / 'bin/ctsid', '--version',
                   env=os.environ | {'PYTHONPATH': str(installed)}, cwd=tmp_path)
     assert '0.1.0' in version.stdout

@@ -65,7 +65,8 @@ def command(args: argparse.Namespace) -> int:
     _check(args)
     estimate = load_estimate(args.model)
     model = model_of(estimate, args.model, 'export', rejected=args.rejected)
-    files = _files(Content(model, estimate, args.model), args)
+    origin = args.model.encode(errors='backslashreplace').decode()  # names of files may be no text
+    files = _files(Content(model, estimate, origin), args)
     _refuse_existing(files, force=args.force)
     for path, data in files.items():
         write_file(path, data, force=args.force)
