@@ -7,8 +7,8 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
-TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'colcon-core', 'colcon-ros',
-        'setuptools>=70.1']  # builds wheels without the package `wheel`
+TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'colcon-core',
+        'colcon-ros', 'setuptools>=70.1']  # builds wheels without the package `wheel`
 
 setup(
     name=PACKAGE,
@@ -19,12 +19,12 @@ setup(
     maintainer='The ctsid developers',
     maintainer_email='ctsid@users.noreply.github.com',
     packages=find_packages(include=['ctsid_core*', 'ctsid_ros*']),
-    package_data={'ctsid_core': ['py.typed'], 'ctsid_ros': ['py.typed']},
+    package_data={'ctsid_core': ['py.typed', 'model/*.json'], 'ctsid_ros': ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         *((f'share/{PACKAGE}/{folder}', sorted(glob(f'{folder}/{pattern}')))
-          for folder, pattern in (('config', '*.yaml'), ('launch', '*.launch.py'))
+          for folder, pattern in (('config', '*.*'), ('launch', '*.launch.py'))
           if glob(f'{folder}/{pattern}')),
     ],
     python_requires='>=3.11',

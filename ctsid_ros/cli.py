@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
 VERBS = ('info', 'init', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study', 'show',
-         'params')  # modules of ctsid_ros.verbs
+         'export', 'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
   ctsid info BAG                              what is in it
   ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
   ctsid identify BAG --params params.yaml     one model of the whole bag
   ctsid replay BAG --params params.yaml       models in sliding windows along it
   ctsid simulate MODEL OTHER_BAG              how well a model simulates another bag
+  ctsid export MODEL --to c --rate 200 -o F.c the model as C, .mat, Simulink, YAML, ...
   ctsid advise BAG --params params.yaml       which excitation a better model needs
   ctsid compare BAG --params params.yaml      the models of all methods, side by side
   ctsid study hd-vs-ct                        the published Monte Carlo study, repeated

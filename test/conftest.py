@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 import os
 from pathlib import Path
 
 from plants import PLANTS, Plant
 import pytest
+from schema import faults_of_file
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -25,3 +27,14 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip('real recordings are not here; name their folder in CTSID_DATA')
     return folder
+
+
+@pytest.fixture(scope='session', autouse=True)
+def _written_models_validate(tmp_path_factory):
+    """Hold every model.json that the tests have written, by whatever program, to its schema."""
+    yield
+    if find_spec('jsonschema') is None:
+        return
+    wrong = {str(path): found for path in sorted(tmp_path_factory.getbasetemp().rglob('*.json'))
+             if path.is_file() and (found := faults_of_file(path))}
+    assert wrong == {}, 'these files do not follow ctsid_core/model/model.schema.json'

@@ -177,6 +177,7 @@ class Identifier:
         self.models: list[String] = live.listen(String, f'{name}/model')
         self.matrices = {topic: live.listen(Float64MultiArray, f'{name}/{topic}')
                          for topic in MATRICES}
+        self.summaries: list[DiagnosticArray] = live.listen(DiagnosticArray, f'{name}/summary')
         self._estimates: list[Estimate] = []  # what is decoded of the models
         self._said: list[Health] = []
         live.node.create_subscription(

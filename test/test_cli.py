@@ -29,6 +29,7 @@ from flights import (
 from marks import slow
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from ctsid_core.model.storage import (
     load_estimate,
@@ -46,6 +47,7 @@ from ctsid_ros.report.tables import percent
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE = 300.0  # [s] for a process, on a machine that has much else to do
 FILES = ['estimates.csv', 'estimates.npz', 'model.json', 'report.html', 'report.md']
+REPLAYED = sorted([*FILES, 'estimates.mcap'])
 
 
 @pytest.fixture(scope='module')
@@ -176,7 +178,10 @@ def test_replay_identifies_every_window_and_tests_it_on_unseen_data(ctsid, share
         np.testing.assert_array_equal(arrays['fresh_fit_rate [%]'], table['fresh_fit_rate_'])
     assert 'All 1 true poles and pairs are identified' in out
     assert '-1.500 ± 3.000j' in out
-    assert sorted(p.name for p in Path('res').iterdir()) == FILES
+    assert sorted(p.name for p in Path('res').iterdir()) == REPLAYED
+    with AnyReader([Path('res/estimates.mcap')]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts['/identifier/model'] == counts['/identifier/summary'] == len(table)
 
 
 def test_replay_as_json(ctsid, shared):
@@ -987,7 +992,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     assert 'the results are those of the first' in err
     series = load_series(tmp_path / 'res/estimates.npz')
     assert 1 <= len(series) < 280
-    assert sorted(p.name for p in (tmp_path / 'res').iterdir()) == FILES
+    assert sorted(p.name for p in (tmp_path / 'res').iterdir()) == REPLAYED
     assert 'Models along the bag' in out
 
 

@@ -33,8 +33,8 @@ PACKAGES = {
                    'subspace', 'likelihood', 'search', 'judge', 'advice', 'identify',
                    'sequence'],
     'ctsid_ros': ['errors', 'blas', 'interrupts', 'progress', 'decoding', 'config', 'ingest',
-                  'recordings', 'replay', 'messages', 'report', 'node', 'studies', 'examples',
-                  'verbs', 'cli'],
+                  'recordings', 'replay', 'messages', 'report', 'export', 'node', 'studies',
+                  'examples', 'verbs', 'cli'],
 }
 ROS = ('rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
        'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs')
@@ -48,10 +48,10 @@ USERS = {
     'mcap': ['ctsid_ros.recordings.*'],
     'rich': ['ctsid_ros.progress'],
     'rosbags': ['ctsid_ros.recordings.*'],
-    'yaml': ['ctsid_ros.config.parameter_file', 'ctsid_ros.recordings.*'],
+    'yaml': ['ctsid_ros.config.parameter_file', 'ctsid_ros.recordings.*', 'ctsid_ros.export.*'],
     'zstandard': ['ctsid_ros.recordings.*'],
     'numpy': ['ctsid_core*', 'ctsid_ros*'],
-    'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*'],
+    'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*', 'ctsid_ros.export.*'],
 }
 
 

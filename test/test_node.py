@@ -12,6 +12,7 @@ from std_msgs.msg import Float64MultiArray, String  # noqa: E402
 
 from ctsid_ros.messages import (  # noqa: E402
     Level,
+    decode_diagnostics,
     decode_eigenvalues,
     decode_matrix,
     decode_system_matrix,
@@ -80,6 +81,20 @@ def test_matrices_are_those_of_the_model(flight):
         assert modes == data['modes']
         np.testing.assert_array_equal(values, data['eigenvalues'])
         np.testing.assert_allclose(match(values, model.poles), model.poles, rtol=1e-9)
+
+
+def test_the_summary_has_the_stamp_of_the_window_and_the_poles_by_name(flight):
+    live, node, _ = flight
+    live.wait(lambda: len(node.summaries) == len(node.models), 'summaries')
+    for message, estimate, data in zip(node.summaries, node.estimates(), node.metadata(),
+                                       strict=True):
+        stamp, statuses = decode_diagnostics(message)
+        found = {status.name: status.values for status in statuses}
+        assert stamp == estimate.end_ns
+        assert found['verdict']['grade'] == '2'
+        assert [float(found['fit'][name]) for name in ('p', 'q')] == estimate.fit.tolist()
+        assert [complex(float(found[f'mode {mode}']['re']), float(found[f'mode {mode}']['im']))
+                for mode in data['modes']] == data['eigenvalues'].tolist()
 
 
 def test_late_joiners_get_the_last_model(flight):

@@ -87,7 +87,7 @@ def test_a_released_package_depends_on_no_key_for_pip(manifest):
 
 def test_every_linter_has_a_test(manifest):
     keys = {e.text for e in manifest.iter('test_depend')}
-    assert keys == {'python3-pytest', *LINTERS}
+    assert keys == {'python3-jsonschema', 'python3-pytest', *LINTERS}
     assert [name for name in LINTERS if not (ROOT / f'test/test_{name}.py').exists()] == []
 
 
@@ -151,6 +151,7 @@ def test_pip_puts_the_command_into_bin(copied, tmp_path):
                 if '__pycache__' not in f.parts} == {
             f.relative_to(ROOT) for f in (ROOT / package).rglob('*.py*')
             if '__pycache__' not in f.parts}
+    assert (installed / 'ctsid_core/model/model.schema.json').exists()
     version = run(sys.executable, tmp_path / 'bin/ctsid', '--version',
                   env=os.environ | {'PYTHONPATH': str(installed)}, cwd=tmp_path)
     assert '0.1.0' in version.stdout
@@ -169,7 +170,7 @@ def test_colcon_builds_the_package(copied, tmp_path, option):
     assert (share / 'ament_index/resource_index/packages/ctsid').exists()
     assert (share / 'ctsid/package.xml').read_text() == (ROOT / 'package.xml').read_text()
     assert sorted(f.name for f in (share / 'ctsid/config').iterdir()) == sorted(
-        f.name for f in (ROOT / 'config').glob('*.yaml'))
+        f.name for f in (ROOT / 'config').glob('*.*'))
     # As `ros2 run ctsid ctsid --version` does, from a shell that sourced the workspace.
     ran = run('sh', '-c', '. install/local_setup.sh && install/ctsid/lib/ctsid/ctsid --version',
               cwd=tmp_path, env=environment)

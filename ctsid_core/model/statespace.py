@@ -367,11 +367,10 @@ class StateSpace:
             warnings.warn(f'python-control does not know dead time: {self.delay} s are in the '
                           'attribute `delay` only; to_control(pade=3) puts them into the matrices',
                           stacklevel=2)
-        labels: dict[str, list[str]] = {}
-        for key, names in (('inputs', self.input_names), ('outputs', self.output_names)):
-            if all(names) and len(set(names)) == len(names):  # it wants all names, and distinct
-                labels[key] = [name.replace('.', '_') for name in names]  # '.' is its own
-        system = control.ss(self.A, self.B, self.C, self.D, **labels)
+        labels = {'inputs': control_labels(self.input_names),
+                  'outputs': control_labels(self.output_names)}
+        system = control.ss(self.A, self.B, self.C, self.D,
+                            **{key: names for key, names in labels.items() if names})
         system.delay = self.delay
         return system
 
@@ -393,3 +392,9 @@ class StateSpace:
             raise DataError(f'the model has dead times {self.delay} s, which {verb}() cannot '
                             f'carry; use model.pade(3).{verb}() for an approximation, or '
                             f'model.pade(0).{verb}() to leave them out')
+
+
+def control_labels(names: Sequence[str]) -> list[str]:
+    """Return names of channels as python-control takes them; none unless all differ."""
+    labels = [name.replace('.', '_') for name in names]  # '.' is its own
+    return labels if all(labels) and len(set(labels)) == len(labels) else []

@@ -14,9 +14,10 @@ from ctsid_ros.messages.matrices import (
     encode_system_matrix,
 )
 from ctsid_ros.messages.models import decode_metadata, decode_model, encode_model, provenance
+from ctsid_ros.messages.summary import encode_summary
 
 __all__ = ['Eigenvalues', 'Health', 'Level', 'Matrices', 'decode_diagnostics',
            'decode_eigenvalues', 'decode_matrix', 'decode_metadata', 'decode_model',
            'decode_system_matrix', 'encode_diagnostics', 'encode_eigenvalues',
-           'encode_matrices', 'encode_matrix', 'encode_model', 'encode_system_matrix',
-           'provenance']
+           'encode_matrices', 'encode_matrix', 'encode_model', 'encode_summary',
+           'encode_system_matrix', 'provenance']

@@ -9,6 +9,7 @@ from enum import IntEnum
 from typing import Any
 
 from ctsid_core.errors import StorageError
+from ctsid_ros.messages.making import Make, header, ros_message
 
 
 class Level(IntEnum):
@@ -41,7 +42,8 @@ class Health:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-def encode_diagnostics(stamp_ns: int, statuses: Sequence[Health]) -> Any:
+def encode_diagnostics(stamp_ns: int, statuses: Sequence[Health], make: Make = ros_message
+                       ) -> Any:
     """
     Return the health of the node as `diagnostic_msgs/DiagnosticArray`.
 
@@ -51,17 +53,16 @@ def encode_diagnostics(stamp_ns: int, statuses: Sequence[Health]) -> Any:
         Now [ns].
     statuses : sequence of Health
         Their numbers are written with six digits, for people.
+    make : Make
+        What makes messages, see `messages.making`.
     """
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    msg = DiagnosticArray()
-    msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    msg.status = [
-        DiagnosticStatus(
-            level=bytes([status.level]), name=status.name, message=status.message,
-            values=[KeyValue(key=key, value=_shown(value))
-                    for key, value in status.values.items()])
-        for status in statuses]
-    return msg
+    return make('diagnostic_msgs/msg/DiagnosticArray', header=header(stamp_ns, make), status=[
+        make('diagnostic_msgs/msg/DiagnosticStatus',
+             level=bytes([status.level]), name=status.name, message=status.message,
+             hardware_id='',
+             values=[make('diagnostic_msgs/msg/KeyValue', key=key, value=_shown(value))
+                     for key, value in status.values.items()])
+        for status in statuses])
 
 
 def _shown(value: object) -> str:

@@ -19,6 +19,7 @@ from ctsid_core.errors import DataError, StorageError
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.sequence.tracking import Tracked
+from ctsid_ros.messages.making import Make, ros_message
 
 EIGENVALUE_COLUMNS = ('re', 'im', 'natural_frequency', 'damping')
 _AXES = {'a': 'xx', 'b': 'xu', 'c': 'yx', 'd': 'yu', 'k': 'xy'}  # rows and columns
@@ -43,7 +44,8 @@ class Eigenvalues(NamedTuple):
     values: ComplexArray
 
 
-def encode_matrix(name: str, matrix: ArrayLike, row_label: str, column_label: str) -> Any:
+def encode_matrix(name: str, matrix: ArrayLike, row_label: str, column_label: str,
+                  make: Make = ros_message) -> Any:
     """
     Return a matrix as labelled `std_msgs/Float64MultiArray`.
 
@@ -54,6 +56,8 @@ def encode_matrix(name: str, matrix: ArrayLike, row_label: str, column_label: st
     matrix : array_like, shape (rows, columns)
     row_label, column_label : str
         What a row and a column stand for, as a letter: 'x', 'u' or 'y'. The count is added.
+    make : Make
+        What makes messages, see `messages.making`.
 
     Raises
     ------
@@ -63,16 +67,17 @@ def encode_matrix(name: str, matrix: ArrayLike, row_label: str, column_label: st
     array = np.asarray(matrix, dtype=float)
     if array.ndim != 2 or not np.isfinite(array).all():
         raise DataError(f'`{name}` has shape {array.shape}; wanted is a matrix of finite numbers')
-    return _multi_array(array, f'{row_label}:{len(array)}', f'{column_label}:{array.shape[1]}')
+    return _multi_array(array, f'{row_label}:{len(array)}', f'{column_label}:{array.shape[1]}',
+                        make)
 
 
-def encode_matrices(model: StateSpace) -> dict[str, Any]:
+def encode_matrices(model: StateSpace, make: Make = ros_message) -> dict[str, Any]:
     """Return the matrices of a model as messages: a, b, c, d and k, the names of their topics."""
-    return {name: encode_matrix(name, getattr(model, name.upper()), *axes)
+    return {name: encode_matrix(name, getattr(model, name.upper()), axes[0], axes[1], make)
             for name, axes in _AXES.items()}
 
 
-def encode_system_matrix(model: StateSpace) -> Any:
+def encode_system_matrix(model: StateSpace, make: Make = ros_message) -> Any:
     """
     Return [A B K; C D I] as `std_msgs/Float64MultiArray`.
 
@@ -81,10 +86,10 @@ def encode_system_matrix(model: StateSpace) -> Any:
     """
     whole = np.block([[model.A, model.B, model.K], [model.C, model.D, np.eye(model.ny)]])
     x, u, y = f'x:{model.n}', f'u:{model.nu}', f'y:{model.ny}'
-    return _multi_array(whole, f'{x},{y}', f'{x},{u},{y}')
+    return _multi_array(whole, f'{x},{y}', f'{x},{u},{y}', make)
 
 
-def encode_eigenvalues(tracked: Tracked) -> Any:
+def encode_eigenvalues(tracked: Tracked, make: Make = ros_message) -> Any:
     """
     Return eigenvalues as `std_msgs/Float64MultiArray`, shape (n, 4), one mode per row.
 
@@ -97,18 +102,17 @@ def encode_eigenvalues(tracked: Tracked) -> Any:
     np.divide(-values.real, size, out=damping, where=size > 0)
     rows = ','.join(f'mode {mode}' for mode in tracked.modes)
     return _multi_array(np.column_stack([values.real, values.imag, size, damping]), rows,
-                        ','.join(EIGENVALUE_COLUMNS))
+                        ','.join(EIGENVALUE_COLUMNS), make)
 
 
-def _multi_array(matrix: Array, row_label: str, column_label: str) -> Any:
-    from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+def _multi_array(matrix: Array, row_label: str, column_label: str, make: Make) -> Any:
     rows, columns = matrix.shape
-    msg = Float64MultiArray(data=matrix.ravel().tolist())
     # The stride of a dimension is the number of entries in it and all after it (std_msgs)
-    msg.layout.dim = [
-        MultiArrayDimension(label=row_label, size=rows, stride=rows * columns),
-        MultiArrayDimension(label=column_label, size=columns, stride=columns)]
-    return msg
+    layout = make('std_msgs/msg/MultiArrayLayout', data_offset=0, dim=[
+        make('std_msgs/msg/MultiArrayDimension', label=label, size=size, stride=stride)
+        for label, size, stride in ((row_label, rows, rows * columns),
+                                    (column_label, columns, columns))])
+    return make('std_msgs/msg/Float64MultiArray', layout=layout, data=matrix.ravel().tolist())
 
 
 def decode_matrix(msg: Any) -> Array:

@@ -22,6 +22,7 @@ from ctsid_core.model.model_json import from_json, parse, to_json
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_ros.config.channels import Config
 from ctsid_ros.config.origin import described, package_version
+from ctsid_ros.messages.making import Make, ros_message
 from ctsid_ros.messages.matrices import (
     as_complex,
 )
@@ -47,7 +48,8 @@ def provenance(config: Config, node: str, window: int, **more: object) -> dict[s
             'channels': described(config), **more}
 
 
-def encode_model(tracked: Tracked, metadata: Mapping[str, object] | None = None) -> Any:
+def encode_model(tracked: Tracked, metadata: Mapping[str, object] | None = None,
+                 make: Make = ros_message) -> Any:
     """
     Return an estimate as `std_msgs/String` that holds the JSON of `ctsid_core.model.model_json`.
 
@@ -57,10 +59,11 @@ def encode_model(tracked: Tracked, metadata: Mapping[str, object] | None = None)
     metadata : mapping, optional
         What else to keep, see `provenance`. What tracking has found is added: see
         `decode_metadata`.
+    make : Make
+        What makes messages, see `messages.making`.
     """
-    from std_msgs.msg import String
     eigenvalues = [[value.real, value.imag] for value in tracked.eigenvalues]
-    return String(data=to_json(tracked.estimate, {
+    return make('std_msgs/msg/String', data=to_json(tracked.estimate, {
         **(metadata or {}), 'realisation': tracked.realisation, 'modes': tracked.modes,
         'eigenvalues': eigenvalues, 'eigenvalue_std': tracked.eigenvalue_std,
         'fresh_fit': tracked.fresh_fit, 'fresh_start_ns': tracked.fresh_start_ns,

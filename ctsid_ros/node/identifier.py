@@ -21,13 +21,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from ctsid_core.errors import SettingsError, StorageError
 from ctsid_ros.config.channels import Config
-from ctsid_ros.messages import matrices, models
+from ctsid_ros.decoding.message_types import message_class
 from ctsid_ros.messages.health import Health, Level, encode_diagnostics
+from ctsid_ros.messages.publication import TOPICS, messages_of
 from ctsid_ros.node import parameters
 from ctsid_ros.node.diagnosis import IDENTIFICATION, INGEST
 from ctsid_ros.node.plan import Plan, read_plan
@@ -36,8 +36,6 @@ from ctsid_ros.node.session import Identified
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TOPICS = {'model': String, **dict.fromkeys(
-    ('system_matrix', 'a', 'b', 'c', 'd', 'k', 'eigenvalues'), Float64MultiArray)}
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 _STOP = 0.3  # time for the thread of identification to end [s]
 _NUMBER = re.compile(r'(?<!\w)\d+(\.\d+)?(?!\w)')  # not that in a name, as in /imu2
@@ -84,7 +82,8 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         except Exception as error:  # rclpy would go to the error state without a word
             self.get_logger().error(f'not configured, by a fault of ctsid: {_trace(error)}')
             return _FAILURE
-        self._outputs = {name: self.create_lifecycle_publisher(kind, f'~/{name}', LATCHED)
+        self._outputs = {name: self.create_lifecycle_publisher(
+                             message_class(kind), f'~/{name}', LATCHED)
                          for name, kind in TOPICS.items()}
         self._offered = [self._offer(name, act) for name, act in (
             ('identify', Run.identify), ('reset', Run.reset),
@@ -164,14 +163,8 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         tracked, run = result.tracked, self._now
         if run is None:
             return
-        model, verdict = tracked.estimate.model, tracked.estimate.verdict
-        found = {'model': models.encode_model(tracked, run.metadata(result))}
-        if tracked.estimate.good:  # an array cannot say how far it is to be trusted
-            assert model is not None
-            found |= {'system_matrix': matrices.encode_system_matrix(model),
-                      **matrices.encode_matrices(model),
-                      'eigenvalues': matrices.encode_eigenvalues(tracked)}
-        for name, message in found.items():
+        verdict = tracked.estimate.verdict
+        for name, message in messages_of(tracked, run.metadata(result)).items():
             self._outputs[name].publish(message)
         news = f'{verdict.grade.name} {tracked.estimate.status.name}'
         if news != self._last_verdict:

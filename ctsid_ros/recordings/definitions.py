@@ -93,6 +93,11 @@ def _parse_idl(text: str) -> dict[str, Fields]:
     return types
 
 
+def known_type(name: str) -> MessageType:
+    """Return a type of ROS 2 Jazzy itself, such as `std_msgs/msg/String`."""
+    return _message_type(name, 'cdr', '', '')
+
+
 @cache
 def _default_types(encoding: Encoding) -> Types:
     return _types(get_typestore(STORES[encoding]).fielddefs)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 MODEL, SERIES, TABLE = 'model.json', 'estimates.npz', 'estimates.csv'
 REPORT, PAGE = 'report.md', 'report.html'
+TOPICS_BAG = 'estimates.mcap'  # what the node would have published
 _HASHED = 2**28  # bytes: larger bags are named, but not hashed
 _SUFFIXES = re.compile(r'(\.(mcap|db3|bag|zstd|active))+$')
 
@@ -90,9 +91,10 @@ def write_results(folder: Path, contents: Mapping[str, str]) -> None:
     """
     from ctsid_core.model.storage import write_file
 
-    for name in (MODEL, SERIES, TABLE, REPORT, PAGE):
+    own = [folder / name for name in (MODEL, SERIES, TABLE, REPORT, PAGE, TOPICS_BAG)]
+    for path in (*own, *folder.glob('estimates-[2-9].mcap')):  # further parts, see BagWriter
         with suppress(OSError):
-            (folder / name).unlink()
+            path.unlink()
     for name, text in contents.items():
         write_file(folder / name, text.encode(), force=True)
 

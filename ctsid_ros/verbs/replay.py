@@ -16,6 +16,7 @@ from ctsid_ros.replay.results import (
     REPORT,
     SERIES,
     TABLE,
+    TOPICS_BAG,
     bag_name,
     origin,
     results_folder,
@@ -51,7 +52,10 @@ EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results
 
 The windows are those of the parameter file (window.length, window.stride). None is skipped; each
 model is tested on the first later window that shares no data with it ("next fit"). Ctrl-C ends
-the run early and keeps the results so far."""
+the run early and keeps the results so far.
+
+estimates.mcap has what the node would have published, stamped at the ends of the windows; config/
+has layouts that plot it in Foxglove and PlotJuggler."""
 
 _INTRODUCTION = ('Each window gives its own model. Its "next fit" is its simulation fit on the '
                  'first later window that shares no data with it.')
@@ -162,6 +166,7 @@ class _Report:
 
     def write(self, out: Path) -> None:
         from ctsid_core.model.storage import save_series, to_json
+        from ctsid_ros.export.estimates_bag import write_estimates
         from ctsid_ros.report.sections import bode_section
 
         metadata = origin(self.played.config, self.args.bag, {
@@ -177,6 +182,7 @@ class _Report:
         for name in (SERIES, TABLE):
             save_series(out / name, [r.estimate for r in self.results],
                         columns=self._columns(), force=True)
+        write_estimates(out / TOPICS_BAG, self.played.config, [r.tracked for r in self.results])
 
     def _columns(self) -> dict[str, Sequence[float]]:
         """Return what the series has beside the estimates."""

@@ -77,7 +77,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.replay.results import config_of
 
     estimate = load_estimate(args.model)
-    model = _model_of(estimate, args)
+    model = model_of(estimate, args.model, 'simulate', rejected=args.rejected)
     config = read_params(args.params) if args.params else config_of(
         load_metadata(args.model), estimate.settings, args.model)
     _check(model, config, args.model)
@@ -97,16 +97,22 @@ def command(args: argparse.Namespace) -> int:
     return NO_MODEL if why else ACCEPTED
 
 
-def _model_of(estimate: Estimate, args: argparse.Namespace) -> StateSpace:
-    """Return the model of an estimate; a rejected one only if it is asked for."""
+def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> StateSpace:
+    """
+    Return the model of an estimate; a rejected one only if it is asked for.
+
+    Raises
+    ------
+    StorageError
+        If there is none, or it was rejected.
+    """
     if estimate.model is not None:
         return estimate.model
-    why = f'{args.model} holds no accepted model ({estimate.status.name}): ' \
-        f'{estimate.verdict.reason}'
+    why = f'{path} holds no accepted model ({estimate.status.name}): {estimate.verdict.reason}'
     if estimate.rejected_model is None:
         raise StorageError(why)
-    if not args.rejected:
-        raise StorageError(f'{why} Add --rejected to simulate the rejected one all the same.')
+    if not rejected:
+        raise StorageError(f'{why} Add --rejected to {verb} the rejected one all the same.')
     return estimate.rejected_model
 
 

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A model at the ticks of a clock, exactly, for inputs that are held from tick to tick.
+
+With the period T and a dead time of (lag + fraction) T, 0 <= fraction < 1, an input changes
+within a step, `fraction` T after the tick. Hence, without any approximation,
+
+    x[k+1] = A x[k] + B_now u[k - lag] + B_before u[k - lag - 1] + offset
+      y[k] = C x[k] + D u[k - lag - (fraction > 0)] + y_trim
+
+(K. J. Astrom, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, section 2.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctsid_core.errors import DataError
+from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.statespace import StateSpace
+
+_SAME = 1e-9  # of a period: dead times that differ by less from a whole number of them are one
+_MEMORY = 100_000  # past inputs to keep, of all channels; a rate that needs more is a slip
+_STATES = 2000  # the same where they become states of full matrices
+
+
+@dataclass(frozen=True, eq=False)
+class Discrete:
+    """
+    A model at the ticks of a clock; made by `discretise`.
+
+    Parameters
+    ----------
+    period : float
+        [s]
+    A : ndarray, shape (n, n)
+    now, before : ndarray, shape (n, nu)
+        Gains of u[k - lag] and of the input one tick earlier; `before` is 0 for whole dead times.
+    offset : ndarray, shape (n,)
+        Of the trim, per step.
+    C, D, y_trim : ndarray, shapes (ny, n), (ny, nu), (ny,)
+    lag : tuple of int, length nu
+        Whole periods of each dead time.
+    fraction : tuple of float, length nu
+        What remains of it, in periods.
+    """
+
+    period: float
+    A: Array
+    now: Array
+    before: Array
+    offset: Array
+    C: Array
+    D: Array
+    y_trim: Array
+    lag: tuple[int, ...]
+    fraction: tuple[float, ...]
+
+    @property
+    def memory(self) -> NDArray[np.int_]:
+        """How many past inputs each channel needs, shape (nu,)."""
+        return np.array(self.lag, dtype=int) + (np.array(self.fraction) > 0)
+
+    def simulate(self, u: ArrayLike) -> Array:
+        """
+        Return the outputs at the ticks, from the state 0; the first input was there before.
+
+        Parameters
+        ----------
+        u : array_like, shape (M, nu)
+            Held from its tick to the next.
+
+        Returns
+        -------
+        ndarray, shape (M, ny)
+        """
+        given = np.asarray(u, dtype=float)
+        ticks = np.arange(len(given))[:, np.newaxis]
+        channels = np.arange(given.shape[1])
+        late = given[np.maximum(ticks - np.array(self.lag, dtype=int), 0), channels]
+        later = given[np.maximum(ticks - np.array(self.lag, dtype=int) - 1, 0), channels]
+        drive = late @ self.now.T + later @ self.before.T + self.offset
+        x = np.zeros((len(given), len(self.A)))
+        for k in range(1, len(given)):
+            x[k] = self.A @ x[k - 1] + drive[k - 1]
+        seen = given[np.maximum(ticks - self.memory, 0), channels]
+        outputs: Array = x @ self.C.T + seen @ self.D.T + self.y_trim
+        return outputs
+
+    def frequency_response(self, omega: ArrayLike) -> ComplexArray:
+        """Return G(e^(j omega period)) from u to y, shape (M, ny, nu), for omega in rad/s."""
+        z = np.exp(1j * np.asarray(omega, dtype=float) * self.period)[:, np.newaxis, np.newaxis]
+        lag = np.array(self.lag, dtype=int)
+        drive = self.now * z ** -lag + self.before * z ** (-lag - 1)
+        states: ComplexArray = np.linalg.solve(z * np.eye(len(self.A)) - self.A, drive)
+        response: ComplexArray = self.C @ states + self.D * z ** -self.memory
+        return response
+
+    def expanded(self) -> tuple[Array, Array, Array, Array]:
+        """
+        Return A, B, C, D from u to y without dead time: past inputs are further states.
+
+        Raises
+        ------
+        DataError
+            If they are too many for matrices.
+        """
+        n, nu = self.now.shape
+        if self.memory.sum() > _STATES:
+            raise DataError(f'the dead times hold {self.memory.sum()} past inputs, too many for '
+                            f'states ({_STATES} at most); choose a lower rate')
+        first = n + np.concatenate([[0], np.cumsum(self.memory)]).astype(int)
+        A = np.zeros((first[-1], first[-1]))
+        B, C = np.zeros((first[-1], nu)), np.zeros((len(self.C), first[-1]))
+        A[:n, :n], C[:, :n], D = self.A, self.C, np.zeros_like(self.D)
+        for i in range(nu):
+            past = range(first[i], first[i + 1])  # the input one, two, ... ticks ago
+            for gain, ago in ((self.now, self.lag[i]), (self.before, self.lag[i] + 1)):
+                if ago == 0:
+                    B[:n, i] = gain[:, i]
+                elif ago <= len(past):
+                    A[:n, past[ago - 1]] = gain[:, i]
+            if past:
+                B[past[0], i] = 1.0
+                C[:, past[-1]] = self.D[:, i]
+            else:
+                D[:, i] = self.D[:, i]
+            for one, other in zip(past, past[1:], strict=False):
+                A[other, one] = 1.0
+        return A, B, C, D
+
+
+def discretise(model: StateSpace, rate: float) -> Discrete:
+    """
+    Return a model at the ticks of a clock, exactly for inputs held from tick to tick.
+
+    Parameters
+    ----------
+    model : StateSpace
+    rate : float
+        Of the clock [Hz].
+
+    Raises
+    ------
+    DataError
+        If the rate is not positive, or so high that the dead times hold too many inputs.
+    """
+    if not 0 < rate < np.inf:
+        raise DataError(f'`rate` is {rate}; give the rate of the clock in Hz, more than 0')
+    ratio = np.array(model.delay) * rate
+    if ratio.sum() > _MEMORY:
+        raise DataError(f'at {rate:g} Hz the dead times hold {ratio.sum():.3g} past inputs; '
+                        f'choose a lower rate ({_MEMORY} are kept at most)')
+    whole = np.abs(ratio - np.round(ratio)) < _SAME * np.maximum(ratio, 1)
+    lag = np.where(whole, np.round(ratio), np.floor(ratio))
+    fraction = np.where(whole, 0.0, ratio - lag)
+    period = 1 / rate
+    steps, integrals = exponentials(
+        model.A, period * np.concatenate([[1.0], 1 - fraction, fraction]), 1)
+    now, before = np.empty_like(model.B), np.empty_like(model.B)
+    for i in range(model.nu):
+        now[:, i] = integrals[1 + i] @ model.B[:, i]
+        before[:, i] = steps[1 + i] @ integrals[1 + model.nu + i] @ model.B[:, i]
+    return Discrete(period, steps[0], now, before, integrals[0] @ model.x_trim, model.C, model.D,
+                    model.y_trim, tuple(int(k) for k in lag), tuple(fraction.tolist()))
