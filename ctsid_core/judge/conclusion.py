@@ -53,8 +53,8 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
         pole_deviation(covariance, model)
     share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
     unseen = held_out(samples, fit, solution.free, share, effort, solution.refit)
-    change = Change() if solution.refit or solution.by_prediction else most_likely_change(
-        samples, fit, solution.free, effort)
+    change = Change() if solution.refit else most_likely_change(
+        *(solution.simulating or (samples, fit, solution.free)), effort)
     names = tuple(last.whole.input_names[j] for j in last.u)
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,

@@ -50,6 +50,8 @@ class Solution:
         With those that are left out because a delayed input is not known yet.
     errors_ahead : ndarray, shape (horizons, ny)
         Of its predictions, over the motion.
+    simulating : tuple of Samples, Fit and Free, or None
+        Of the best model that simulates, if it is another one: a plant that changes shows there.
     singular_values : ndarray
         Of a subspace method; their drop shows the order.
     condition : float
@@ -70,6 +72,7 @@ class Solution:
     plant: Matrices | None = None
     whole: Samples | None = None
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
+    simulating: tuple[Samples, Fit, Free] | None = None
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
 

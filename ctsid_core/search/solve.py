@@ -234,7 +234,8 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
         found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', 'no simulation explains the outputs; predictions from '
-                'their own past do far better'),), plant=found.matrices, errors_ahead=found.errors)
+                'their own past do far better'),), plant=found.matrices,
+        simulating=(samples, best.fit, free), errors_ahead=found.errors)
 
 
 def _names(part: Joint) -> list[str]:
