@@ -12,13 +12,15 @@ statistics, or the file was not closed, the chunks themselves are read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 import io
+import os
 from pathlib import Path
 import struct
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 import zlib
 
 import lz4.frame
@@ -26,29 +28,29 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema, Statistics
+import numpy as np
 import zstandard
 
+from ctsid_ros.decoding.block import Block, Content, Located
 from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.mcap_content import RECORD, Messages, locate, walk
 from ctsid_ros.recordings.recording import (
     Chunk,
     Connection,
     Note,
     Recording,
-    Row,
-    rows_in_order,
+    Room,
+    Wanted,
+    blocks_in_order,
     span,
 )
 
 MAGIC = b'\x89MCAP0\r\n'
-_RECORD = struct.Struct('<BQ')  # opcode, length of what follows
-_CHUNK = struct.Struct('<QQQII')  # start, end, full size, CRC, length of the compression's name
+_CHUNK = struct.Struct('<qqQII')  # start, end, full size, CRC, length of the compression's name
 _INDEX = struct.Struct('<HI')  # channel, bytes that follow: 16 per message
-_MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
+_MESSAGE = struct.Struct('<HIqq')  # channel, sequence, log time, publish time
 _LOOSE_SIZE = 1 << 20  # messages outside of chunks are read in blocks of about this size
-_DECOMPRESS: dict[str, Callable[[bytes, int], bytes]] = {
-    '': lambda data, size: data,
-    'lz4': lambda data, size: bytes(lz4.frame.decompress(data)),
-    'zstd': lambda data, size: zstandard.decompress(data, max_output_size=size)}
+_COMPRESSIONS = ('', 'lz4', 'zstd')
 
 
 class _DamagedError(ValueError):
@@ -83,27 +85,28 @@ class _Scan:
         self.closed = False
         self.loose: list[tuple[int, int, int, int]] = []  # start, end, channel, log time
         self.index: Counter[int] = Counter()  # what indexes say of the last chunk
+        self.index_ends: dict[int, int] = {}  # where the indexes of each chunk end
         self.notes: list[str] = []
 
     def records(self) -> None:
         """Visit all records of the file, as far as they are complete."""
         size = self.file.seek(0, io.SEEK_END)
         position = len(MAGIC)
-        while not self.closed and position + _RECORD.size <= size:
+        while not self.closed and position + RECORD.size <= size:
             self.file.seek(position)
-            head = self.file.read(_RECORD.size + _MESSAGE.size)
-            opcode, length = _RECORD.unpack_from(head)
-            end = position + _RECORD.size + length
+            head = self.file.read(RECORD.size + _MESSAGE.size)
+            opcode, length = RECORD.unpack_from(head)
+            end = position + RECORD.size + length
             if opcode == 0:
                 self.zeros_at(position)
             if opcode == 0 or end > size:
                 break
             try:
                 if opcode == Opcode.MESSAGE.value:
-                    channel, _, log_ns, _ = _MESSAGE.unpack_from(head, _RECORD.size)
+                    channel, _, log_ns, _ = _MESSAGE.unpack_from(head, RECORD.size)
                     self.loose_message(position, end, channel, log_ns)
                 else:
-                    self.record(opcode, position + _RECORD.size, end)
+                    self.record(opcode, position + RECORD.size, end)
             except (McapError, ValueError, struct.error):
                 break
             position = end
@@ -120,8 +123,7 @@ class _Scan:
         if opcode == Opcode.CHUNK:
             self.chunk(start, end)
         elif opcode == Opcode.MESSAGE_INDEX:
-            channel, size = _INDEX.unpack(self.file.read(_INDEX.size))
-            self.index[channel] += size // 16
+            self.message_index(end)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
             self.define(opcode, self.file.read(end - start))
         elif opcode == Opcode.FOOTER:
@@ -149,7 +151,7 @@ class _Scan:
         compression = self.file.read(min(length, 32)).decode()
         if length > 32 or not compression.isprintable():
             raise ValueError('that is no name of a compression')
-        if compression not in _DECOMPRESS:
+        if compression not in _COMPRESSIONS:
             raise BagError(f'{self.path}: chunks are compressed with {compression!r}; ctsid reads '
                            'lz4, zstd and none: convert the bag with `mcap compress`')
         (size,) = struct.unpack('<Q', self.file.read(8))
@@ -159,6 +161,11 @@ class _Scan:
         self.index = Counter()
         self.chunks.append(Chunk(offset, size, compression, start_ns, end_ns, self.index,
                                  full_size, crc))
+
+    def message_index(self, end: int) -> None:
+        channel, size = _INDEX.unpack(self.file.read(_INDEX.size))
+        self.index[channel] += size // 16
+        self.index_ends[len(self.chunks) - 1] = end
 
     def define(self, opcode: int, data: bytes) -> None:
         stream = ReadDataStream(io.BytesIO(data))
@@ -173,6 +180,9 @@ class _Scan:
 
     def contents(self) -> None:
         """Read those chunks of which the records of the file tell too little, or may lie."""
+        for number, end in self.index_ends.items():
+            chunk = self.chunks[number]
+            self.chunks[number] = replace(chunk, index_size=end - chunk.offset - chunk.size)
         stated = self.statistics.message_count if self.statistics else None
         listed = sum(sum(chunk.counts.values()) for chunk in self.chunks if chunk.counts)
         if not self.closed or (stated is not None and stated != listed):
@@ -196,15 +206,20 @@ class _Scan:
                           'did not close the file)')
 
     def read_anew(self, chunk: Chunk) -> Chunk:
-        """Find counts, times and definitions in the content of a chunk."""
-        rows: list[Row] = []
+        """Find counts, times and definitions in the content of a chunk; trust no index of it."""
+        content: Content = b''
+        places = np.empty(0, np.intp)
         try:
-            rows, _ = _rows(_content(self.file, chunk), None, self.define)
+            content = _content(self.file, chunk, Room())
+            places, _ = walk(content, self.define)
         except (McapError, ValueError, struct.error) as error:
             self.notes.append(f'{self.path.name}: {_where(chunk, error)}')
-        return replace(chunk, counts=Counter(row[2] for row in rows),
-                       start_ns=min((row[0] for row in rows), default=0),
-                       end_ns=max((row[0] for row in rows), default=0))
+        heads = Messages.at(content, places).heads
+        numbers, counts = np.unique(heads['channel'], return_counts=True)
+        return replace(chunk, counts=dict(zip(numbers.tolist(), counts.tolist(), strict=True)),
+                       start_ns=int(heads['log'].min(initial=2**63 - 1)) if len(heads) else 0,
+                       end_ns=int(heads['log'].max(initial=-2**63)) if len(heads) else 0,
+                       index_size=0)
 
     def recording(self) -> Recording:
         totals: Counter[int] = Counter()
@@ -215,12 +230,8 @@ class _Scan:
             self.notes.append(f'{self.path.name}: {orphans} messages of unknown topics skipped')
         connections = tuple(self.connection(channel, totals[channel.id])
                             for channel in self.channels.values())
-        path, chunks = self.path, tuple(self.chunks)
-
-        def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
-            return _read(path, chunks, frozenset(wanted), note)
-
-        return Recording(connections, *span(chunks), rows, tuple(self.notes))
+        return Recording(connections, *span(self.chunks),
+                         partial(_read, self.path, tuple(self.chunks)), tuple(self.notes))
 
     def connection(self, channel: Channel, count: int) -> Connection:
         schema = self.schemas.get(channel.schema_id)
@@ -230,68 +241,61 @@ class _Scan:
             schema.data.decode(errors='replace') if schema else '', count)
 
 
-def _read(path: Path, chunks: tuple[Chunk, ...], wanted: frozenset[int], note: Note
-          ) -> Iterator[Row]:
+class _Loaded(NamedTuple):
+    """Content and index of a chunk; or why it cannot be read."""
+
+    content: Content
+    entries: bytes = b''
+    problem: str = ''
+
+
+def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> Iterator[Block]:
+    def load(chunk: Chunk, room: Room) -> _Loaded:
+        try:
+            return _Loaded(_content(file, chunk, room), os.pread(
+                file.fileno(), chunk.index_size, chunk.offset + chunk.size))
+        except _DamagedError as error:
+            return _Loaded(b'', problem=_where(chunk, error))
+
+    def found(chunk: Chunk, loaded: _Loaded) -> list[Located]:
+        if loaded.problem:
+            note(f'{path.name}: {loaded.problem}')
+            return []
+        located = locate(loaded.content, loaded.entries, wanted.slots, checked=chunk.crc != 0)
+        missing = chunk.count(wanted.slots) - sum(len(part.offsets) for part in located)
+        if missing > 0:
+            note(f'{path.name}: chunk at byte {chunk.offset} is damaged inside: {missing} of its '
+                 f'messages are lost' + ('' if chunk.crc else '; the file has no checksums, so '
+                                         'others may be false'))
+        return located
+
     with path.open('rb') as file:
-        def rows(chunk: Chunk) -> list[Row]:
-            try:
-                data = _content(file, chunk)
-            except _DamagedError as error:
-                note(f'{path.name}: {_where(chunk, error)}')
-                return []
-            found, end = _rows(data, wanted)
-            if end != len(data):
-                note(f'{path.name}: chunk at byte {chunk.offset} is damaged inside; some of its '
-                     'messages are lost')
-            return found
-
-        yield from rows_in_order([c for c in chunks if c.holds(wanted)], rows)
+        yield from blocks_in_order(chunks, wanted, load, found)
 
 
-def _rows(data: bytes, wanted: frozenset[int] | None,
-          define: Callable[[int, bytes], None] | None = None) -> tuple[list[Row], int]:
-    """
-    Return the messages in the content of a chunk, and where its records end.
-
-    Parameters
-    ----------
-    data : bytes
-    wanted : frozenset of int
-        Channels; all if None.
-    define : callable, optional
-        Takes opcode and content of schemas and channels.
-    """
-    view = memoryview(data)
-    rows: list[Row] = []
-    position, size = 0, len(data)
-    is_last = False
-    while position + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack_from(data, position)
-        start = position + _RECORD.size
-        position = start + length
-        if opcode == Opcode.MESSAGE.value and position <= size and length >= _MESSAGE.size:
-            channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, start)
-            is_last = wanted is None or channel in wanted
-            if is_last:
-                rows.append((log_ns, publish_ns, channel, view[start + _MESSAGE.size:position]))
-        elif opcode == 0:  # data that never reached the disk; zeros may have begun before
-            del rows[len(rows) - is_last:]
-            return rows, start
-        elif define and opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and position <= size:
-            define(opcode, data[start:position])
-    return rows, position
-
-
-def _content(file: BinaryIO, chunk: Chunk) -> bytes:
-    file.seek(chunk.offset)
-    compressed = file.read(chunk.size)
+def _content(file: BinaryIO, chunk: Chunk, room: Room) -> memoryview:
     try:
-        data = _DECOMPRESS[chunk.compression](compressed, chunk.full_size)
+        data = _decompressed(file, chunk, room)
     except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError) as error:
         raise _DamagedError(f'{chunk.compression}: {error}') from None
     if chunk.crc and zlib.crc32(data) != chunk.crc:
         raise _DamagedError('its CRC does not match')
     return data
+
+
+def _decompressed(file: BinaryIO, chunk: Chunk, room: Room) -> memoryview:
+    packed = room.packed(chunk.size) if chunk.compression else room.content(chunk.size)
+    os.preadv(file.fileno(), [packed], chunk.offset)  # several threads share the file
+    if not chunk.compression:
+        return packed
+    if chunk.compression == 'lz4':
+        return memoryview(lz4.frame.decompress(packed))
+    if zstandard.frame_content_size(packed) not in (-1, chunk.full_size):
+        raise ValueError('its size is not the one that is stated')
+    content = room.content(chunk.full_size)
+    with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+        size = reader.readinto(content)
+    return content[:size]
 
 
 def _where(chunk: Chunk, error: Exception) -> str:

@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every file of a bag becomes, whatever its format; messages in the order of log time."""
+"""What every file of a bag becomes, whatever its format; blocks in the order of log time."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-import heapq
 from itertools import count
-from operator import itemgetter
-from typing import TypeVar
+from operator import attrgetter, itemgetter
+from typing import NamedTuple, TypeVar
 
-Payload = bytes | memoryview
-Row = tuple[int, int, int, Payload]  # log time [ns], publish time [ns], connection, message
+import numpy as np
+
+from ctsid_ros.decoding.block import Block, Decode, Located
+
 Note = Callable[[str], None]
-T = TypeVar('T', bound=Sequence[object])
+C = TypeVar('C')
+_THREADS = 2  # that decompress while columns are made
+_AHEAD = 3  # chunks that they may be ahead
+BATCH = 12 << 20  # bytes of content that are decoded at once: NumPy's calls cost nothing then
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,27 @@ class Connection:
     count: int
 
 
+class Wanted(NamedTuple):
+    """
+    Which messages are wanted of a file, and what is to become of them.
+
+    Parameters
+    ----------
+    slots : mapping of int to int
+        Number of the topic, by connection.
+    topics : sequence of str
+    decoders : sequence of Decode
+    """
+
+    slots: Mapping[int, int]
+    topics: Sequence[str]
+    decoders: Sequence[Decode]
+
+    def block(self, found: Sequence[Located]) -> Block:
+        """Decode what a reader has found."""
+        return Block.of(found, self.topics, self.decoders)
+
+
 @dataclass(frozen=True)
 class Recording:
     """
@@ -56,8 +82,8 @@ class Recording:
     connections : tuple of Connection
     start_ns, end_ns : int
         First and last log time; 0 if there is no message.
-    rows : callable
-        (connection ids, where to note damage) -> messages in the order of log time.
+    blocks : callable
+        (what is wanted, where to note damage) -> messages in the order of log time.
     notes : tuple of str
         What was damaged and recovered.
     """
@@ -65,7 +91,7 @@ class Recording:
     connections: tuple[Connection, ...]
     start_ns: int
     end_ns: int
-    rows: Callable[[Collection[int], Note], Iterator[Row]]
+    blocks: Callable[[Wanted, Note], Iterator[Block]]
     notes: tuple[str, ...] = ()
 
     @property
@@ -90,6 +116,8 @@ class Chunk:
         Number of messages by connection; None if not known without reading.
     full_size, crc : int
         Size and CRC-32 of the content, not compressed; 0 where not known.
+    index_size : int
+        Bytes of the records that follow it and say where its messages lie.
     """
 
     offset: int
@@ -100,10 +128,15 @@ class Chunk:
     counts: Mapping[int, int] | None = None
     full_size: int = 0
     crc: int = 0
+    index_size: int = 0
 
     def holds(self, connections: Collection[int]) -> bool:
         """Whether any of the connections has, or may have, messages here."""
         return self.counts is None or any(self.counts.get(c) for c in connections)
+
+    def count(self, connections: Collection[int]) -> int:
+        """Return how many messages of the connections are said to be here."""
+        return sum((self.counts or {}).get(c, 0) for c in connections)
 
 
 def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
@@ -112,51 +145,132 @@ def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
             max((c.end_ns for c in chunks), default=0))
 
 
-def rows_in_order(chunks: Sequence[Chunk], read: Callable[[Chunk], list[Row]]) -> Iterator[Row]:
+class Room:
     """
-    Yield the rows of all chunks by log time; rows of equal time in the order of the file.
+    Memory that chunks are read into, one after another.
 
-    Chunks may overlap in time; no more is held in memory than overlaps. Rows within a chunk need
-    not be in order: their sort is cheap when they are.
+    To take fresh memory for each of them from the system costs as much as to decompress it.
     """
-    ordered = sorted(chunks, key=lambda chunk: chunk.start_ns)
-    pending: list[Row] = []
-    for i, chunk in enumerate(ordered):
-        pending += read(chunk)
-        pending.sort(key=itemgetter(0))
-        if i + 1 < len(ordered):
-            ready = bisect_left(pending, ordered[i + 1].start_ns, key=itemgetter(0))
-            yield from pending[:ready]
-            del pending[:ready]
-    yield from pending
+
+    def __init__(self) -> None:
+        self._packed = self._content = bytearray()
+
+    def packed(self, size: int) -> memoryview:
+        """Return memory for what is compressed."""
+        if len(self._packed) < size:
+            self._packed = bytearray(size)
+        return memoryview(self._packed)[:size]
+
+    def content(self, size: int) -> memoryview:
+        """Return memory for content."""
+        if len(self._content) < size:
+            self._content = bytearray(size)
+        return memoryview(self._content)[:size]
 
 
-def merge_in_time(streams: Sequence[tuple[int, Callable[[], Iterator[T]]]],
-                  log_time: Callable[[T], int]) -> Iterator[T]:
+def blocks_in_order(chunks: Sequence[Chunk], wanted: Wanted, load: Callable[[Chunk, Room], C],
+                    locate: Callable[[Chunk, C], Sequence[Located]]) -> Iterator[Block]:
+    """
+    Yield the messages of all chunks by log time; those of equal time in the order of the file.
+
+    Chunks may overlap in time; no more is held in memory than overlaps, and a few chunks.
+
+    Parameters
+    ----------
+    chunks : sequence of Chunk
+    wanted : Wanted
+        Chunks without any of it are not read.
+    load : callable
+        Reads and decompresses the content of a chunk, in a thread.
+    locate : callable
+        Finds the wanted messages in it.
+    """
+    ordered = sorted((c for c in chunks if c.holds(wanted.slots)), key=attrgetter('start_ns'))
+    pending, found, used = wanted.block(()), list[Located](), list[Room]()
+    free: list[Room] = []
+    size = 0
+    for i, (room, content) in enumerate(_ahead(load, ordered, free)):
+        found += locate(ordered[i], content)
+        used.append(room)
+        size += max(ordered[i].size, ordered[i].full_size)
+        is_last = i + 1 == len(ordered)
+        if size < BATCH and not is_last:
+            continue
+        pending = pending.merged(wanted.block(found))
+        free += used
+        found, used, size = [], [], 0
+        ready = len(pending) if is_last else int(np.searchsorted(
+            pending.log_ns, ordered[i + 1].start_ns))
+        if ready:
+            block, pending = pending.split(ready)
+            yield block
+
+
+def _ahead(load: Callable[[Chunk, Room], C], chunks: Sequence[Chunk], free: list[Room]
+           ) -> Iterator[tuple[Room, C]]:
+    """Load chunks in threads, a few ahead; in order. Rooms come back by the list of free ones."""
+    waiting: deque[tuple[Room, Future[C]]] = deque()
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            for chunk in chunks:
+                room = free.pop() if free else Room()
+                waiting.append((room, pool.submit(load, chunk, room)))
+                if len(waiting) > _AHEAD:
+                    room, future = waiting.popleft()
+                    yield room, future.result()
+            while waiting:
+                room, future = waiting.popleft()
+                yield room, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
+
+
+class _Stream(NamedTuple):
+    """A stream of blocks, and its next one."""
+
+    number: int
+    block: Block
+    rest: Iterator[Block]
+
+
+def merge_in_time(streams: Sequence[tuple[int, Callable[[], Iterator[Block]]]]
+                  ) -> Iterator[Block]:
     """
     Merge streams, each in the order of log time; none is opened before time reaches its start.
 
     Parameters
     ----------
     streams : sequence of (start_ns, function that opens the stream)
-    log_time : callable
-        Log time of an item [ns].
     """
     waiting = sorted(streams, key=itemgetter(0), reverse=True)
-    serial = count()
-    active: list[tuple[int, int, T, Iterator[T]]] = []
+    numbers = count()
+    active: list[_Stream] = []
+
+    def advance(number: int, rest: Iterator[Block]) -> None:
+        block = next((block for block in rest if len(block)), None)
+        if block is not None:
+            active.append(_Stream(number, block, rest))
+
     while waiting or active:
-        while waiting and (not active or waiting[-1][0] <= active[0][0]):
-            stream = waiting.pop()[1]()
-            for item in stream:
-                heapq.heappush(active, (log_time(item), next(serial), item, stream))
-                break
+        while waiting and (not active or waiting[-1][0] <= min(
+                int(stream.block.log_ns[-1]) for stream in active)):
+            advance(next(numbers), waiting.pop()[1]())
         if not active:
             continue
-        _, number, item, stream = active[0]
-        yield item
-        following = next(stream, None)
-        if following is None:
-            heapq.heappop(active)
-        else:
-            heapq.heapreplace(active, (log_time(following), number, following, stream))
+        # Up to where the first of the blocks ends nothing can come any more.
+        end_ns, number = min((int(s.block.log_ns[-1]), s.number) for s in active)
+        merged: Block | None = None
+        now, active = sorted(active), []
+        for stream in now:
+            # Where times are equal, those of a stream that was opened earlier come first.
+            side = 'right' if stream.number <= number else 'left'
+            ready, later = stream.block.split(int(np.searchsorted(
+                stream.block.log_ns, end_ns, side)))  # type: ignore[call-overload]
+            merged = ready if merged is None else merged.merged(ready)
+            if len(later):
+                active.append(stream._replace(block=later))
+            else:
+                advance(stream.number, stream.rest)
+        assert merged is not None
+        yield merged

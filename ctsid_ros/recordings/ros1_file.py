@@ -11,38 +11,46 @@ from __future__ import annotations
 
 import bz2
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 import io
+import os
 from pathlib import Path
 import struct
 from typing import BinaryIO
 
 import lz4.frame
 
+from ctsid_ros.decoding.block import Block, Content, Located
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.recording import (
     Chunk,
     Connection,
     Note,
     Recording,
-    Row,
-    rows_in_order,
+    Room,
+    Wanted,
+    blocks_in_order,
     span,
+)
+from ctsid_ros.recordings.ros1_content import (
+    CONNECTION,
+    U32,
+    Header,
+    fields,
+    locate,
+    messages,
+    time_ns,
 )
 
 MAGIC = b'#ROSBAG V'
 _VERSION = b'#ROSBAG V2.0\n'
-_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = b'\2', b'\3', b'\5', b'\6', b'\7'
-_U32 = struct.Struct('<I')
+_BAG_HEADER, _CHUNK, _CHUNK_INFO = b'\3', b'\5', b'\6'
 _U64 = struct.Struct('<Q')
-_TIME = struct.Struct('<II')
-_DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
-    'none': lambda data: data, 'bz2': bz2.decompress,
-    'lz4': lambda data: bytes(lz4.frame.decompress(data))}
-
-Header = dict[bytes, bytes]
+_DECOMPRESS: dict[str, Callable[[memoryview], Content]] = {
+    'none': lambda data: data, 'bz2': bz2.decompress, 'lz4': lz4.frame.decompress}
 
 
 def scan_ros1(path: Path, resources: ExitStack) -> Recording:
@@ -94,11 +102,11 @@ class _Scan:
         self.complete = True
 
     def header(self, size: int) -> tuple[Header, int]:
-        (length,) = _U32.unpack(self.file.read(4))
+        (length,) = U32.unpack(self.file.read(4))
         if self.file.tell() + length > size:
             raise ValueError('a header is longer than the file')
-        header = _fields(self.file.read(length))
-        return header, _U32.unpack(self.file.read(4))[0]
+        header = fields(self.file.read(length))
+        return header, U32.unpack(self.file.read(4))[0]
 
     def record(self, header: Header, position: int, data: int, size: int) -> None:
         kind = header[b'op']
@@ -113,24 +121,24 @@ class _Scan:
                 raise BagError(f'{self.path}: the bag is encrypted; decrypt it with '
                                '`rosbag decrypt`')
             if _U64.unpack(header[b'index_pos'])[0]:
-                self.stated_chunks = _U32.unpack(header[b'chunk_count'])[0]
-        elif kind == _CONNECTION:
+                self.stated_chunks = U32.unpack(header[b'chunk_count'])[0]
+        elif kind == CONNECTION:
             self.connect(header, self.file.read(size))
         elif kind == _CHUNK_INFO:
             self.chunk_info(header, self.file.read(size))
 
     def connect(self, header: Header, data: bytes) -> None:
-        (number,) = _U32.unpack(header[b'conn'])
-        fields = _fields(data)
+        (number,) = U32.unpack(header[b'conn'])
+        declared = fields(data)
         self.connections[number] = Connection(
-            number, _topic(header[b'topic']), fields[b'type'].decode(), 'ros1', 'ros1msg',
-            fields[b'message_definition'].decode(errors='replace'), 0)
+            number, _topic(header[b'topic']), declared[b'type'].decode(), 'ros1', 'ros1msg',
+            declared[b'message_definition'].decode(errors='replace'), 0)
 
     def chunk_info(self, header: Header, data: bytes) -> None:
         (position,) = _U64.unpack(header[b'chunk_pos'])
         self.chunks[position] = replace(
             self.chunks[position], counts=dict(struct.iter_unpack('<II', data)),
-            start_ns=_time(header[b'start_time']), end_ns=_time(header[b'end_time']))
+            start_ns=time_ns(header[b'start_time']), end_ns=time_ns(header[b'end_time']))
 
     def contents(self) -> None:
         """Read those chunks of which the index tells nothing."""
@@ -150,13 +158,14 @@ class _Scan:
         counts: Counter[int] = Counter()
         times: list[int] = []
         try:
-            for header, data in _records(_content(self.file, chunk)):
-                if header[b'op'] == _MESSAGE:
-                    counts[_U32.unpack(header[b'conn'])[0]] += 1
-                    times.append(_time(header[b'time']))
-                elif header[b'op'] == _CONNECTION:
-                    self.connect(header, bytes(data))
-        except (struct.error, KeyError, ValueError) as error:
+            content = _content(self.file, chunk, Room())
+            found = messages(content, self.connect)
+            counts.update(found.connections.tolist())
+            times = found.log_ns.tolist()
+            if found.problem:
+                self.notes.append(f'{self.path.name}: damaged chunk at byte {chunk.offset}: '
+                                  f'{found.problem}')
+        except ValueError as error:
             self.notes.append(f'{self.path.name}: damaged chunk at byte {chunk.offset}: {error}')
         return replace(chunk, counts=counts, start_ns=min(times, default=0),
                        end_ns=max(times, default=0))
@@ -167,69 +176,37 @@ class _Scan:
             totals.update(chunk.counts or {})
         connections = tuple(replace(connection, count=totals[number])
                             for number, connection in self.connections.items())
-        path, chunks = self.path, tuple(self.chunks.values())
-
-        def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
-            return _read(path, chunks, frozenset(wanted), note)
-
-        return Recording(connections, *span(chunks), rows, tuple(self.notes))
+        chunks = tuple(self.chunks.values())
+        return Recording(connections, *span(chunks), partial(_read, self.path, chunks),
+                         tuple(self.notes))
 
 
-def _read(path: Path, chunks: tuple[Chunk, ...], wanted: frozenset[int], note: Note
-          ) -> Iterator[Row]:
+def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> Iterator[Block]:
+    def load(chunk: Chunk, room: Room) -> Content | ValueError:
+        try:
+            return _content(file, chunk, room)
+        except ValueError as error:
+            return error
+
+    def found(chunk: Chunk, content: Content | ValueError) -> list[Located]:
+        located, problem = ([], str(content)) if isinstance(content, ValueError) else locate(
+            content, wanted.slots)
+        missing = chunk.count(wanted.slots) - sum(len(part.offsets) for part in located)
+        if problem or missing > 0:
+            note(f'{path.name}: damaged chunk at byte {chunk.offset}: {problem}')
+        return located
+
     with path.open('rb') as file:
-        def rows(chunk: Chunk) -> list[Row]:
-            found: list[Row] = []
-            try:
-                for header, data in _records(_content(file, chunk)):
-                    if header[b'op'] == _MESSAGE:
-                        (number,) = _U32.unpack(header[b'conn'])
-                        if number in wanted:
-                            log_ns = _time(header[b'time'])
-                            found.append((log_ns, log_ns, number, data))
-            except (struct.error, KeyError, ValueError) as error:
-                note(f'{path.name}: damaged chunk at byte {chunk.offset}: {error}')
-            return found
-
-        yield from rows_in_order([c for c in chunks if c.holds(wanted)], rows)
+        yield from blocks_in_order(chunks, wanted, load, found)
 
 
-def _records(content: bytes) -> Iterator[tuple[Header, memoryview]]:
-    view = memoryview(content)
-    position = 0
-    while position < len(content):
-        (length,) = _U32.unpack_from(content, position)
-        start = position + 4 + length
-        header = _fields(content[position + 4:start])
-        (size,) = _U32.unpack_from(content, start)
-        position = start + 4 + size
-        if position > len(content):
-            raise ValueError('a record is longer than its chunk')
-        yield header, view[start + 4:position]
-
-
-def _fields(data: bytes) -> Header:
-    fields: Header = {}
-    position = 0
-    while position < len(data):
-        (length,) = _U32.unpack_from(data, position)
-        position += 4 + length
-        name, _, value = data[position - length:position].partition(b'=')
-        fields[name] = value
-    return fields
-
-
-def _content(file: BinaryIO, chunk: Chunk) -> bytes:
-    file.seek(chunk.offset)
+def _content(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
+    packed = room.packed(chunk.size)
+    os.preadv(file.fileno(), [packed], chunk.offset)  # several threads share the file
     try:
-        return _DECOMPRESS[chunk.compression](file.read(chunk.size))
+        return _DECOMPRESS[chunk.compression](packed)
     except (RuntimeError, OSError, EOFError, MemoryError) as error:
         raise ValueError(f'{chunk.compression}: {error}') from None
-
-
-def _time(value: bytes) -> int:
-    seconds, nanoseconds = _TIME.unpack(value)
-    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def _topic(name: bytes) -> str:

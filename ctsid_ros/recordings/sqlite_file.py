@@ -9,8 +9,9 @@ header states, it gives up every message before the first missing page.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 import io
 from pathlib import Path
 import shutil
@@ -18,8 +19,11 @@ import sqlite3
 import tempfile
 from typing import BinaryIO
 
+import numpy as np
+
+from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import Connection, Note, Recording, Row
+from ctsid_ros.recordings.recording import BATCH, Connection, Note, Recording, Wanted
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
@@ -27,6 +31,7 @@ TABLES = {
     'messages': ('id', 'topic_id', 'timestamp', 'data'),
     'message_definitions': ('topic_type', 'encoding', 'encoded_message_definition'),
 }
+_ROWS = 64  # fetched at once
 # A damaged schema may even come with an error message that is not UTF-8.
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
 SOUND = "typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"  # columns can hold anything
@@ -81,12 +86,10 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
             f'SELECT {", ".join(TABLES["topics"])} FROM topics')
         if all(isinstance(text, str) for text in (topic, kind, encoding)))
 
-    def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
-        return _rows(path, database, wanted, note)
-
     known = [spans[c.id] for c in connections if c.id in spans]
     return Recording(connections, min((s[1] for s in known), default=0),
-                     max((s[2] for s in known), default=0), rows, notes)
+                     max((s[2] for s in known), default=0),
+                     partial(_blocks, path, database), notes)
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
@@ -95,18 +98,45 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
         f'SELECT {columns} FROM message_definitions')}
 
 
-def _rows(path: Path, database: sqlite3.Connection, wanted: Collection[int], note: Note
-          ) -> Iterator[Row]:
-    marks = ', '.join('?' * len(wanted))
+def _blocks(path: Path, database: sqlite3.Connection, wanted: Wanted, note: Note
+            ) -> Iterator[Block]:
+    marks = ', '.join('?' * len(wanted.slots))
     query = (f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
              f'AND {SOUND} ORDER BY timestamp, id')
     given = 0
+    rows: list[tuple[int, int, bytes]] = []
     try:
-        for log_ns, topic, data in database.execute(query, tuple(wanted)):
-            given += 1
-            yield log_ns, log_ns, topic, data
+        cursor = database.execute(query, tuple(wanted.slots))
+        while True:
+            more = cursor.fetchmany(_ROWS)
+            rows += more
+            if not more or sum(len(data) for _, _, data in more) * len(rows) > BATCH * _ROWS:
+                given += len(rows)
+                ready, rows = rows, []
+                if ready:
+                    yield wanted.block(_located(ready, wanted.slots))
+            if not more:
+                return
     except DAMAGE as error:
-        note(f'{path.name}: damaged: {given} messages read, the rest is lost ({error})')
+        if rows:
+            yield wanted.block(_located(rows, wanted.slots))
+        note(f'{path.name}: damaged: {given + len(rows)} messages read, the rest is lost '
+             f'({error})')
+
+
+def _located(rows: Sequence[tuple[int, int, bytes]], slots: Mapping[int, int]) -> list[Located]:
+    """Lay messages side by side in one buffer."""
+    times, topics, data = zip(*rows, strict=True)
+    log_ns, number = np.array(times, np.int64), np.array(topics)
+    lengths = np.fromiter(map(len, data), np.intp, len(data))
+    content, offsets = b''.join(data), np.cumsum(lengths) - lengths
+    found = []
+    for topic, slot in slots.items():
+        own = np.flatnonzero(number == topic)
+        if len(own):
+            found.append(Located(slot, content, offsets[own], lengths[own], log_ns[own],
+                                 log_ns[own]))
+    return found
 
 
 def _salvage(path: Path, resources: ExitStack, error: Exception
