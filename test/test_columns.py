@@ -31,7 +31,7 @@ from ctsid_ros.decoding.cdr import DecodeError, Extractor
 from ctsid_ros.decoding.field_path import header_stamp_ns, parse_field
 from ctsid_ros.decoding.message_fields import scalar_fields
 from ctsid_ros.ingest.ingest import Ingest
-from ctsid_ros.recordings import recording
+from ctsid_ros.recordings import recording, sqlite_file
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.definitions import message_type
 from ctsid_ros.recordings.recording import Connection
@@ -124,7 +124,8 @@ class RandomType:
         if base.startswith('float'):
             return float(np.float32(self.rng.normal())) if base == 'float32' else float(
                 self.rng.normal())
-        low, high = {'byte': (0, 128), 'char': (0, 128)}.get(base) or (
+        low, high = {'byte': (-128 * self.ros1, 128),
+                     'char': (0, 256)}.get(base) or (
             np.iinfo(base).min, np.iinfo(base).max)
         return int(self.rng.integers(low, high, dtype=base if base[-1].isdigit() else 'int64'))
 
@@ -265,6 +266,7 @@ FIELDS = {'/imu': ['angular_velocity.x', 'linear_acceleration.z'], '/cmd': ['dat
 @pytest.mark.parametrize('container', CONTAINERS)
 def test_blocks_of_a_bag_equal_its_messages(tmp_path, container, batch, monkeypatch):
     monkeypatch.setattr(recording, 'BATCH', batch)
+    monkeypatch.setattr(sqlite_file, '_BATCH', batch)
     path = CONTAINERS[container](tmp_path, shuffled())
     fields = {topic: [parse_field(text) for text in texts] for topic, texts in FIELDS.items()}
     with open_bag(path) as bag:

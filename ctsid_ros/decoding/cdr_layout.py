@@ -148,7 +148,8 @@ class _Walker:
     def want(self, position: int, base: str, slot: int) -> None:
         self.need(position + SIZES[base])
         self.slots[slot] = len(self.items)
-        self.items.append((position, CODES[base]))
+        # ROS 1 has a signed byte, ROS 2 an octet.
+        self.items.append((position, 'b' if self.packed and base == 'byte' else CODES[base]))
         self.missing -= 1
 
     def message(self, position: int, name: str, wanted: _Wanted) -> int:

@@ -9,6 +9,7 @@ header states, it gives up every message before the first missing page.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -23,7 +24,7 @@ import numpy as np
 
 from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import BATCH, Connection, Note, Recording, Wanted
+from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
@@ -31,7 +32,8 @@ TABLES = {
     'messages': ('id', 'topic_id', 'timestamp', 'data'),
     'message_definitions': ('topic_type', 'encoding', 'encoded_message_definition'),
 }
-_ROWS = 64  # fetched at once
+_BATCH = 4 << 20  # bytes of messages that are decoded at once: 1 and 12 MB take a tenth longer
+_ROWS = 64  # fetched at once, before it is known how large they are
 # A damaged schema may even come with an error message that is not UTF-8.
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
 SOUND = "typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"  # columns can hold anything
@@ -75,21 +77,23 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
     if not {'topics', 'messages'} <= present:
         raise BagError(f'{path} is an SQLite database, but not a bag: its tables are '
                        f'{", ".join(sorted(present)) or "none"}')
-    spans = {topic: (count, first, last) for topic, count, first, last in database.execute(
-        f'SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages WHERE {SOUND} '
-        'GROUP BY topic_id')}
+    # One pass, for SQLite would sort them: the topics of all messages as one text.
+    (topics,) = database.execute(
+        f'SELECT group_concat(topic_id) FROM messages WHERE {SOUND}').fetchone()
+    counts = Counter((topics or '').split(','))
     definitions = _definitions(database) if 'message_definitions' in present else {}
     connections = tuple(
         Connection(number, topic, kind, encoding, *definitions.get(kind, ('', '')),
-                   spans.get(number, (0,))[0])
+                   counts[str(number)])
         for number, topic, kind, encoding in database.execute(
             f'SELECT {", ".join(TABLES["topics"])} FROM topics')
         if all(isinstance(text, str) for text in (topic, kind, encoding)))
 
-    known = [spans[c.id] for c in connections if c.id in spans]
-    return Recording(connections, min((s[1] for s in known), default=0),
-                     max((s[2] for s in known), default=0),
-                     partial(_blocks, path, database), notes)
+    known = ', '.join(str(c.id) for c in connections if c.count)
+    first, last = (database.execute(
+        f'SELECT timestamp FROM messages WHERE topic_id IN ({known}) AND {SOUND} '
+        f'ORDER BY timestamp {order} LIMIT 1').fetchone() or (0,) for order in ('ASC', 'DESC'))
+    return Recording(connections, first[0], last[0], partial(_blocks, path, database), notes)
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
@@ -103,29 +107,21 @@ def _blocks(path: Path, database: sqlite3.Connection, wanted: Wanted, note: Note
     marks = ', '.join('?' * len(wanted.slots))
     query = (f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
              f'AND {SOUND} ORDER BY timestamp, id')
-    given = 0
-    rows: list[tuple[int, int, bytes]] = []
+    given, count = 0, _ROWS
     try:
         cursor = database.execute(query, tuple(wanted.slots))
-        while True:
-            more = cursor.fetchmany(_ROWS)
-            rows += more
-            if not more or sum(len(data) for _, _, data in more) * len(rows) > BATCH * _ROWS:
-                given += len(rows)
-                ready, rows = rows, []
-                if ready:
-                    yield wanted.block(_located(ready, wanted.slots))
-            if not more:
-                return
+        while rows := cursor.fetchmany(count):
+            found, size = _located(rows, wanted.slots)
+            given += len(rows)
+            count = max(_ROWS, min(_BATCH * len(rows) // max(size, 1), 4 * count))
+            yield wanted.block(found)
     except DAMAGE as error:
-        if rows:
-            yield wanted.block(_located(rows, wanted.slots))
-        note(f'{path.name}: damaged: {given + len(rows)} messages read, the rest is lost '
-             f'({error})')
+        note(f'{path.name}: damaged: {given} messages read, the rest is lost ({error})')
 
 
-def _located(rows: Sequence[tuple[int, int, bytes]], slots: Mapping[int, int]) -> list[Located]:
-    """Lay messages side by side in one buffer."""
+def _located(rows: Sequence[tuple[int, int, bytes]], slots: Mapping[int, int]
+             ) -> tuple[list[Located], int]:
+    """Lay messages side by side in one buffer; return them, and its size."""
     times, topics, data = zip(*rows, strict=True)
     log_ns, number = np.array(times, np.int64), np.array(topics)
     lengths = np.fromiter(map(len, data), np.intp, len(data))
@@ -136,7 +132,7 @@ def _located(rows: Sequence[tuple[int, int, bytes]], slots: Mapping[int, int]) -
         if len(own):
             found.append(Located(slot, content, offsets[own], lengths[own], log_ns[own],
                                  log_ns[own]))
-    return found
+    return found, len(content)
 
 
 def _salvage(path: Path, resources: ExitStack, error: Exception
