@@ -190,8 +190,8 @@ def write_mcap(path: Path, sent: Iterable[Sent], compression: str = 'zstd',
         channels: dict[str, int] = {}
         for one in sent:
             if one.topic not in channels:
-                text = store.generate_msgdef(one.type, ros_version=2)[0].encode()
-                number = writer.register_schema(one.type, *(schema or ('ros2msg', text)))
+                number = writer.register_schema(one.type, *(schema or (
+                    'ros2msg', store.generate_msgdef(one.type, ros_version=2)[0].encode())))
                 channels[one.topic] = writer.register_channel(one.topic, encoding, number)
             raw = one.message if isinstance(one.message, bytes) else bytes(
                 store.serialize_cdr(one.message, one.type))

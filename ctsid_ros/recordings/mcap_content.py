@@ -9,7 +9,7 @@ are visited one after another.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import accumulate
 import struct
 from typing import NamedTuple
@@ -28,6 +28,7 @@ _HEAD = np.dtype({'names': ['opcode', 'length', 'channel', 'log', 'publish'],
                   'formats': ['u1', '<i8', '<u2', '<i8', '<i8'], 'offsets': [0, 1, 9, 15, 23],
                   'itemsize': 31})  # of the record of a message, up to its data
 _MESSAGE, _MESSAGE_INDEX = Opcode.MESSAGE.value, Opcode.MESSAGE_INDEX.value
+_DEFINITIONS = (Opcode.SCHEMA.value, Opcode.CHANNEL.value)
 _LEAST = _HEAD.itemsize - RECORD.size  # length of the record of an empty message
 _CHANNEL = struct.Struct('<H')
 Define = Callable[[int, bytes], None]
@@ -84,24 +85,39 @@ def locate(content: Content, index: bytes, slots: Mapping[int, int], *, checked:
         is believed.
     """
     if not index:
-        return _wanted(content, walk(content)[0], slots)
+        return _wanted(content, walk(content).messages, slots)
     entries = [(channel, table) for channel, table in _entries(index) if channel in slots]
     if not entries:
         return []
-    table = np.concatenate([table for _, table in entries])
     counts = [len(table) for _, table in entries]
-    places = table['offset']
-    listed = Messages.at(content, places)
-    agree = listed.whole & (listed.heads['log'] == table['log']) & \
-        (listed.heads['channel'] == np.repeat([channel for channel, _ in entries], counts))
+    listed, agree = _listed(content, entries)
     if agree.all():
         ends = accumulate(counts)
         return [listed.located(content, slots[channel], slice(end - count, end))
                 for (channel, _), count, end in zip(entries, counts, ends, strict=True) if count]
-    records = walk(content)[0]
-    if not checked:
-        records = np.union1d(np.setdiff1d(records, places[~agree]), places[agree])
-    return _wanted(content, records, slots)
+    places = walk(content).messages if checked else _believed(content, list(_entries(index)))
+    return _wanted(content, places, slots)
+
+
+def _listed(content: Content, entries: Sequence[tuple[int, NDArray[np.void]]]
+            ) -> tuple[Messages, NDArray[np.bool_]]:
+    """Return the messages that an index lists, and which of them are what it says."""
+    table = np.concatenate([table for _, table in entries])
+    channels = np.repeat([channel for channel, _ in entries], [len(t) for _, t in entries])
+    found = Messages.at(content, table['offset'])
+    return found, (found.whole & (found.heads['log'] == table['log'])
+                   & (found.heads['channel'] == channels))
+
+
+def _believed(content: Content, entries: Sequence[tuple[int, NDArray[np.void]]]) -> Index:
+    """Return messages that the index does not contradict, each followed by a proper record."""
+    listed, agree = _listed(content, entries)
+    walked = walk(content)
+    starts = listed.offsets - _HEAD.itemsize
+    places = np.union1d(np.setdiff1d(walked.messages, starts[~agree]), starts[agree])
+    found = Messages.at(content, places)
+    proper = np.concatenate((walked.records, starts[agree], [len(content)]))
+    return places[found.whole & np.isin(found.offsets + found.lengths, proper)]
 
 
 def _wanted(content: Content, places: Index, slots: Mapping[int, int]) -> list[Located]:
@@ -112,9 +128,28 @@ def _wanted(content: Content, places: Index, slots: Mapping[int, int]) -> list[L
     return [part for part in parts if len(part.offsets)]
 
 
-def walk(content: Content, define: Define | None = None) -> tuple[Index, int]:
+class Walked(NamedTuple):
     """
-    Visit the records; return the places of complete messages, and where the last record ends.
+    What a visit of the records has met.
+
+    Parameters
+    ----------
+    messages : ndarray of int
+        Places of complete messages.
+    records : ndarray of int
+        Places of complete records of any kind.
+    end : int
+        Where the last record ends; beyond the content if it is cut off.
+    """
+
+    messages: Index
+    records: Index
+    end: int
+
+
+def walk(content: Content, define: Define | None = None) -> Walked:
+    """
+    Visit the records.
 
     Parameters
     ----------
@@ -122,21 +157,24 @@ def walk(content: Content, define: Define | None = None) -> tuple[Index, int]:
     define : callable, optional
         Takes opcode and content of schemas and channels.
     """
-    places: list[int] = []
+    messages: list[int] = []
+    records: list[int] = []
     position, size, unpack = 0, len(content), RECORD.unpack_from
     while position + RECORD.size <= size:
         opcode, length = unpack(content, position)
         end = position + RECORD.size + length
-        if opcode == _MESSAGE:
-            if end <= size and length >= _LEAST:
-                places.append(position)
-        elif opcode == 0:  # data that never reached the disk; zeros may have begun before
-            places = places[:-1]
+        if opcode == 0:  # data that never reached the disk; zeros may have begun before
+            del messages[-1:]
             break
-        elif define and opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and end <= size:
-            define(opcode, bytes(content[position + RECORD.size:end]))
+        if end <= size:
+            records.append(position)
+            if opcode == _MESSAGE:
+                if length >= _LEAST:
+                    messages.append(position)
+            elif define and opcode in _DEFINITIONS:
+                define(opcode, bytes(content[position + RECORD.size:end]))
         position = end
-    return np.array(places, dtype=np.intp), position
+    return Walked(np.array(messages, np.intp), np.array(records, np.intp), position)
 
 
 def _entries(index: bytes) -> Iterator[tuple[int, NDArray[np.void]]]:

@@ -13,12 +13,13 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ctsid_ros.decoding.block import Block, Decode, Located
+from ctsid_ros.decoding.block import Block, Decode, Located, Stamps
 
 Note = Callable[[str], None]
 C = TypeVar('C')
 _THREADS = 2  # that decompress while columns are made
 _AHEAD = 3  # chunks that they may be ahead
+_YEAR = 3.2e16  # ns: none lasts so long
 BATCH = 12 << 20  # bytes of content that are decoded at once: NumPy's calls cost nothing then
 
 
@@ -118,6 +119,8 @@ class Chunk:
         Size and CRC-32 of the content, not compressed; 0 where not known.
     index_size : int
         Bytes of the records that follow it and say where its messages lie.
+    cut : bool
+        Whether the end of the file has cut off the rest of it.
     """
 
     offset: int
@@ -129,6 +132,7 @@ class Chunk:
     full_size: int = 0
     crc: int = 0
     index_size: int = 0
+    cut: bool = False
 
     def holds(self, connections: Collection[int]) -> bool:
         """Whether any of the connections has, or may have, messages here."""
@@ -137,6 +141,11 @@ class Chunk:
     def count(self, connections: Collection[int]) -> int:
         """Return how many messages of the connections are said to be here."""
         return sum((self.counts or {}).get(c, 0) for c in connections)
+
+
+def plausible(log_ns: Stamps) -> Stamps:
+    """Return the log times that can be of one recording; others come from damage."""
+    return log_ns[np.abs(log_ns - np.median(log_ns)) < _YEAR] if len(log_ns) else log_ns
 
 
 def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
