@@ -151,10 +151,11 @@ def write_rosbag2(folder: Path, sent: Iterable[Sent], storage: str = 'mcap',
     return folder
 
 
-def write_ros1(path: Path, sent: Iterable[Sent], compression: str = 'none') -> Path:
+def write_ros1(path: Path, sent: Iterable[Sent], compression: str = 'none',
+               threshold: int = 2048) -> Path:
     """Write a ROS 1 bag of messages made with the store ROS1."""
     writer = Ros1Writer(path)
-    writer.chunk_threshold = 2048
+    writer.chunk_threshold = threshold
     if compression != 'none':
         writer.set_compression(Ros1Writer.CompressionFormat[compression.upper()])
     with writer:

@@ -351,6 +351,19 @@ def test_cut_off_sqlite_gives_what_is_there(tmp_path, tail):
     np.testing.assert_allclose(share, [0.9, 0.5, 0.2], atol=0.1)
 
 
+def test_absurd_times_in_sqlite_are_left_out_and_said(tmp_path):
+    path = bare(write_rosbag2(tmp_path / 'b', flight(100), 'sqlite3'), '.db3')
+    database = sqlite3.connect(path)
+    database.execute('UPDATE messages SET timestamp = timestamp + (1 << 60) WHERE id IN (7, 20)')
+    database.execute("UPDATE messages SET data = 'text' WHERE id = 30")
+    database.commit()
+    database.close()
+    assert len(rows(path)) == 125 - 3
+    assert '3 messages are damaged and were left out; it has no checksums' in notes(path)
+    with open_bag(path) as bag:
+        assert (bag.end_ns - bag.start_ns) * 1e-9 == pytest.approx(0.495)
+
+
 def test_sqlite_cut_off_beyond_use(tmp_path):
     path = bare(write_rosbag2(tmp_path / 'b', flight(100), 'sqlite3'), '.db3')
     path.write_bytes(path.read_bytes()[:5000])
@@ -420,3 +433,54 @@ def test_damaged_ros1_chunk_is_noted(tmp_path):
     path.write_bytes(data)
     assert 0 < len(rows(path)) < 60
     assert 'damaged chunk' in notes(path)
+
+
+def ros1_chunk_at(data: bytes, number: int) -> tuple[int, int]:
+    """Return where the header of a chunk begins, and its content."""
+    at = -1
+    for _ in range(number + 1):
+        at = data.index(b'op=\x05', at + 1)
+    while True:
+        at -= 1
+        length = int.from_bytes(data[at:at + 4], 'little')
+        if 20 < length < 200 and b'compression=' in data[at + 4:at + 4 + length]:
+            return at, at + 8 + length
+
+
+@pytest.mark.parametrize('compression', ['none', 'lz4'])
+def test_the_whole_records_of_a_ros1_chunk_that_is_cut_off(tmp_path, compression, monkeypatch):
+    sent = flight_ros1(3000)
+    path = write_ros1(tmp_path / 'b.bag', sent, compression, threshold=1 << 20)
+    data = path.read_bytes()
+    path.write_bytes(data[:2 * len(data) // 3])
+    got = [log_ns for _, log_ns, _ in rows(path)]
+    assert got == [s.log_ns for s in sent][:len(got)]
+    assert len(got) > 0.3 * len(sent)
+    assert f'truncated: {len(got)} messages recovered' in notes(path)
+    assert 'no checksums' in notes(path)
+
+
+def test_counts_of_a_ros1_chunk_are_compared(tmp_path):
+    sent = flight_ros1(60)
+    path = write_ros1(tmp_path / 'b.bag', sent)
+    data = bytearray(path.read_bytes())
+    _, content = ros1_chunk_at(data, 2)
+    at = data.index(b'op=\x02', content)
+    data[at + 3] = 9  # no kind of record
+    path.write_bytes(data)
+    assert len(rows(path)) == 59
+    assert '1 of its messages are lost; it has no checksums' in notes(path)
+
+
+def test_times_in_a_ros1_index_are_not_believed_blindly(tmp_path):
+    sent = flight_ros1(60)
+    path = write_ros1(tmp_path / 'b.bag', sent)
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b'end_time=') + len('end_time=')
+    data[at + 3] ^= 0x40
+    at = data.rindex(b'start_time=', 0, at - 300) + len('start_time=')
+    data[at + 3] ^= 0x40
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        assert (bag.end_ns - bag.start_ns) * 1e-9 == pytest.approx(0.295, abs=0.01)
+        assert [m.log_ns for m in bag.messages()] == [s.log_ns for s in sent]

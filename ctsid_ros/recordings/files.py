@@ -45,11 +45,14 @@ class BagFiles:
         What is odd about the folder.
     stated : int or None
         Number of messages that its metadata.yaml states.
+    listed : tuple of Path
+        Those that its metadata.yaml lists: the parts of one recording.
     """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
     stated: int | None = None
+    listed: tuple[Path, ...] = ()
 
 
 def find_files(path: Path) -> BagFiles:
@@ -85,7 +88,8 @@ def find_files(path: Path) -> BagFiles:
     if not files:
         raise BagError(f'{path}: no bag file ({", ".join(SUFFIXES)}) in this folder'
                        + _inner(path))
-    return BagFiles(tuple(files.values()), tuple(notes), None if more or absent else stated)
+    return BagFiles(tuple(files.values()), tuple(notes), None if more or absent else stated,
+                    tuple(path for name, path in files.items() if name not in more))
 
 
 def scan_file(path: Path, resources: ExitStack) -> Recording:

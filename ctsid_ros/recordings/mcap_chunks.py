@@ -14,10 +14,17 @@ import zstandard
 
 from ctsid_ros.decoding.block import Block, Content, Located
 from ctsid_ros.recordings.mcap_content import locate
-from ctsid_ros.recordings.recording import Chunk, Note, Room, Wanted, blocks_in_order
+from ctsid_ros.recordings.recording import (
+    NO_CHECKSUMS,
+    Chunk,
+    Note,
+    Room,
+    Wanted,
+    blocks_in_order,
+    within,
+)
 
 COMPRESSIONS = ('', 'lz4', 'zstd')
-NO_CHECKSUMS = 'it has no checksums, so what is false within messages cannot be told'
 
 
 class DamagedError(ValueError):
@@ -47,7 +54,7 @@ def read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> I
             return []
         located = locate(loaded.content, loaded.entries, wanted.slots, checked=chunk.crc != 0)
         if not chunk.crc:
-            located = [_within(chunk, part) for part in located]
+            located = [within(chunk, part) for part in located]
         missing = chunk.count(wanted.slots) - sum(len(part.offsets) for part in located)
         if missing > 0:
             note(f'{path.name}: chunk at byte {chunk.offset} is damaged inside: {missing} of its '
@@ -56,13 +63,6 @@ def read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> I
 
     with path.open('rb') as file:
         yield from blocks_in_order(chunks, wanted, load, found)
-
-
-def _within(chunk: Chunk, part: Located) -> Located:
-    """Drop messages with log times that the chunk does not have: they are damaged."""
-    inside = (part.log_ns >= chunk.start_ns) & (part.log_ns <= chunk.end_ns)
-    return part if inside.all() else Located(
-        part.slot, part.content, *(column[inside] for column in part[2:]))
 
 
 def content_of(file: BinaryIO, chunk: Chunk, room: Room) -> Content:

@@ -19,7 +19,8 @@ Note = Callable[[str], None]
 C = TypeVar('C')
 _THREADS = 2  # that decompress while columns are made
 _AHEAD = 3  # chunks that they may be ahead
-_YEAR = 3.2e16  # ns: none lasts so long
+YEAR = 3.2e16  # ns: none lasts so long
+NO_CHECKSUMS = 'it has no checksums, so what is false within messages cannot be told'
 BATCH = 12 << 20  # bytes of content that are decoded at once: NumPy's calls cost nothing then
 
 
@@ -143,9 +144,16 @@ class Chunk:
         return sum((self.counts or {}).get(c, 0) for c in connections)
 
 
+def within(chunk: Chunk, part: Located) -> Located:
+    """Drop messages with log times that the chunk does not have: they are damaged."""
+    inside = (part.log_ns >= chunk.start_ns) & (part.log_ns <= chunk.end_ns)
+    return part if inside.all() else Located(
+        part.slot, part.content, *(column[inside] for column in part[2:]))
+
+
 def plausible(log_ns: Stamps) -> Stamps:
     """Return the log times that can be of one recording; others come from damage."""
-    return log_ns[np.abs(log_ns - np.median(log_ns)) < _YEAR] if len(log_ns) else log_ns
+    return log_ns[np.abs(log_ns - np.median(log_ns)) < YEAR] if len(log_ns) else log_ns
 
 
 def span(chunks: Sequence[Chunk]) -> tuple[int, int]:

@@ -19,13 +19,16 @@ import io
 import os
 from pathlib import Path
 import struct
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lz4.frame
+import numpy as np
 
 from ctsid_ros.decoding.block import Block, Content, Located
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.recording import (
+    NO_CHECKSUMS,
+    YEAR,
     Chunk,
     Connection,
     Note,
@@ -33,7 +36,9 @@ from ctsid_ros.recordings.recording import (
     Room,
     Wanted,
     blocks_in_order,
+    plausible,
     span,
+    within,
 )
 from ctsid_ros.recordings.ros1_content import (
     CONNECTION,
@@ -51,6 +56,8 @@ _BAG_HEADER, _CHUNK, _CHUNK_INFO = b'\3', b'\5', b'\6'
 _U64 = struct.Struct('<Q')
 _DECOMPRESS: dict[str, Callable[[memoryview], Content]] = {
     'none': lambda data: data, 'bz2': bz2.decompress, 'lz4': lz4.frame.decompress}
+_CUT: dict[str, Callable[[], Any]] = {'bz2': bz2.BZ2Decompressor,
+                                      'lz4': lz4.frame.LZ4FrameDecompressor}
 
 
 def scan_ros1(path: Path, resources: ExitStack) -> Recording:
@@ -94,6 +101,9 @@ class _Scan:
                 header, data_size = self.header(size)
                 data = self.file.tell()
                 if data + data_size > size:
+                    if header[b'op'] == _CHUNK:  # its first records may be complete
+                        self.record(header, position, data, size - data)
+                        self.chunks[position] = replace(self.chunks[position], cut=True)
                     return
                 self.record(header, position, data, data_size)
             except (struct.error, KeyError, ValueError, IndexError):
@@ -115,7 +125,8 @@ class _Scan:
             if compression not in _DECOMPRESS:
                 raise BagError(f'{self.path}: chunks are compressed with {compression!r}; ctsid '
                                'reads lz4, bz2 and none: convert the bag with `rosbag compress`')
-            self.chunks[position] = Chunk(data, size, compression)
+            self.chunks[position] = Chunk(data, size, compression,
+                                          full_size=U32.unpack(header[b'size'])[0])
         elif kind == _BAG_HEADER:
             if header.get(b'encryptor'):
                 raise BagError(f'{self.path}: the bag is encrypted; decrypt it with '
@@ -141,8 +152,11 @@ class _Scan:
             start_ns=time_ns(header[b'start_time']), end_ns=time_ns(header[b'end_time']))
 
     def contents(self) -> None:
-        """Read those chunks of which the index tells nothing."""
-        self.chunks = {position: chunk if chunk.counts is not None else self.read_anew(chunk)
+        """Read those chunks of which the index tells nothing, or what cannot be."""
+        starts = [chunk.start_ns for chunk in self.chunks.values() if chunk.counts is not None]
+        known = set(plausible(np.array(starts, np.int64)).tolist())
+        self.chunks = {position: chunk if chunk.counts is not None and chunk.start_ns in known
+                       and 0 <= chunk.end_ns - chunk.start_ns < YEAR else self.read_anew(chunk)
                        for position, chunk in self.chunks.items()}
         self.chunks = {position: chunk for position, chunk in self.chunks.items() if chunk.counts}
         found = sum(sum((chunk.counts or {}).values()) for chunk in self.chunks.values())
@@ -161,7 +175,7 @@ class _Scan:
             content = _content(self.file, chunk, Room())
             found = messages(content, self.connect)
             counts.update(found.connections.tolist())
-            times = found.log_ns.tolist()
+            times = plausible(found.log_ns).tolist()
             if found.problem:
                 self.notes.append(f'{self.path.name}: damaged chunk at byte {chunk.offset}: '
                                   f'{found.problem}')
@@ -176,6 +190,8 @@ class _Scan:
             totals.update(chunk.counts or {})
         connections = tuple(replace(connection, count=totals[number])
                             for number, connection in self.connections.items())
+        if self.notes:
+            self.notes.append(f'{self.path.name}: {NO_CHECKSUMS}')
         chunks = tuple(self.chunks.values())
         return Recording(connections, *span(chunks), partial(_read, self.path, chunks),
                          tuple(self.notes))
@@ -191,9 +207,11 @@ def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> 
     def found(chunk: Chunk, content: Content | ValueError) -> list[Located]:
         located, problem = ([], str(content)) if isinstance(content, ValueError) else locate(
             content, wanted.slots)
+        located = [within(chunk, part) for part in located]
         missing = chunk.count(wanted.slots) - sum(len(part.offsets) for part in located)
-        if problem or missing > 0:
-            note(f'{path.name}: damaged chunk at byte {chunk.offset}: {problem}')
+        if missing > 0:
+            note(f'{path.name}: damaged chunk at byte {chunk.offset}: {missing} of its messages '
+                 f'are lost{problem and f" ({problem})"}; {NO_CHECKSUMS}')
         return located
 
     with path.open('rb') as file:
@@ -204,6 +222,8 @@ def _content(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
     packed = room.packed(chunk.size)
     os.preadv(file.fileno(), [packed], chunk.offset)  # several threads share the file
     try:
+        if chunk.cut and chunk.compression in _CUT:
+            return bytes(_CUT[chunk.compression]().decompress(packed))
         return _DECOMPRESS[chunk.compression](packed)
     except (RuntimeError, OSError, EOFError, MemoryError) as error:
         raise ValueError(f'{chunk.compression}: {error}') from None

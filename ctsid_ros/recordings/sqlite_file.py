@@ -24,7 +24,14 @@ import numpy as np
 
 from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
+from ctsid_ros.recordings.recording import (
+    NO_CHECKSUMS,
+    YEAR,
+    Connection,
+    Note,
+    Recording,
+    Wanted,
+)
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
@@ -77,10 +84,15 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
     if not {'topics', 'messages'} <= present:
         raise BagError(f'{path} is an SQLite database, but not a bag: its tables are '
                        f'{", ".join(sorted(present)) or "none"}')
+    sound = _sound(database)
     # One pass, for SQLite would sort them: the topics of all messages as one text.
-    (topics,) = database.execute(
-        f'SELECT group_concat(topic_id) FROM messages WHERE {SOUND}').fetchone()
-    counts = Counter((topics or '').split(','))
+    topics, total = database.execute(
+        f'SELECT group_concat(CASE WHEN {sound} THEN topic_id END), COUNT(*) FROM messages'
+        ).fetchone()
+    counts = Counter((topics or '').split(',') if topics else [])
+    if counts.total() < total:
+        notes = (*notes, f'{path.name}: {total - counts.total()} messages are damaged and were '
+                 f'left out; {NO_CHECKSUMS}')
     definitions = _definitions(database) if 'message_definitions' in present else {}
     connections = tuple(
         Connection(number, topic, kind, encoding, *definitions.get(kind, ('', '')),
@@ -91,9 +103,10 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
 
     known = ', '.join(str(c.id) for c in connections if c.count)
     first, last = (database.execute(
-        f'SELECT timestamp FROM messages WHERE topic_id IN ({known}) AND {SOUND} '
+        f'SELECT timestamp FROM messages WHERE topic_id IN ({known}) AND {sound} '
         f'ORDER BY timestamp {order} LIMIT 1').fetchone() or (0,) for order in ('ASC', 'DESC'))
-    return Recording(connections, first[0], last[0], partial(_blocks, path, database), notes)
+    return Recording(connections, first[0], last[0], partial(_blocks, path, database, sound),
+                     notes)
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
@@ -102,11 +115,21 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
         f'SELECT {columns} FROM message_definitions')}
 
 
-def _blocks(path: Path, database: sqlite3.Connection, wanted: Wanted, note: Note
+def _sound(database: sqlite3.Connection) -> str:
+    """Return the condition of SQL that a message is not damaged."""
+    (middle,) = database.execute(
+        'SELECT timestamp FROM messages ORDER BY timestamp LIMIT 1 '
+        'OFFSET (SELECT COUNT(*) FROM messages) / 2').fetchone() or (0,)
+    if not isinstance(middle, int):
+        return SOUND
+    return f'{SOUND} AND timestamp BETWEEN {middle - int(YEAR)} AND {middle + int(YEAR)}'
+
+
+def _blocks(path: Path, database: sqlite3.Connection, sound: str, wanted: Wanted, note: Note
             ) -> Iterator[Block]:
     marks = ', '.join('?' * len(wanted.slots))
     query = (f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
-             f'AND {SOUND} ORDER BY timestamp, id')
+             f'AND {sound} ORDER BY timestamp, id')
     given, count = 0, _ROWS
     try:
         cursor = database.execute(query, tuple(wanted.slots))
