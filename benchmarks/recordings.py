@@ -4,7 +4,7 @@ Reading recordings: processor time and memory, beside rosbags in the same run.
 
 300 000 messages of Imu, Float64MultiArray, JointState and Odometry (25 scalars of them are
 wanted) among pictures that nobody wants, about 0.6 GB, in every container. Each case is a process
-of its own, so that its memory is its own; cases of a container follow each other.
+of its own, so that its memory is its own; cases of a container are interleaved.
 
 - `floor`: read the file and decompress it, nothing else.
 - `rosbags`: deserialize the wanted messages with rosbags, and keep log time and scalars.
@@ -154,21 +154,22 @@ def write(folder: Path, container: str, count: int) -> Path:
 
 
 def floor(path: Path) -> float:
-    """Read all, and decompress what is compressed."""
+    """Read all, decompress what is compressed, and compare checksums."""
     from contextlib import ExitStack
     import sqlite3
 
     from ctsid_ros.recordings.files import scan_file
-    from ctsid_ros.recordings.mcap_file import _content
-    if path.suffix != '.mcap':
-        if path.is_dir():
-            (file,) = path.glob('*.db3')
-            rows = sqlite3.connect(file).execute('SELECT timestamp, data FROM messages')
-            return float(sum(len(data) for _, data in rows))
-        with path.open('rb') as stream:
-            return float(sum(len(block) for block in iter(lambda: stream.read(1 << 20), b'')))
+    from ctsid_ros.recordings.mcap_chunks import content_of
+    from ctsid_ros.recordings.recording import Room
+    if path.is_dir():
+        (file,) = path.glob('*.db3')
+        rows = sqlite3.connect(file).execute('SELECT timestamp, data FROM messages')
+        return float(sum(len(data) for _, data in rows))
     with path.open('rb') as stream, ExitStack() as stack:
-        return float(sum(len(_content(stream, chunk)) for chunk in scan_file(path, stack).chunks))
+        if path.suffix != '.mcap':
+            return float(sum(len(block) for block in iter(lambda: stream.read(1 << 20), b'')))
+        room, (chunks,) = Room(), scan_file(path, stack).blocks.args[1:]
+        return float(sum(len(content_of(stream, chunk, room.empty())) for chunk in chunks))
 
 
 def rosbags(path: Path) -> float:
@@ -223,6 +224,8 @@ def one_topic(path: Path) -> float:
 
 def measured(path: Path, case: str) -> None:
     """Print the result, seconds of processor, and the largest memory [MB] of a case."""
+    import ctsid_core  # noqa: F401  # what is loaded once is not counted
+    import ctsid_ros.recordings.playback  # noqa: F401
     begin = time.process_time()
     result = globals()[case.replace(' ', '_')](path)
     spent = time.process_time() - begin
@@ -235,6 +238,7 @@ def main() -> None:
     parser.add_argument('--containers', nargs='+', default=CONTAINERS[:1] + CONTAINERS[3:],
                         choices=CONTAINERS)
     parser.add_argument('--cases', nargs='+', default=CASES, choices=CASES)
+    parser.add_argument('--rounds', type=int, default=3, help='of which the median is taken')
     parser.add_argument('--folder', type=Path, help='keep the recordings here, and use them again')
     parser.add_argument('--run', nargs=2, metavar=('FILE', 'CASE'), help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -253,16 +257,17 @@ def main() -> None:
 def _rows(folder: Path, container: str, args: argparse.Namespace) -> list[tuple[str, ...]]:
     made = list(folder.glob(container.replace(' ', '_') + '*'))
     path = made[0] if made else write(folder, container, args.messages)
-    seconds: dict[str, float] = {}
-    results, rows = {}, []
-    for case in args.cases:
+    results, memory = {}, {}
+    rounds: dict[str, list[float]] = {case: [] for case in args.cases}
+    for case in args.rounds * list(args.cases):  # interleaved
         done = subprocess.run([sys.executable, __file__, '--run', path, case], check=True,
                               capture_output=True, text=True)
-        results[case], seconds[case], memory = map(float, done.stdout.split())
-        ratio = seconds['rosbags'] / seconds[case] if 'rosbags' in seconds else float('nan')
-        aim = AIMS.get((container, case))
-        rows.append((f'{container}, {case}', f'{seconds[case] / args.messages * 1e6:.2f}',
-                     f'{ratio:.1f}', f'{aim:g}' if aim else '-', f'{memory:.0f}'))
+        results[case], spent, memory[case] = map(float, done.stdout.split())
+        rounds[case].append(spent)
+    seconds = {case: float(np.median(spent)) for case, spent in rounds.items()}
+    rows = [(f'{container}, {case}', f'{seconds[case] / args.messages * 1e6:.2f}',
+             f'{seconds.get("rosbags", np.nan) / seconds[case]:.1f}',
+             f'{AIMS.get((container, case), "-")}', f'{memory[case]:.0f}') for case in args.cases]
     same = [results[case] for case in ('rosbags', 'columns') if case in results]
     if len(same) == 2 and not np.isclose(*same, rtol=1e-9):
         raise SystemExit(f'{container}: rosbags and columns differ: {same}')

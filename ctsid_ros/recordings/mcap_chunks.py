@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import os
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -13,7 +13,7 @@ import lz4.frame
 import zstandard
 
 from ctsid_ros.decoding.block import Block, Content, Located
-from ctsid_ros.recordings.mcap_content import locate
+from ctsid_ros.recordings.mcap_content import Source, locate
 from ctsid_ros.recordings.recording import (
     NO_CHECKSUMS,
     Chunk,
@@ -21,6 +21,7 @@ from ctsid_ros.recordings.recording import (
     Room,
     Wanted,
     blocks_in_order,
+    fill,
     within,
 )
 
@@ -48,15 +49,18 @@ def read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> I
         except DamagedError as error:
             return _Loaded(b'', problem=where(chunk, error))
 
-    def found(chunk: Chunk, loaded: _Loaded) -> list[Located]:
-        if loaded.problem:
-            note(f'{path.name}: {loaded.problem}')
-            return []
-        located = locate(loaded.content, loaded.entries, wanted.slots, checked=chunk.crc != 0)
+    def found(batch: Sequence[Chunk], loaded: Sequence[_Loaded]) -> list[Located]:
+        located = locate([Source(one.content, one.entries, checked=chunk.crc != 0)
+                          for chunk, one in zip(batch, loaded, strict=True)], wanted.slots)
+        return [part for row in zip(batch, loaded, located, strict=True) for part in checked(*row)]
+
+    def checked(chunk: Chunk, loaded: _Loaded, located: list[Located]) -> list[Located]:
         if not chunk.crc:
             located = [within(chunk, part) for part in located]
         missing = chunk.count(wanted.slots) - sum(len(part.offsets) for part in located)
-        if missing > 0:
+        if loaded.problem:
+            note(f'{path.name}: {loaded.problem}')
+        elif missing > 0:
             note(f'{path.name}: chunk at byte {chunk.offset} is damaged inside: {missing} of its '
                  'messages are lost' + ('' if chunk.crc else f'; {NO_CHECKSUMS}'))
         return located
@@ -85,7 +89,7 @@ def content_of(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
 
 def _decompressed(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
     packed = room.packed(chunk.size) if chunk.compression else room.content(chunk.size)
-    os.preadv(file.fileno(), [packed], chunk.offset)  # several threads share the file
+    fill(packed, file, chunk.offset)
     if not chunk.compression:
         return packed
     if chunk.cut:

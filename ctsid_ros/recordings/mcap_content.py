@@ -10,7 +10,7 @@ are visited one after another.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import accumulate
+from itertools import accumulate, pairwise
 import struct
 from typing import NamedTuple
 
@@ -30,13 +30,33 @@ _HEAD = np.dtype({'names': ['opcode', 'length', 'channel', 'log', 'publish'],
 _MESSAGE, _MESSAGE_INDEX = Opcode.MESSAGE.value, Opcode.MESSAGE_INDEX.value
 _DEFINITIONS = (Opcode.SCHEMA.value, Opcode.CHANNEL.value)
 _LEAST = _HEAD.itemsize - RECORD.size  # length of the record of an empty message
-_CHANNEL = struct.Struct('<H')
+_NONE = np.empty(0, _ENTRY)
+Table = NDArray[np.void]  # entries of the index of one channel
 Define = Callable[[int, bytes], None]
+
+
+class Source(NamedTuple):
+    """
+    What messages are looked for in.
+
+    Parameters
+    ----------
+    content : bytes-like
+    entries : bytes
+        The index records behind the chunk, as far as there are any.
+    checked : bool
+        Whether a checksum says that the content is sound; else only what agrees with the index
+        is believed.
+    """
+
+    content: Content
+    entries: bytes
+    checked: bool
 
 
 class Messages(NamedTuple):
     """
-    Messages of any channels in one content.
+    Messages of any channels.
 
     Parameters
     ----------
@@ -44,7 +64,7 @@ class Messages(NamedTuple):
         Of their data.
     heads : structured ndarray, shape (N,)
     whole : ndarray of bool, shape (N,)
-        Which of them are records of messages that end within the content.
+        Which of them are records of messages that end within their content.
     """
 
     offsets: Index
@@ -53,13 +73,15 @@ class Messages(NamedTuple):
     whole: NDArray[np.bool_]
 
     @classmethod
-    def at(cls, content: Content, places: Index) -> Messages:
-        """Look at the records at these places."""
-        heads = take(content, places, _HEAD.itemsize).view(_HEAD)
-        offsets, lengths = places + _HEAD.itemsize, heads['length'] - _LEAST
-        whole = (heads['opcode'] == _MESSAGE) & (lengths >= 0) & (places >= 0) & \
-            (lengths <= len(content) - offsets)
-        return cls(offsets, lengths, heads, whole)
+    def at(cls, contents: Sequence[Content], places: Sequence[Index]) -> Messages:
+        """Look at the records at these places of each content."""
+        heads = np.concatenate([take(content, own, _HEAD.itemsize) for content, own in
+                                zip(contents, places, strict=True)]).view(_HEAD)
+        place = np.concatenate(places)
+        offsets, lengths = place + _HEAD.itemsize, heads['length'] - _LEAST
+        ends = np.repeat([len(content) for content in contents], [len(own) for own in places])
+        return cls(offsets, lengths, heads, (heads['opcode'] == _MESSAGE) & (place >= 0)
+                   & (lengths >= 0) & (lengths <= ends - offsets))
 
     def located(self, content: Content, slot: int, rows: slice | NDArray[np.bool_]) -> Located:
         """Return some of them as messages of one topic."""
@@ -68,64 +90,63 @@ class Messages(NamedTuple):
                        heads['publish'])
 
 
-def locate(content: Content, index: bytes, slots: Mapping[int, int], *, checked: bool
-           ) -> list[Located]:
+def locate(sources: Sequence[Source], slots: Mapping[int, int]) -> list[list[Located]]:
     """
     Find the messages of some channels.
 
     Parameters
     ----------
-    content : bytes-like
-    index : bytes
-        The index records behind the chunk, as far as there are any.
+    sources : sequence of Source
     slots : mapping of int to int
         Numbers of the topics that are wanted, by channel.
-    checked : bool
-        Whether a checksum says that the content is sound; else only what agrees with the index
-        is believed.
+
+    Returns
+    -------
+    list of list of Located
+        Of each source.
     """
-    if not index:
-        return _wanted(content, walk(content).messages, slots)
-    entries = [(channel, table) for channel, table in _entries(index) if channel in slots]
-    if not entries:
-        return []
-    counts = [len(table) for _, table in entries]
-    listed, agree = _listed(content, entries)
-    if agree.all():
-        ends = accumulate(counts)
-        return [listed.located(content, slots[channel], slice(end - count, end))
-                for (channel, _), count, end in zip(entries, counts, ends, strict=True) if count]
-    places = walk(content).messages if checked else _believed(content, list(_entries(index)))
-    return _wanted(content, places, slots)
+    entries = [[(channel, table) for channel, table in _entries(source.entries)
+                if channel in slots] for source in sources]
+    listed, agree = _listed([source.content for source in sources], entries)
+    located = []
+    end = 0
+    for source, own in zip(sources, entries, strict=True):
+        ends = list(accumulate((len(table) for _, table in own), initial=end))
+        start, end = end, ends[-1]
+        if source.entries and agree[start:end].all():
+            located.append([listed.located(source.content, slots[channel], slice(first, last))
+                            for (channel, _), (first, last) in zip(own, pairwise(ends),
+                                                                   strict=True)])
+            continue
+        places = _believed(source) if source.entries and not source.checked else \
+            walk(source.content).messages
+        found = Messages.at([source.content], [places])
+        located.append([found.located(source.content, slot, found.heads['channel'] == channel)
+                        for channel, slot in slots.items()])
+    return [[part for part in parts if len(part.offsets)] for parts in located]
 
 
-def _listed(content: Content, entries: Sequence[tuple[int, NDArray[np.void]]]
+def _listed(contents: Sequence[Content], entries: Sequence[Sequence[tuple[int, Table]]]
             ) -> tuple[Messages, NDArray[np.bool_]]:
-    """Return the messages that an index lists, and which of them are what it says."""
-    table = np.concatenate([table for _, table in entries])
-    channels = np.repeat([channel for channel, _ in entries], [len(t) for _, t in entries])
-    found = Messages.at(content, table['offset'])
-    return found, (found.whole & (found.heads['log'] == table['log'])
+    """Return the messages that indexes list, and which of them are what these say."""
+    tables = [np.concatenate([_NONE, *(table for _, table in own)]) for own in entries]
+    pairs = [(channel, len(table)) for own in entries for channel, table in own]
+    channels = np.repeat([channel for channel, _ in pairs], [count for _, count in pairs])
+    found = Messages.at(contents, [table['offset'] for table in tables])
+    return found, (found.whole & (found.heads['log'] == np.concatenate(tables)['log'])
                    & (found.heads['channel'] == channels))
 
 
-def _believed(content: Content, entries: Sequence[tuple[int, NDArray[np.void]]]) -> Index:
+def _believed(source: Source) -> Index:
     """Return messages that the index does not contradict, each followed by a proper record."""
-    listed, agree = _listed(content, entries)
+    content = source.content
+    listed, agree = _listed([content], [list(_entries(source.entries))])
     walked = walk(content)
     starts = listed.offsets - _HEAD.itemsize
     places = np.union1d(np.setdiff1d(walked.messages, starts[~agree]), starts[agree])
-    found = Messages.at(content, places)
+    found = Messages.at([content], [places])
     proper = np.concatenate((walked.records, starts[agree], [len(content)]))
     return places[found.whole & np.isin(found.offsets + found.lengths, proper)]
-
-
-def _wanted(content: Content, places: Index, slots: Mapping[int, int]) -> list[Located]:
-    messages = Messages.at(content, places)
-    channels = messages.heads['channel']
-    parts = (messages.located(content, slot, channels == channel)
-             for channel, slot in slots.items())
-    return [part for part in parts if len(part.offsets)]
 
 
 class Walked(NamedTuple):
@@ -177,7 +198,7 @@ def walk(content: Content, define: Define | None = None) -> Walked:
     return Walked(np.array(messages, np.intp), np.array(records, np.intp), position)
 
 
-def _entries(index: bytes) -> Iterator[tuple[int, NDArray[np.void]]]:
+def _entries(index: bytes) -> Iterator[tuple[int, Table]]:
     """Yield channels and entries of index records."""
     position = 0
     while position + _INDEX.size <= len(index):

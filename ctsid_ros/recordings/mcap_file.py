@@ -263,7 +263,7 @@ class _Scan:
             places = walk(content, self.define).messages
         except (McapError, ValueError, struct.error) as error:
             self.notes.append(f'{self.path.name}: {where(chunk, error)}')
-        heads = Messages.at(content, places).heads
+        heads = Messages.at([content], [places]).heads
         numbers, counts = np.unique(heads['channel'], return_counts=True)
         times = heads['log'] if chunk.crc else plausible(heads['log'])
         return replace(chunk, counts=dict(zip(numbers.tolist(), counts.tolist(), strict=True)),

@@ -9,7 +9,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import count
 from operator import attrgetter, itemgetter
-from typing import NamedTuple, TypeVar
+import os
+from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from ctsid_ros.decoding.block import Block, Decode, Located, Stamps
 Note = Callable[[str], None]
 C = TypeVar('C')
 _THREADS = 2  # that decompress while columns are made
-_AHEAD = 3  # chunks that they may be ahead
+_AHEAD = 2  # batches that they may be ahead
 YEAR = 3.2e16  # ns: none lasts so long
 NO_CHECKSUMS = 'it has no checksums, so what is false within messages cannot be told'
-BATCH = 12 << 20  # bytes of content that are decoded at once: NumPy's calls cost nothing then
+BATCH = 8 << 20  # bytes of content that are decoded at once: NumPy's calls cost nothing then
 
 
 @dataclass(frozen=True)
@@ -164,29 +165,55 @@ def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
 
 class Room:
     """
-    Memory that chunks are read into, one after another.
+    Memory that chunks are read into, used again for others.
 
     To take fresh memory for each of them from the system costs as much as to decompress it.
     """
 
     def __init__(self) -> None:
-        self._packed = self._content = bytearray()
+        self._packed = bytearray()
+        self._contents: list[bytearray] = []
+        self._used = 0
+
+    def empty(self) -> Room:
+        """Give up all contents."""
+        self._used = 0
+        return self
 
     def packed(self, size: int) -> memoryview:
-        """Return memory for what is compressed."""
+        """Return memory for what is compressed, until the next call."""
         if len(self._packed) < size:
             self._packed = bytearray(size)
         return memoryview(self._packed)[:size]
 
     def content(self, size: int) -> memoryview:
-        """Return memory for content."""
-        if len(self._content) < size:
-            self._content = bytearray(size)
-        return memoryview(self._content)[:size]
+        """Return memory for the content of one more chunk."""
+        if self._used == len(self._contents):
+            self._contents.append(bytearray(size))
+        elif len(self._contents[self._used]) < size:
+            self._contents[self._used] = bytearray(size)
+        self._used += 1
+        return memoryview(self._contents[self._used - 1])[:size]
 
 
-def blocks_in_order(chunks: Sequence[Chunk], wanted: Wanted, load: Callable[[Chunk, Room], C],
-                    locate: Callable[[Chunk, C], Sequence[Located]]) -> Iterator[Block]:
+def fill(memory: memoryview, file: BinaryIO, offset: int) -> memoryview:
+    """
+    Read as much as fits; several threads may share the file.
+
+    Raises
+    ------
+    ValueError
+        If the file ends before: memory that is used again must not pass for what is read.
+    """
+    size = os.preadv(file.fileno(), [memory], offset)
+    if size < len(memory):
+        raise ValueError(f'the file ends {len(memory) - size} bytes before it does')
+    return memory
+
+
+def blocks_in_order(
+        chunks: Sequence[Chunk], wanted: Wanted, load: Callable[[Chunk, Room], C],
+        locate: Callable[[Sequence[Chunk], Sequence[C]], list[Located]]) -> Iterator[Block]:
     """
     Yield the messages of all chunks by log time; those of equal time in the order of the file.
 
@@ -200,38 +227,48 @@ def blocks_in_order(chunks: Sequence[Chunk], wanted: Wanted, load: Callable[[Chu
     load : callable
         Reads and decompresses the content of a chunk, in a thread.
     locate : callable
-        Finds the wanted messages in it.
+        Finds the wanted messages in the contents of some chunks.
     """
-    ordered = sorted((c for c in chunks if c.holds(wanted.slots)), key=attrgetter('start_ns'))
-    pending, found, used = wanted.block(()), list[Located](), list[Room]()
+    batches = list(_batches(sorted((c for c in chunks if c.holds(wanted.slots)),
+                                   key=attrgetter('start_ns'))))
+    pending = wanted.block(())
     free: list[Room] = []
-    size = 0
-    for i, (room, content) in enumerate(_ahead(load, ordered, free)):
-        found += locate(ordered[i], content)
-        used.append(room)
-        size += max(ordered[i].size, ordered[i].full_size)
-        is_last = i + 1 == len(ordered)
-        if size < BATCH and not is_last:
-            continue
-        pending = pending.merged(wanted.block(found))
-        free += used
-        found, used, size = [], [], 0
-        ready = len(pending) if is_last else int(np.searchsorted(
-            pending.log_ns, ordered[i + 1].start_ns))
+    for i, (room, contents) in enumerate(_ahead(load, batches, free)):
+        pending = pending.merged(wanted.block(locate(batches[i], contents)))
+        free.append(room.empty())
+        ready = len(pending) if i + 1 == len(batches) else int(np.searchsorted(
+            pending.log_ns, batches[i + 1][0].start_ns))
         if ready:
             block, pending = pending.split(ready)
             yield block
 
 
-def _ahead(load: Callable[[Chunk, Room], C], chunks: Sequence[Chunk], free: list[Room]
-           ) -> Iterator[tuple[Room, C]]:
-    """Load chunks in threads, a few ahead; in order. Rooms come back by the list of free ones."""
-    waiting: deque[tuple[Room, Future[C]]] = deque()
+def _batches(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
+    batch: list[Chunk] = []
+    size = 0
+    for chunk in chunks:
+        batch.append(chunk)
+        size += max(chunk.size, chunk.full_size)
+        if size >= BATCH:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def _ahead(load: Callable[[Chunk, Room], C], batches: Sequence[Sequence[Chunk]],
+           free: list[Room]) -> Iterator[tuple[Room, list[C]]]:
+    """Load chunks in threads, some batches ahead; in order. Rooms come back by `free`."""
+    waiting: deque[tuple[Room, Future[list[C]]]] = deque()
+
+    def task(batch: Sequence[Chunk], room: Room) -> list[C]:
+        return [load(chunk, room) for chunk in batch]
+
     with ThreadPoolExecutor(_THREADS) as pool:
         try:
-            for chunk in chunks:
+            for batch in batches:
                 room = free.pop() if free else Room()
-                waiting.append((room, pool.submit(load, chunk, room)))
+                waiting.append((room, pool.submit(task, batch, room)))
                 if len(waiting) > _AHEAD:
                     room, future = waiting.popleft()
                     yield room, future.result()

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import bz2
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 import io
-import os
 from pathlib import Path
 import struct
 from typing import Any, BinaryIO
@@ -36,6 +35,7 @@ from ctsid_ros.recordings.recording import (
     Room,
     Wanted,
     blocks_in_order,
+    fill,
     plausible,
     span,
     within,
@@ -204,7 +204,10 @@ def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> 
         except ValueError as error:
             return error
 
-    def found(chunk: Chunk, content: Content | ValueError) -> list[Located]:
+    def found(batch: Sequence[Chunk], contents: Sequence[Content | ValueError]) -> list[Located]:
+        return [part for row in zip(batch, contents, strict=True) for part in found_in(*row)]
+
+    def found_in(chunk: Chunk, content: Content | ValueError) -> list[Located]:
         located, problem = ([], str(content)) if isinstance(content, ValueError) else locate(
             content, wanted.slots)
         located = [within(chunk, part) for part in located]
@@ -219,8 +222,8 @@ def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> 
 
 
 def _content(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
-    packed = room.packed(chunk.size)
-    os.preadv(file.fileno(), [packed], chunk.offset)  # several threads share the file
+    packed = room.content(chunk.size) if chunk.compression == 'none' else room.packed(chunk.size)
+    fill(packed, file, chunk.offset)
     try:
         if chunk.cut and chunk.compression in _CUT:
             return bytes(_CUT[chunk.compression]().decompress(packed))
