@@ -78,6 +78,7 @@ class _Scan:
         self.spans: dict[int, tuple[int, int]] = {}  # of chunks by position, in the summary
         self.starts: dict[int, int] = {}  # positions of chunks by that of their content
         self.in_summary = self.closed = False
+        self.whole: tuple[int, int] | None = None  # first and last log time, by a checked summary
         self.loose: list[tuple[int, int, int, int]] = []  # start, end, channel, log time
         self.index: Counter[int] = Counter()  # what indexes say of the last chunk
         self.index_ends: dict[int, int] = {}  # where the indexes of each chunk end
@@ -149,6 +150,9 @@ class _Scan:
         summary = self.file.read(max(end - 4 - first, 0))
         if zlib.crc32(summary) == footer.summary_crc:
             self.known = set(self.channels)
+            if self.statistics:
+                self.whole = (self.statistics.message_start_time,
+                              self.statistics.message_end_time)
             return
         self.notes.append(f'{self.path.name}: its summary is damaged: the file was read anew')
         self.statistics = None
@@ -226,13 +230,20 @@ class _Scan:
         lies = not self.closed or (stated is not None and stated != listed)
         self.chunks = [self.read_anew(chunk) if lies or not self.believed(chunk) else chunk
                        for chunk in self.chunks]
-        self.chunks = [chunk for chunk in self.chunks if chunk.counts]
+        self.chunks = [self.limited(chunk) for chunk in self.chunks if chunk.counts]
         found = sum(sum(chunk.counts.values()) for chunk in self.chunks if chunk.counts)
         if not self.closed:
             self.truncated(found)
         elif stated is not None and stated != found:
             self.notes.append(f'{self.path.name}: its statistics state {stated} messages, {found} '
                               'are there')
+
+    def limited(self, chunk: Chunk) -> Chunk:
+        """Leave out times that a checked summary excludes, where messages have no checksum."""
+        if chunk.crc or not self.whole:
+            return chunk
+        return replace(chunk, start_ns=max(chunk.start_ns, self.whole[0]),
+                       end_ns=min(chunk.end_ns, self.whole[1]))
 
     def believed(self, chunk: Chunk) -> bool:
         """Whether channels and times of a chunk are known, and those that it must have."""
