@@ -158,9 +158,9 @@ def floor(path: Path) -> float:
     from contextlib import ExitStack
     import sqlite3
 
+    from ctsid_ros.recordings.chunks import Room
     from ctsid_ros.recordings.files import scan_file
     from ctsid_ros.recordings.mcap_chunks import content_of
-    from ctsid_ros.recordings.recording import Room
     if path.is_dir():
         (file,) = path.glob('*.db3')
         rows = sqlite3.connect(file).execute('SELECT timestamp, data FROM messages')

@@ -450,7 +450,7 @@ def ros1_chunk_at(data: bytes, number: int) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize('compression', ['none', 'lz4'])
-def test_the_whole_records_of_a_ros1_chunk_that_is_cut_off(tmp_path, compression, monkeypatch):
+def test_the_whole_records_of_a_ros1_chunk_that_is_cut_off(tmp_path, compression):
     sent = flight_ros1(3000)
     path = write_ros1(tmp_path / 'b.bag', sent, compression, threshold=1 << 20)
     data = path.read_bytes()

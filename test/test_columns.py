@@ -31,7 +31,7 @@ from ctsid_ros.decoding.cdr import DecodeError, Extractor
 from ctsid_ros.decoding.field_path import header_stamp_ns, parse_field
 from ctsid_ros.decoding.message_fields import scalar_fields
 from ctsid_ros.ingest.ingest import Ingest
-from ctsid_ros.recordings import recording, sqlite_file
+from ctsid_ros.recordings import chunks, sqlite_file
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.definitions import message_type
 from ctsid_ros.recordings.recording import Connection
@@ -265,7 +265,7 @@ FIELDS = {'/imu': ['angular_velocity.x', 'linear_acceleration.z'], '/cmd': ['dat
 @pytest.mark.parametrize('batch', [1, 5000, 1 << 20])
 @pytest.mark.parametrize('container', CONTAINERS)
 def test_blocks_of_a_bag_equal_its_messages(tmp_path, container, batch, monkeypatch):
-    monkeypatch.setattr(recording, 'BATCH', batch)
+    monkeypatch.setattr(chunks, 'BATCH', batch)
     monkeypatch.setattr(sqlite_file, '_BATCH', batch)
     path = CONTAINERS[container](tmp_path, shuffled())
     fields = {topic: [parse_field(text) for text in texts] for topic, texts in FIELDS.items()}
@@ -305,7 +305,7 @@ def test_blocks_of_a_ros1_bag(tmp_path, compression):
 
 
 def test_bags_that_overlap_are_merged_as_messages_are(tmp_path, monkeypatch):
-    monkeypatch.setattr(recording, 'BATCH', 3000)
+    monkeypatch.setattr(chunks, 'BATCH', 3000)
     sent = shuffled(900, 3)
     for k in range(3):
         write_mcap(tmp_path / f'{k}.mcap', sorted(

@@ -23,7 +23,7 @@ from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.parameter_file import parse_config
 from ctsid_ros.errors import BagError
 from ctsid_ros.ingest.ingest import Ingest
-from ctsid_ros.recordings import recording
+from ctsid_ros.recordings import chunks
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.playback import Interval, fit_config, read_record
 from ctsid_ros.replay.replay import Replay, Result, best_of
@@ -269,7 +269,7 @@ def test_nothing_is_kept_of_windows_but_their_estimates(ran):
 
 def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
     path = write_mcap(tmp_path / 'b.mcap', flight(20.0), chunk_size=4096)
-    monkeypatch.setattr(recording, 'BATCH', 1)
+    monkeypatch.setattr(chunks, 'BATCH', 1)
     with open_bag(path) as bag:
         whole = Replay(bag, CONFIG)
         whole.run()

@@ -13,17 +13,9 @@ import lz4.frame
 import zstandard
 
 from ctsid_ros.decoding.block import Block, Content, Located
+from ctsid_ros.recordings.chunks import NO_CHECKSUMS, Chunk, Room, blocks_in_order, fill, within
 from ctsid_ros.recordings.mcap_content import Source, locate
-from ctsid_ros.recordings.recording import (
-    NO_CHECKSUMS,
-    Chunk,
-    Note,
-    Room,
-    Wanted,
-    blocks_in_order,
-    fill,
-    within,
-)
+from ctsid_ros.recordings.recording import Note, Wanted
 
 COMPRESSIONS = ('', 'lz4', 'zstd')
 

@@ -30,17 +30,10 @@ import numpy as np
 
 from ctsid_ros.decoding.block import Content
 from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.chunks import NO_CHECKSUMS, Chunk, Room, plausible, span
 from ctsid_ros.recordings.mcap_chunks import COMPRESSIONS, content_of, read, where
 from ctsid_ros.recordings.mcap_content import RECORD, Messages, walk
-from ctsid_ros.recordings.recording import (
-    NO_CHECKSUMS,
-    Chunk,
-    Connection,
-    Recording,
-    Room,
-    plausible,
-    span,
-)
+from ctsid_ros.recordings.recording import Connection, Recording
 
 MAGIC = b'\x89MCAP0\r\n'
 _CHUNK = struct.Struct('<qqQII')  # start, end, full size, CRC, length of the compression's name

@@ -25,21 +25,18 @@ import numpy as np
 
 from ctsid_ros.decoding.block import Block, Content, Located
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import (
+from ctsid_ros.recordings.chunks import (
     NO_CHECKSUMS,
     YEAR,
     Chunk,
-    Connection,
-    Note,
-    Recording,
     Room,
-    Wanted,
     blocks_in_order,
     fill,
     plausible,
     span,
     within,
 )
+from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
 from ctsid_ros.recordings.ros1_content import (
     CONNECTION,
     U32,

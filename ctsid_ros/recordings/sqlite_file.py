@@ -24,14 +24,8 @@ import numpy as np
 
 from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import (
-    NO_CHECKSUMS,
-    YEAR,
-    Connection,
-    Note,
-    Recording,
-    Wanted,
-)
+from ctsid_ros.recordings.chunks import NO_CHECKSUMS, YEAR
+from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
