@@ -151,10 +151,11 @@ def write_rosbag2(folder: Path, sent: Iterable[Sent], storage: str = 'mcap',
     return folder
 
 
-def write_ros1(path: Path, sent: Iterable[Sent], compression: str = 'none') -> Path:
+def write_ros1(path: Path, sent: Iterable[Sent], compression: str = 'none',
+               threshold: int = 2048) -> Path:
     """Write a ROS 1 bag of messages made with the store ROS1."""
     writer = Ros1Writer(path)
-    writer.chunk_threshold = 2048
+    writer.chunk_threshold = threshold
     if compression != 'none':
         writer.set_compression(Ros1Writer.CompressionFormat[compression.upper()])
     with writer:
@@ -190,8 +191,8 @@ def write_mcap(path: Path, sent: Iterable[Sent], compression: str = 'zstd',
         channels: dict[str, int] = {}
         for one in sent:
             if one.topic not in channels:
-                text = store.generate_msgdef(one.type, ros_version=2)[0].encode()
-                number = writer.register_schema(one.type, *(schema or ('ros2msg', text)))
+                number = writer.register_schema(one.type, *(schema or (
+                    'ros2msg', store.generate_msgdef(one.type, ros_version=2)[0].encode())))
                 channels[one.topic] = writer.register_channel(one.topic, encoding, number)
             raw = one.message if isinstance(one.message, bytes) else bytes(
                 store.serialize_cdr(one.message, one.type))

@@ -104,6 +104,15 @@ def test_plain_laguerre_agrees_with_ct_pbsid(common, snr, apart, keep):
     np.testing.assert_allclose(np.sort(found.real), [-4.0, -2.0], atol=0.2 if snr < 50 else 2e-3)
 
 
+@pytest.mark.slow
+def test_recordings_reads_every_container_as_rosbags_does():
+    printed = run('recordings.py', '--messages', 2000, '--rounds', 1, '--containers', 'mcap lz4',
+                  'sqlite3', 'ros1')
+    rows = [line for line in printed.splitlines() if re.match('(mcap|sqlite3|ros1)', line)]
+    assert len(rows) == 15
+    assert not any('nan' in row for row in rows)
+
+
 @pytest.fixture
 def bursty():
     with pytest.MonkeyPatch.context() as patch:

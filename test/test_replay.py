@@ -23,6 +23,7 @@ from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.parameter_file import parse_config
 from ctsid_ros.errors import BagError
 from ctsid_ros.ingest.ingest import Ingest
+from ctsid_ros.recordings import chunks
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.playback import Interval, fit_config, read_record
 from ctsid_ros.replay.replay import Replay, Result, best_of
@@ -264,3 +265,31 @@ def test_nothing_is_kept_of_windows_but_their_estimates(ran):
         'Tracked', 'ndarray'}
     assert {type(v).__name__ for r in ran.results for v in vars(r.tracked).values()} == {
         'Estimate', 'ndarray', 'int', 'tuple'}
+
+
+def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
+    path = write_mcap(tmp_path / 'b.mcap', flight(20.0), chunk_size=4096)
+    monkeypatch.setattr(chunks, 'BATCH', 1)
+    with open_bag(path) as bag:
+        whole = Replay(bag, CONFIG)
+        whole.run()
+        blocks = bag.blocks
+
+        def torn(fields):
+            for count, block in enumerate(blocks(fields)):
+                if count == limit:
+                    raise BagError('reading stopped: input/output error')
+                yield block
+
+        monkeypatch.setattr(bag, 'blocks', torn)
+        limit = len(list(blocks({'/imu': []}))) // 2
+        part = Replay(bag, CONFIG)
+        part.run()
+        assert 0 < len(part.results) < len(whole.results)
+        for one, other in zip(part.results, whole.results, strict=False):
+            assert one.estimate.start_ns == other.estimate.start_ns
+            assert one.estimate.fit.tolist() == other.estimate.fit.tolist()
+        assert 'input/output error' in part.played.complaints[0]
+        limit = 0
+        with pytest.raises(BagError, match='input/output error'):
+            Replay(bag, CONFIG).run()

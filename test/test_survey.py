@@ -18,6 +18,7 @@ from bag_fixtures import (
     vector,
     write_mcap,
 )
+from bag_fixtures import flight as flight_bag
 from flights import S, at, flight, spoilt, stamp_of
 import numpy as np
 import pytest
@@ -218,3 +219,19 @@ def test_too_little_moves(tmp_path):
                  array(math.sin(k / 20), 1.0)) for k in range(100)]
     with pytest.raises(BagError, match=r'only data\[0\] of /cmd does'):
         guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+
+
+@pytest.mark.parametrize('text', ['float64 x\nwstring name\nfloat64 y\n', 'float64 x\n'],
+                         ids=['wstring', 'XCDR2'])
+def test_a_topic_that_cannot_be_decoded_leaves_the_others(tmp_path, text):
+    """As `ctsid info` and `ctsid init` look at it."""
+    body = np.array([1.5]).tobytes() + b'\2\0\0\0x\0y\0' + np.array([2.5]).tobytes()
+    kind = b'\0\7\0\0' if 'wstring' not in text else b'\0\1\0\0'
+    write_mcap(tmp_path / 'a.mcap', flight_bag(200))
+    write_mcap(tmp_path / 'b.mcap', [Sent('/odd', IMU, START + k * 10**7, kind + body)
+                                     for k in range(50)], schema=('ros2msg', text.encode()))
+    found = {t.info.name: t for t in surveyed(tmp_path).topics}
+    assert found['/odd'].undecodable == 50
+    assert found['/odd'].fields == ()
+    assert found['/imu'].moving
+    assert '/odd' not in {c.topic for c in guessed(tmp_path).config.channels}

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
+from ctsid_core.linear.types import Array
 from ctsid_core.settings import HOLDS, Hold
 from ctsid_core.signals.record import Signal
 
@@ -109,6 +111,36 @@ class Counts:
     resets: int
 
 
+@dataclass(frozen=True)
+class Rows:
+    """
+    Samples of one group, a row each, in the order in which they come.
+
+    Parameters
+    ----------
+    group : str
+    stamps : ndarray of int64, shape (N,)
+        Absolute [ns].
+    values : ndarray, shape (N, m)
+    sound : ndarray of bool, shape (N,)
+        Which have values; others are counted as of a wrong width.
+    """
+
+    group: str
+    stamps: NDArray[np.int64]
+    values: Array
+    sound: NDArray[np.bool_]
+
+    def __getitem__(self, rows: slice) -> Rows:
+        return Rows(self.group, self.stamps[rows], self.values[rows], self.sound[rows])
+
+    def samples(self) -> Iterator[tuple[str, int, tuple[float, ...]]]:
+        """Yield them as `SlidingWindow.push` takes them."""
+        for stamp, values, sound in zip(self.stamps.tolist(), self.values.tolist(),
+                                        self.sound.tolist(), strict=True):
+            yield self.group, stamp, tuple(values) if sound else ()
+
+
 def check_groups(groups: Sequence[Group]) -> None:
     """Raise `DataError` unless names differ and there is an output."""
     names = [group.name for group in groups]
@@ -158,6 +190,18 @@ class Samples:
         self.newest = stamp_ns
         if self.first is None:
             self.first = stamp_ns
+
+    def in_order(self, rows: Rows) -> bool:
+        """Whether all rows are whole and finite, and each is newer than all before it."""
+        return bool(self.newest < rows.stamps[0] and (rows.stamps[1:] > rows.stamps[:-1]).all()
+                    and rows.sound.all() and rows.values.shape[1] == self.width
+                    and np.isfinite(rows.values).all())
+
+    def extend(self, rows: Rows) -> None:
+        """Take samples that are `in_order`."""
+        self.stamps.frombytes(rows.stamps.tobytes())
+        self.values.frombytes(rows.values.tobytes())
+        self.newest = self.stamps[-1]
 
     def insert(self, stamp_ns: int, values: Sequence[float]) -> bool:
         """Put a sample at its place; return False if its stamp is taken."""

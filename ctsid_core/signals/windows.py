@@ -28,12 +28,16 @@ from math import isfinite
 from operator import index
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ctsid_core.errors import DataError
 from ctsid_core.signals.record import Record, Signal, common_interval
-from ctsid_core.signals.samples import STAMP_MAX, Counts, Group, Samples, check_groups
+from ctsid_core.signals.samples import STAMP_MAX, Counts, Group, Rows, Samples, check_groups
 
 _GRACE = 10  # wait for the samples after a window at most this fraction of its length
 _BELIEVED = 3  # stray samples in a row that are believed
+_FEW = 32  # samples that are taken one by one sooner than halved again
 _RESTART_NS = 10**9  # a clock corrected by less does not end a stream: its samples are late
 
 
@@ -44,6 +48,36 @@ class _Stray(NamedTuple):
     stamp_ns: int
     values: tuple[float, ...]
     offset_ns: int
+
+
+class _Batch:
+    """Samples of several groups, of which most are ordinary: those are taken all at once."""
+
+    def __init__(self, window: SlidingWindow, order: NDArray[np.intp], rows: Sequence[Rows]
+                 ) -> None:
+        self.window, self.order, self.rows = window, order, rows
+        self.places = [np.flatnonzero(order == number) for number in range(len(rows))]
+        self.stamps = np.empty(len(order), np.int64)
+        for places, part in zip(self.places, rows, strict=True):
+            self.stamps[places] = part.stamps
+
+    def take(self, first: int, last: int) -> list[tuple[int, int]]:
+        """Take the samples of a range, in halves if not all are ordinary; return the dropped."""
+        if first == last:
+            return []
+        spans = [np.searchsorted(places, (first, last)).tolist() for places in self.places]
+        parts = [part[low:high] for part, (low, high) in zip(self.rows, spans, strict=True)]
+        if self.window.append_rows([part for part in parts if len(part.stamps)],
+                                   self.stamps[first:last]):
+            return []
+        if last - first > _FEW:
+            middle = (first + last) // 2
+            return self.take(first, middle) + self.take(middle, last)
+        samples = [part.samples() for part in parts]
+        rows = [iter(range(*span)) for span in spans]
+        pushed = ((number, next(rows[number]), self.window.push(*next(samples[number])))
+                  for number in self.order[first:last].tolist())
+        return [(number, row) for number, row, taken in pushed if not taken]
 
 
 class SlidingWindow:
@@ -152,6 +186,49 @@ class SlidingWindow:
             raise DataError(f'group {group!r}: stamp {stamp_ns!r} with values {values!r} cannot '
                             f'be a sample ({error}); give int nanoseconds and a sequence of '
                             'floats') from error
+
+    def push_rows(self, order: NDArray[np.intp], rows: Sequence[Rows]
+                  ) -> list[tuple[int, int]]:
+        """
+        Take many samples: the same as `push` of one after another.
+
+        Parameters
+        ----------
+        order : ndarray of int, shape (N,)
+            Which of the `rows` each sample is of: it is the next one there.
+        rows : sequence of Rows
+
+        Returns
+        -------
+        list of (int, int)
+            Which samples were dropped: which of the `rows`, and which row of it.
+        """
+        return _Batch(self, order, rows).take(0, len(order))
+
+    def append_rows(self, rows: Sequence[Rows], stamps: NDArray[np.int64]) -> bool:
+        """
+        Take samples if every one of them is ordinary, see `push`; return whether they were taken.
+
+        Parameters
+        ----------
+        rows : sequence of Rows
+        stamps : ndarray of int64, shape (N,)
+            Of all of them, in order.
+        """
+        newest = np.maximum.accumulate(stamps)
+        before = np.concatenate(([self._newest], newest[:-1]))
+        length, delay = self._length, self._max_delay
+        if (self._strays or (self._low, self._high) != (self._newest - delay,
+                                                        self._newest + length)
+                or int(np.min(stamps)) <= 0 or newest[-1] >= STAMP_MAX
+                or (stamps < before - delay).any() or (stamps > before + length).any()
+                or not all(self._tracks[part.group].in_order(part) for part in rows)):
+            return False
+        for part in rows:
+            self._tracks[part.group].extend(part)
+        self._newest = max(self._newest, int(newest[-1]))
+        self._low, self._high = self._newest - delay, self._newest + length
+        return True
 
     def due(self) -> Iterator[Record]:
         """Hand out the windows that the stamps have passed, oldest first."""

@@ -21,6 +21,7 @@ from typing import Any
 
 from ctsid_ros.decoding.field_path import Leaf
 from ctsid_ros.decoding.message_types import FieldType, MessageType
+from ctsid_ros.decoding.table import Table
 
 Raw = bytes | bytearray | memoryview
 Sizes = dict[tuple[str, int], int | None]
@@ -47,6 +48,7 @@ class Layout:
     scalars: Callable[[tuple[Any, ...]], tuple[Any, ...]]
     stamp: tuple[int, int] | None
     floats: bool
+    table: Table
 
 
 _Wanted = dict[str | int, Any]  # tree of steps; an int at a leaf is its slot
@@ -70,8 +72,11 @@ def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw, sizes
     floats = all(walker.items[i][1] in 'fd' for i in item_of[len(stamp):])
     unpack = struct.Struct(walker.format()).unpack_from
     words = _picker(walker.words)
-    return Layout(unpack, words, words(unpack(raw)), _picker(item_of[len(stamp):]),
-                  (item_of[0], item_of[1]) if stamp else None, floats)
+    scalars, pair = item_of[len(stamp):], (item_of[0], item_of[1]) if stamp else None
+    values = unpack(raw)
+    table = Table(walker.order, tuple(walker.items), {i: values[i] for i in walker.words},
+                  tuple(scalars), pair)
+    return Layout(unpack, words, words(values), _picker(scalars), pair, floats, table)
 
 
 def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
@@ -143,7 +148,8 @@ class _Walker:
     def want(self, position: int, base: str, slot: int) -> None:
         self.need(position + SIZES[base])
         self.slots[slot] = len(self.items)
-        self.items.append((position, CODES[base]))
+        # ROS 1 has a signed byte, ROS 2 an octet.
+        self.items.append((position, 'b' if self.packed and base == 'byte' else CODES[base]))
         self.missing -= 1
 
     def message(self, position: int, name: str, wanted: _Wanted) -> int:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.signals.samples import Group
+from ctsid_core.signals.samples import Group, Rows
 from ctsid_core.signals.windows import SlidingWindow
 from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.decoding.block import Block, Columns
 from ctsid_ros.decoding.cdr import DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
@@ -151,6 +152,49 @@ class Ingest:
         else:
             self._choose(target, (log_ns, publish_ns, header_ns), values)
 
+    def push_block(self, block: Block) -> None:
+        """
+        Take many messages: the same as `push` of one after another.
+
+        Parameters
+        ----------
+        block : Block
+            Its columns are the `fields` of their topics.
+        """
+        _, block = block.split(self._settle_by(block))
+        routes: list[tuple[_Topic, slice]] = []
+        parts: list[Rows] = []
+        places: list[NDArray[np.intp]] = []
+        for number, rows in enumerate(block.columns):
+            topic = self._topics[rows.topic]
+            for group, part, source in topic.routes if len(rows) else ():
+                stamps = (rows.log_ns, rows.publish_ns, rows.header_ns)[source]
+                routes.append((topic, part))
+                parts.append(Rows(group, np.zeros_like(rows.log_ns) if stamps is None else stamps,
+                                  rows.values[:, part], rows.sound))
+                places.append(np.flatnonzero(block.which == number))
+        if not parts:
+            return
+        which = np.repeat(np.arange(len(parts)), [len(own) for own in places])
+        order = which[np.argsort(np.concatenate(places), kind='stable')]
+        for number, row in self._window.push_rows(order, parts):
+            topic, part = routes[number]
+            if parts[number].sound[row]:
+                self._count_non_finite(topic, part, parts[number].values[row])
+
+    def _settle_by(self, block: Block) -> int:
+        """Push messages one by one until all topics have sources of stamps; return how many."""
+        waiting = {number for number, rows in enumerate(block.columns)
+                   if len(rows) and not self._topics[rows.topic].routes}
+        messages = [_messages(rows) for rows in block.columns]
+        for pushed, number in enumerate(block.which.tolist()):
+            if not waiting:
+                return pushed
+            self.push(*next(messages[number]))
+            if self._topics[block.columns[number].topic].routes:
+                waiting.discard(number)
+        return len(block)
+
     def due(self) -> Iterator[Record]:
         """Hand out the windows that the stamps have passed, oldest first."""
         return map(self._join_angles, self._window.due())
@@ -205,12 +249,13 @@ class Ingest:
             # A header stamp that is missing counts as zero: the window drops and counts it.
             own = values if topic.undivided else values[part]
             if not self._push(group, times[source] or 0, own):
-                self._count_non_finite(topic, part, values)
+                self._count_non_finite(topic, part, values[part])
 
     def _count_non_finite(self, topic: _Topic, dropped: slice, values: Sequence[float]) -> None:
         for name, part in topic.parts.items():
             if dropped.start <= part.start < dropped.stop:
-                topic.non_finite[name] += not all(map(isfinite, values[part]))
+                own = slice(part.start - dropped.start, part.stop - dropped.start)
+                topic.non_finite[name] += not all(map(isfinite, values[own]))
 
     def _choose(self, topic: _Topic, times: _Times, values: Sequence[float]) -> None:
         """Settle where the stamps of a topic come from, once and for all its messages."""
@@ -237,6 +282,14 @@ class Ingest:
         """Unwrap the angles, now that the samples are in order."""
         return replace(record, inputs=_unwrapped(record.inputs, self._angles['input']),
                        outputs=_unwrapped(record.outputs, self._angles['output']))
+
+
+def _messages(rows: Columns) -> Iterator[tuple[str, int, int, int | None, tuple[float, ...]]]:
+    """Yield messages as `Ingest.push` takes them."""
+    headers = [None] * len(rows) if rows.header_ns is None else rows.header_ns.tolist()
+    for i, header_ns in enumerate(headers):
+        yield (rows.topic, int(rows.log_ns[i]), int(rows.publish_ns[i]), header_ns,
+               tuple(rows.values[i].tolist()) if rows.sound[i] else ())
 
 
 def decoded(extract: Extractor, raw: Raw) -> Extracted:

@@ -3,9 +3,11 @@
 Bags: rosbag2 in MCAP or SQLite, ROS 1; one file, a folder, or several that belong together.
 
     with open_bag('flight') as bag:
-        extract = bag.extractor('/imu', [parse_field('angular_velocity.x')])
-        for message in bag.messages(['/imu']):
-            stamp_ns, (rate,) = extract(message.raw)
+        for block in bag.blocks({'/imu': [parse_field('angular_velocity.x')]}):
+            (imu,) = block.columns
+            imu.header_ns, imu.values[:, 0]
+
+`Bag.messages` gives raw messages one by one, for whatever is no signal.
 
 Whatever is complete is read; what was damaged, recovered or odd is said in `bag.notes`.
 """
@@ -20,14 +22,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
+from ctsid_ros.decoding.block import Block, Decode
 from ctsid_ros.decoding.cdr import Extractor
 from ctsid_ros.decoding.cdr_layout import DecodeError
 from ctsid_ros.decoding.field_path import FieldError, FieldPath, nearest
 from ctsid_ros.decoding.message_fields import bind, scalar_fields
 from ctsid_ros.decoding.message_types import MessageType
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.files import ZSTD_MAGIC, find_files, scan_file, unpack_message
-from ctsid_ros.recordings.recording import Payload, Recording, merge_in_time
+from ctsid_ros.recordings.files import find_files, scan_file
+from ctsid_ros.recordings.packed import raw, unpacking
+from ctsid_ros.recordings.recording import Recording, Wanted, merge_in_time
 from ctsid_ros.recordings.topics import TopicInfo, join_topics
 
 __all__ = ['Bag', 'BagMessage', 'DecodeError', 'TopicInfo', 'open_bag']
@@ -39,7 +43,7 @@ class BagMessage(NamedTuple):
     topic: str
     log_ns: int
     publish_ns: int
-    raw: Payload
+    raw: bytes
 
 
 class Bag:
@@ -72,6 +76,29 @@ class Bag:
         """What was damaged, recovered, skipped or odd; may grow while messages are read."""
         return tuple(self._notes)
 
+    def blocks(self, fields: Mapping[str, Sequence[FieldPath]]) -> Iterator[Block]:
+        """
+        Iterate over the messages of some topics as columns, a few thousand rows at a time.
+
+        Parameters
+        ----------
+        fields : mapping of str to sequence of FieldPath
+            Wanted of each topic; they are the columns, in this order.
+
+        Returns
+        -------
+        iterator of Block
+            In the order of log time; columns in the order of the topics.
+
+        Raises
+        ------
+        BagError
+            If a topic or field is not in the bag, or it cannot be read on.
+        """
+        return self._blocks({topic: unpacking(self.extractor(topic, [
+            self.bind(topic, path) for path in paths]).columns)
+            for topic, paths in fields.items()})
+
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
         Iterate over the messages of one or more topics (all if None) in the order of log time.
@@ -79,21 +106,23 @@ class Bag:
         Raises
         ------
         BagError
-            If a topic is not in the bag.
+            If a topic is not in the bag, or it cannot be read on.
         """
         if isinstance(topics, str):
             topics = [topics]
-        wanted = set(self.topics if topics is None else topics)
-        for topic in wanted:
-            self.topic(topic)
-        streams: list[tuple[int, Callable[[], Iterator[BagMessage]]]] = []
-        for recording, names in zip(self._recordings, self._names, strict=True):
-            chosen = {number: name for number, name in names.items() if name in wanted}
+        wanted = dict.fromkeys(self.topics if topics is None else topics, unpacking(raw))
+        return (message for block in self._blocks(wanted) for message in _rows(block))
+
+    def _blocks(self, decoders: Mapping[str, Decode]) -> Iterator[Block]:
+        names = list(decoders)
+        slots = {self.topic(name).name: slot for slot, name in enumerate(names)}
+        streams: list[tuple[int, Callable[[], Iterator[Block]]]] = []
+        for recording, topics in zip(self._recordings, self._names, strict=True):
+            chosen = {number: slots[name] for number, name in topics.items() if name in slots}
             if chosen:
-                streams.append((recording.start_ns, partial(self._stream, recording, chosen)))
-        if len(streams) == 1:
-            return streams[0][1]()
-        return merge_in_time(streams, lambda message: message.log_ns)
+                wanted = Wanted(chosen, names, list(decoders.values()))
+                streams.append((recording.start_ns, partial(self._stream, recording, wanted)))
+        return merge_in_time(streams) if len(streams) != 1 else streams[0][1]()
 
     def topic(self, name: str) -> TopicInfo:
         """
@@ -204,19 +233,18 @@ class Bag:
     def _stream_of(self, topic: str) -> Generator[BagMessage, None, None]:
         yield from self.messages([topic])
 
-    def _stream(self, recording: Recording, names: Mapping[int, str]
-                ) -> Generator[BagMessage, None, None]:
-        unpack: Callable[[Payload], Payload] | None = None
-        first = True
+    def _stream(self, recording: Recording, wanted: Wanted) -> Iterator[Block]:
         try:
-            for log_ns, publish_ns, number, raw in recording.rows(names, self._note):
-                if first:  # rosbag2 compresses all messages of a file, or none
-                    first = False
-                    unpack = unpack_message if raw[:4] == ZSTD_MAGIC else None
-                yield BagMessage(names[number], log_ns, publish_ns,
-                                 unpack(raw) if unpack else raw)
+            yield from recording.blocks(wanted, self._note)
         except OSError as error:
             raise BagError(f'reading stopped: {error}') from error
+
+
+def _rows(block: Block) -> Iterator[BagMessage]:
+    rows = [zip(c.log_ns.tolist(), c.publish_ns.tolist(), c.values, strict=True)
+            for c in block.columns]
+    for number in block.which.tolist():
+        yield BagMessage(block.columns[number].topic, *next(rows[number]))
 
 
 def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> Bag:

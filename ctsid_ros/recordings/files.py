@@ -16,10 +16,10 @@ import zstandard
 
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings import mcap_file, ros1_file, sqlite_file
-from ctsid_ros.recordings.recording import Payload, Recording
+from ctsid_ros.recordings.packed import ZSTD_MAGIC
+from ctsid_ros.recordings.recording import Recording
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.bag', '.bag.active')
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 Scan = Callable[[Path, ExitStack], Recording]
 SCANS: dict[bytes, Scan] = {mcap_file.MAGIC: mcap_file.scan_mcap,
                             sqlite_file.MAGIC: sqlite_file.scan_sqlite,
@@ -45,11 +45,14 @@ class BagFiles:
         What is odd about the folder.
     stated : int or None
         Number of messages that its metadata.yaml states.
+    listed : tuple of Path
+        Those that its metadata.yaml lists: the parts of one recording.
     """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
     stated: int | None = None
+    listed: tuple[Path, ...] = ()
 
 
 def find_files(path: Path) -> BagFiles:
@@ -85,7 +88,8 @@ def find_files(path: Path) -> BagFiles:
     if not files:
         raise BagError(f'{path}: no bag file ({", ".join(SUFFIXES)}) in this folder'
                        + _inner(path))
-    return BagFiles(tuple(files.values()), tuple(notes), None if more or absent else stated)
+    return BagFiles(tuple(files.values()), tuple(notes), None if more or absent else stated,
+                    tuple(path for name, path in files.items() if name not in more))
 
 
 def scan_file(path: Path, resources: ExitStack) -> Recording:
@@ -114,14 +118,6 @@ def scan_file(path: Path, resources: ExitStack) -> Recording:
             return scan(path, resources)
     raise BagError(f'{path} is not a bag: it looks like {_look(start)}; ctsid reads rosbag2 '
                    '(.mcap, .db3) and ROS 1 (.bag)')
-
-
-def unpack_message(raw: Payload) -> Payload:
-    """Decompress a message of a bag whose messages are packed one by one."""
-    try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(raw)
-    except zstandard.ZstdError:
-        return raw  # it will not decode either, and is counted then
 
 
 def _metadata(folder: Path) -> tuple[list[str], int | None, list[str]]:

@@ -2,76 +2,143 @@
 """
 Which of several bags are the parts of one recording, and which are recordings of their own.
 
-Time tells. A recorder that splits its bag begins the next part with the next message, and two
+The files that a metadata.yaml lists are parts of one. For others, and in a folder of them, time
+tells. A recorder that splits its bag begins the next part with the next message, and two
 recorders of different topics run at the same time. Bags that overlap, or follow each other within
 a second, are one recording; between recordings somebody has stopped and started the recorder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.files import SUFFIXES, find_files
 
 _NEAR = 10**9  # from the end of a part to the start of the next, or of their overlap, at most [ns]
 
 
 @dataclass(frozen=True)
 class _Span:
-    path: str
+    """Files that are one bag for certain, and when they were recorded."""
+
+    given: str
+    files: tuple[str, ...]
     start_ns: int
     end_ns: int
     topics: frozenset[str]
 
 
-def recordings(paths: Sequence[str], topics: Collection[str] = ()) -> list[tuple[str, ...]]:
+def recordings(paths: Sequence[str], topics: Collection[str] = (),
+               note: Callable[[str], None] = lambda _: None) -> list[tuple[str, ...]]:
     """
     Group bags by recording, in the order of time.
 
     Parameters
     ----------
     paths : sequence of str
+        Files, or folders with files or with bags.
     topics : collection of str
         That matter; all if empty.
+    note : callable, optional
+        Takes what is left out: files of a folder that cannot be read.
 
     Returns
     -------
     list of tuple of str
-        The parts of each recording, in the order in which they were given.
+        The parts of each recording, in the order in which they were given. A folder of which all
+        is one recording stands for itself.
 
     Raises
     ------
     BagError
         If one is no bag, or two hold the same topics at the same time.
     """
-    if len(paths) < 2:
+    bags = [(path, files) for path in paths for files in _bags(Path(path).expanduser())]
+    if len(bags) < 2:
         return [tuple(paths)]
-    spans = [_span(path) for path in paths]
+    spans = _spans(bags, note)
     groups: list[list[_Span]] = []
     for span in sorted(spans, key=lambda s: s.start_ns):
         if groups and (not span.end_ns or span.start_ns <= max(
                 s.end_ns for s in groups[-1]) + _NEAR):
             for other in groups[-1]:
-                _check_apart(other, span, topics)
+                if other.given != span.given:
+                    _check_apart(other, span, topics)
             groups[-1].append(span)
         elif groups and not groups[-1][-1].end_ns:  # an empty bag has no time
             groups[-1].append(span)
         else:
             groups.append([span])
-    return [tuple(s.path for s in sorted(group, key=spans.index)) for group in groups]
+    return [_parts(sorted(group, key=spans.index), [s.given for s in spans]) for group in groups]
 
 
-def _span(path: str) -> _Span:
-    with open_bag(path) as bag:
+def _bags(path: Path) -> list[tuple[str, ...]]:
+    """Return the bags that a path stands for: files, of which some are one bag for certain."""
+    if not path.is_dir():
+        return [(str(path),)]
+    try:
+        found = find_files(path)
+    except BagError:
+        inner = sorted(folder for folder in path.iterdir() if folder.is_dir())
+        bags = [bag for folder in inner if _has_files(folder) for bag in _bags(folder)]
+        if not bags:
+            raise
+        return bags
+    whole = tuple(str(file) for file in found.listed)
+    return [whole] * bool(whole) + [(str(file),) for file in found.files
+                                    if file not in found.listed]
+
+
+def _has_files(folder: Path) -> bool:
+    return any(file.name.endswith(SUFFIXES) for file in folder.iterdir())
+
+
+def _parts(group: Sequence[_Span], given: Sequence[str]) -> tuple[str, ...]:
+    """Return the files of a recording; a path in their place where it stands for no other."""
+    own = [span.given for span in group]
+    whole = {path for path in own if own.count(path) == given.count(path)
+             and not _is_outer(Path(path).expanduser())}
+    return tuple(dict.fromkeys(part for span in group for part in (
+        [span.given] if span.given in whole else span.files)))
+
+
+def _is_outer(path: Path) -> bool:
+    """Whether it is a folder of bags, not of files."""
+    return path.is_dir() and not _has_files(path)
+
+
+def _spans(bags: Sequence[tuple[str, tuple[str, ...]]], note: Callable[[str], None]
+           ) -> list[_Span]:
+    """Look at all bags; of a folder, single files may be unusable."""
+    spans: list[_Span] = []
+    faults: list[BagError] = []
+    for path, files in bags:
+        try:
+            spans.append(_span(path, files))
+        except BagError as error:
+            if (path,) == files:
+                raise
+            faults.append(error)
+    if not spans:
+        raise faults[0]
+    for fault in faults:
+        note(f'left out: {fault}')
+    return spans
+
+
+def _span(path: str, files: tuple[str, ...]) -> _Span:
+    with open_bag(files) as bag:
         filled = frozenset(name for name, topic in bag.topics.items() if topic.count)
-        return _Span(path, bag.start_ns, bag.end_ns, filled)
+        return _Span(path, files, bag.start_ns, bag.end_ns, filled)
 
 
 def _check_apart(one: _Span, other: _Span, topics: Collection[str]) -> None:
     shared = one.topics & other.topics & (frozenset(topics) or one.topics)
     if shared and min(one.end_ns, other.end_ns) - max(one.start_ns, other.start_ns) > _NEAR:
-        raise BagError(f'{one.path} and {other.path} hold the same topics ('
+        raise BagError(f'{one.given} and {other.given} hold the same topics ('
                        f'{", ".join(sorted(shared)[:4])}) at the same time: the same recording '
                        'twice, or two robots; give one of them')

@@ -6,53 +6,40 @@ One way of reading for all of them: the records of the file are visited in seque
 over the content of chunks. The summary at the end is but further records, so files without it,
 without index, or cut off anywhere need no special case: whatever is complete is read. Counts
 come from the message indexes that follow the chunks; where those are missing, disagree with the
-statistics, or the file was not closed, the chunks themselves are read.
+statistics, or the file was not closed, the chunks themselves are read. A summary is believed as
+far as its checksum, or a copy elsewhere in the file, says the same.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 import io
 from pathlib import Path
 import struct
 from typing import BinaryIO
 import zlib
 
-import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema, Statistics
-import zstandard
+from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+import numpy as np
 
+from ctsid_ros.decoding.block import Content
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import (
-    Chunk,
-    Connection,
-    Note,
-    Recording,
-    Row,
-    rows_in_order,
-    span,
-)
+from ctsid_ros.recordings.chunks import NO_CHECKSUMS, Chunk, Room, plausible, span
+from ctsid_ros.recordings.mcap_chunks import COMPRESSIONS, content_of, read, where
+from ctsid_ros.recordings.mcap_content import RECORD, Messages, walk
+from ctsid_ros.recordings.recording import Connection, Recording
 
 MAGIC = b'\x89MCAP0\r\n'
-_RECORD = struct.Struct('<BQ')  # opcode, length of what follows
-_CHUNK = struct.Struct('<QQQII')  # start, end, full size, CRC, length of the compression's name
+_CHUNK = struct.Struct('<qqQII')  # start, end, full size, CRC, length of the compression's name
 _INDEX = struct.Struct('<HI')  # channel, bytes that follow: 16 per message
-_MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
+_MESSAGE = struct.Struct('<HIqq')  # channel, sequence, log time, publish time
 _LOOSE_SIZE = 1 << 20  # messages outside of chunks are read in blocks of about this size
-_DECOMPRESS: dict[str, Callable[[bytes, int], bytes]] = {
-    '': lambda data, size: data,
-    'lz4': lambda data, size: bytes(lz4.frame.decompress(data)),
-    'zstd': lambda data, size: zstandard.decompress(data, max_output_size=size)}
-
-
-class _DamagedError(ValueError):
-    """A chunk that cannot be read."""
 
 
 def scan_mcap(path: Path, resources: ExitStack) -> Recording:
@@ -80,30 +67,39 @@ class _Scan:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.statistics: Statistics | None = None
-        self.closed = False
+        self.known: set[int] = set()  # channels whose definitions can be believed
+        self.spans: dict[int, tuple[int, int]] = {}  # of chunks by position, in the summary
+        self.starts: dict[int, int] = {}  # positions of chunks by that of their content
+        self.in_summary = self.closed = False
+        self.whole: tuple[int, int] | None = None  # first and last log time, by a checked summary
         self.loose: list[tuple[int, int, int, int]] = []  # start, end, channel, log time
         self.index: Counter[int] = Counter()  # what indexes say of the last chunk
+        self.index_ends: dict[int, int] = {}  # where the indexes of each chunk end
         self.notes: list[str] = []
 
     def records(self) -> None:
         """Visit all records of the file, as far as they are complete."""
         size = self.file.seek(0, io.SEEK_END)
         position = len(MAGIC)
-        while not self.closed and position + _RECORD.size <= size:
+        while not self.closed and position + RECORD.size <= size:
             self.file.seek(position)
-            head = self.file.read(_RECORD.size + _MESSAGE.size)
-            opcode, length = _RECORD.unpack_from(head)
-            end = position + _RECORD.size + length
+            head = self.file.read(RECORD.size + _MESSAGE.size)
+            opcode, length = RECORD.unpack_from(head)
+            end = position + RECORD.size + length
             if opcode == 0:
                 self.zeros_at(position)
-            if opcode == 0 or end > size:
+            if opcode == 0:
                 break
             try:
+                if end > size:
+                    if opcode == Opcode.CHUNK:
+                        self.chunk(position + RECORD.size, end, size)
+                    break
                 if opcode == Opcode.MESSAGE.value:
-                    channel, _, log_ns, _ = _MESSAGE.unpack_from(head, _RECORD.size)
+                    channel, _, log_ns, _ = _MESSAGE.unpack_from(head, RECORD.size)
                     self.loose_message(position, end, channel, log_ns)
                 else:
-                    self.record(opcode, position + _RECORD.size, end)
+                    self.record(opcode, position + RECORD.size, end)
             except (McapError, ValueError, struct.error):
                 break
             position = end
@@ -118,14 +114,44 @@ class _Scan:
         self.file.seek(start)
         self.end_loose()
         if opcode == Opcode.CHUNK:
-            self.chunk(start, end)
+            self.chunk(start, end, end)
         elif opcode == Opcode.MESSAGE_INDEX:
-            channel, size = _INDEX.unpack(self.file.read(_INDEX.size))
-            self.index[channel] += size // 16
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            self.message_index(end)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.define(opcode, self.file.read(end - start))
+        elif opcode == Opcode.STATISTICS:
+            self.statistics = Statistics.read(self.stream(end - start))
+        elif opcode == Opcode.CHUNK_INDEX:
+            index = ChunkIndex.read(self.stream(end - start))
+            self.spans[index.chunk_start_offset] = (index.message_start_time,
+                                                    index.message_end_time)
+        elif opcode == Opcode.DATA_END:
+            self.in_summary = True
         elif opcode == Opcode.FOOTER:
             self.closed = True
+            self.footer(Footer.read(self.stream(end - start)), start, end)
+
+    def stream(self, size: int) -> ReadDataStream:
+        return ReadDataStream(io.BytesIO(self.file.read(size)))
+
+    def footer(self, footer: Footer, start: int, end: int) -> None:
+        """Compare the summary with its checksum."""
+        if not footer.summary_crc:
+            return
+        first = footer.summary_start or start - RECORD.size
+        self.file.seek(first)
+        summary = self.file.read(max(end - 4 - first, 0))
+        if zlib.crc32(summary) == footer.summary_crc:
+            self.known = set(self.channels)
+            if self.statistics:
+                self.whole = (self.statistics.message_start_time,
+                              self.statistics.message_end_time)
+            return
+        self.notes.append(f'{self.path.name}: its summary is damaged: the file was read anew')
+        self.statistics = None
+        self.spans.clear()
+        self.index_ends.clear()
+        self.chunks = [replace(chunk, counts=None) for chunk in self.chunks]
 
     def zeros_at(self, position: int) -> None:
         """Drop the message before the zeros at the end of a file: they may begin within it."""
@@ -140,16 +166,20 @@ class _Scan:
         """Make a chunk of the messages outside of chunks that were visited last."""
         if self.loose:
             first, end, counts, times = self.loose[0][0], self.loose[-1][1], Counter(
-                channel for _, _, channel, _ in self.loose), [row[3] for row in self.loose]
-            self.chunks.append(Chunk(first, end - first, '', min(times), max(times), counts))
+                channel for _, _, channel, _ in self.loose), plausible(
+                    np.array([row[3] for row in self.loose], np.int64))
+            self.chunks.append(Chunk(first, end - first, '', int(np.min(times)),
+                                     int(np.max(times)), counts))
             self.loose.clear()
 
-    def chunk(self, start: int, end: int) -> None:
+    def chunk(self, start: int, end: int, limit: int) -> None:
+        """Note a chunk that ends at `end`, or where the file ends."""
+        self.file.seek(start)
         start_ns, end_ns, full_size, crc, length = _CHUNK.unpack(self.file.read(_CHUNK.size))
         compression = self.file.read(min(length, 32)).decode()
         if length > 32 or not compression.isprintable():
             raise ValueError('that is no name of a compression')
-        if compression not in _DECOMPRESS:
+        if compression not in COMPRESSIONS:
             raise BagError(f'{self.path}: chunks are compressed with {compression!r}; ctsid reads '
                            'lz4, zstd and none: convert the bag with `mcap compress`')
         (size,) = struct.unpack('<Q', self.file.read(8))
@@ -157,36 +187,69 @@ class _Scan:
         if offset + size > end:
             raise ValueError('the content of a chunk is longer than its record')
         self.index = Counter()
-        self.chunks.append(Chunk(offset, size, compression, start_ns, end_ns, self.index,
-                                 full_size, crc))
+        self.starts[offset] = start - RECORD.size
+        cut = offset + size > limit
+        self.chunks.append(Chunk(
+            offset, max(min(size, limit - offset), 0), compression, start_ns, end_ns, self.index,
+            full_size, 0 if cut else crc, cut=cut))
+
+    def message_index(self, end: int) -> None:
+        channel, size = _INDEX.unpack(self.file.read(_INDEX.size))
+        self.index[channel] += size // 16
+        self.index_ends[len(self.chunks) - 1] = end
 
     def define(self, opcode: int, data: bytes) -> None:
+        """Take a schema or channel; copies in the summary do not count where there is another."""
         stream = ReadDataStream(io.BytesIO(data))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
-            self.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            self.channels[channel.id] = channel
+            if not self.in_summary or schema.id not in self.schemas:
+                self.schemas[schema.id] = schema
         else:
-            self.statistics = Statistics.read(stream)
+            channel = Channel.read(stream)
+            if not self.in_summary:
+                self.known.add(channel.id)
+            if not self.in_summary or channel.id not in self.channels:
+                self.channels[channel.id] = channel
 
     def contents(self) -> None:
         """Read those chunks of which the records of the file tell too little, or may lie."""
+        for number, end in self.index_ends.items():
+            chunk = self.chunks[number]
+            self.chunks[number] = replace(chunk, index_size=end - chunk.offset - chunk.size)
+        self.in_summary = False
         stated = self.statistics.message_count if self.statistics else None
         listed = sum(sum(chunk.counts.values()) for chunk in self.chunks if chunk.counts)
-        if not self.closed or (stated is not None and stated != listed):
-            self.chunks = [self.read_anew(chunk) for chunk in self.chunks]
-        else:
-            self.chunks = [chunk if chunk.counts and chunk.counts.keys() <= self.channels.keys()
-                           else self.read_anew(chunk) for chunk in self.chunks]
-        self.chunks = [chunk for chunk in self.chunks if chunk.counts]
+        lies = not self.closed or (stated is not None and stated != listed)
+        self.chunks = [self.read_anew(chunk) if lies or not self.believed(chunk) else chunk
+                       for chunk in self.chunks]
+        self.chunks = [self.limited(chunk) for chunk in self.chunks if chunk.counts]
         found = sum(sum(chunk.counts.values()) for chunk in self.chunks if chunk.counts)
         if not self.closed:
             self.truncated(found)
         elif stated is not None and stated != found:
             self.notes.append(f'{self.path.name}: its statistics state {stated} messages, {found} '
                               'are there')
+
+    def limited(self, chunk: Chunk) -> Chunk:
+        """Leave out times that a checked summary excludes, where messages have no checksum."""
+        if chunk.crc or not self.whole:
+            return chunk
+        return replace(chunk, start_ns=max(chunk.start_ns, self.whole[0]),
+                       end_ns=min(chunk.end_ns, self.whole[1]))
+
+    def believed(self, chunk: Chunk) -> bool:
+        """Whether channels and times of a chunk are known, and those that it must have."""
+        if not chunk.counts or not chunk.counts.keys() <= self.known:
+            return False
+        start = self.starts.get(chunk.offset)
+        if start is None:  # messages outside of chunks have told their own times
+            return True
+        span_ns = (chunk.start_ns, chunk.end_ns)
+        whole = (self.statistics.message_start_time, self.statistics.message_end_time) \
+            if self.statistics else self.spans.get(start, (0, 0))
+        return (self.spans.get(start, span_ns) == span_ns
+                and whole[0] <= span_ns[0] <= span_ns[1] <= whole[1])
 
     def truncated(self, found: int) -> None:
         if not found:
@@ -196,15 +259,20 @@ class _Scan:
                           'did not close the file)')
 
     def read_anew(self, chunk: Chunk) -> Chunk:
-        """Find counts, times and definitions in the content of a chunk."""
-        rows: list[Row] = []
+        """Find counts, times and definitions in the content of a chunk; trust no index of it."""
+        content: Content = b''
+        places = np.empty(0, np.intp)
         try:
-            rows, _ = _rows(_content(self.file, chunk), None, self.define)
+            content = content_of(self.file, chunk, Room())
+            places = walk(content, self.define).messages
         except (McapError, ValueError, struct.error) as error:
-            self.notes.append(f'{self.path.name}: {_where(chunk, error)}')
-        return replace(chunk, counts=Counter(row[2] for row in rows),
-                       start_ns=min((row[0] for row in rows), default=0),
-                       end_ns=max((row[0] for row in rows), default=0))
+            self.notes.append(f'{self.path.name}: {where(chunk, error)}')
+        heads = Messages.at([content], [places]).heads
+        numbers, counts = np.unique(heads['channel'], return_counts=True)
+        times = heads['log'] if chunk.crc else plausible(heads['log'])
+        return replace(chunk, counts=dict(zip(numbers.tolist(), counts.tolist(), strict=True)),
+                       start_ns=int(np.min(times)) if len(times) else 0,
+                       end_ns=int(np.max(times)) if len(times) else 0, index_size=0)
 
     def recording(self) -> Recording:
         totals: Counter[int] = Counter()
@@ -213,14 +281,12 @@ class _Scan:
         orphans = sum(totals[c] for c in totals.keys() - self.channels.keys())
         if orphans:
             self.notes.append(f'{self.path.name}: {orphans} messages of unknown topics skipped')
+        if self.notes and not all(chunk.crc or chunk.cut for chunk in self.chunks):
+            self.notes.append(f'{self.path.name}: {NO_CHECKSUMS}')
         connections = tuple(self.connection(channel, totals[channel.id])
                             for channel in self.channels.values())
-        path, chunks = self.path, tuple(self.chunks)
-
-        def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
-            return _read(path, chunks, frozenset(wanted), note)
-
-        return Recording(connections, *span(chunks), rows, tuple(self.notes))
+        return Recording(connections, *span(self.chunks),
+                         partial(read, self.path, tuple(self.chunks)), tuple(self.notes))
 
     def connection(self, channel: Channel, count: int) -> Connection:
         schema = self.schemas.get(channel.schema_id)
@@ -228,73 +294,3 @@ class _Scan:
             channel.id, channel.topic, schema.name if schema else '', channel.message_encoding,
             schema.encoding if schema else '',
             schema.data.decode(errors='replace') if schema else '', count)
-
-
-def _read(path: Path, chunks: tuple[Chunk, ...], wanted: frozenset[int], note: Note
-          ) -> Iterator[Row]:
-    with path.open('rb') as file:
-        def rows(chunk: Chunk) -> list[Row]:
-            try:
-                data = _content(file, chunk)
-            except _DamagedError as error:
-                note(f'{path.name}: {_where(chunk, error)}')
-                return []
-            found, end = _rows(data, wanted)
-            if end != len(data):
-                note(f'{path.name}: chunk at byte {chunk.offset} is damaged inside; some of its '
-                     'messages are lost')
-            return found
-
-        yield from rows_in_order([c for c in chunks if c.holds(wanted)], rows)
-
-
-def _rows(data: bytes, wanted: frozenset[int] | None,
-          define: Callable[[int, bytes], None] | None = None) -> tuple[list[Row], int]:
-    """
-    Return the messages in the content of a chunk, and where its records end.
-
-    Parameters
-    ----------
-    data : bytes
-    wanted : frozenset of int
-        Channels; all if None.
-    define : callable, optional
-        Takes opcode and content of schemas and channels.
-    """
-    view = memoryview(data)
-    rows: list[Row] = []
-    position, size = 0, len(data)
-    is_last = False
-    while position + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack_from(data, position)
-        start = position + _RECORD.size
-        position = start + length
-        if opcode == Opcode.MESSAGE.value and position <= size and length >= _MESSAGE.size:
-            channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, start)
-            is_last = wanted is None or channel in wanted
-            if is_last:
-                rows.append((log_ns, publish_ns, channel, view[start + _MESSAGE.size:position]))
-        elif opcode == 0:  # data that never reached the disk; zeros may have begun before
-            del rows[len(rows) - is_last:]
-            return rows, start
-        elif define and opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and position <= size:
-            define(opcode, data[start:position])
-    return rows, position
-
-
-def _content(file: BinaryIO, chunk: Chunk) -> bytes:
-    file.seek(chunk.offset)
-    compressed = file.read(chunk.size)
-    try:
-        data = _DECOMPRESS[chunk.compression](compressed, chunk.full_size)
-    except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError) as error:
-        raise _DamagedError(f'{chunk.compression}: {error}') from None
-    if chunk.crc and zlib.crc32(data) != chunk.crc:
-        raise _DamagedError('its CRC does not match')
-    return data
-
-
-def _where(chunk: Chunk, error: Exception) -> str:
-    count = sum((chunk.counts or {}).values())
-    lost = f' ({count} messages lost)' if count else ''
-    return f'damaged chunk at byte {chunk.offset} skipped{lost}: {error}'

@@ -12,19 +12,21 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
+import numpy as np
+
 from ctsid_core.signals.record import Record
 from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.decoding.block import Block
 from ctsid_ros.decoding.field_path import nearest
 from ctsid_ros.errors import BagError
 from ctsid_ros.ingest.counts import IngestCounts
-from ctsid_ros.ingest.ingest import Ingest, decoded
+from ctsid_ros.ingest.ingest import Ingest
 from ctsid_ros.recordings.bag import Bag
 
 Advance = Callable[[float, str], None]
 Spans = dict[str, tuple[int, int]]  # first and last log time by topic [ns]
 _WHOLE = 1e5  # a window that no recording is longer than [s]: the largest the settings allow
 _SLIVER = 0.05  # of the bag: a record shorter than this may be an accident
-_STEPS = 400  # how often progress is told
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,7 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     split_ns = math.inf if split is None else bag.start_ns + split * 1e9
     mark = 0
     spans: Spans = {}
-    for log_ns in play(bag, ingest, interval, advance, spans):
+    for log_ns in play(bag, ingest, interval, advance, spans, split_ns):
         if not mark and log_ns >= split_ns:
             mark = ingest.newest_ns
     record = ingest.whole()
@@ -184,9 +186,9 @@ def _seconds(bag: Bag, record: Record) -> str:
 
 
 def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None = None,
-         spans: Spans | None = None) -> Iterator[int]:
+         spans: Spans | None = None, pause_ns: float = math.inf) -> Iterator[int]:
     """
-    Push the messages of an interval one by one; yield the log time of each [ns].
+    Push the messages of an interval, block by block; yield the last log time of each [ns].
 
     Parameters
     ----------
@@ -197,6 +199,8 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         Called with the progress.
     spans : dict, optional
         Filled with first and last log time of each topic [ns].
+    pause_ns : float, optional
+        The first message with this log time or a later one ends a block [ns].
 
     Raises
     ------
@@ -204,23 +208,36 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         If topics or fields are not in the bag, or it cannot be read on.
     """
     first_ns, last_ns = interval.span_ns(bag)
-    extract = {topic: bag.extractor(topic, fields) for topic, fields in ingest.fields.items()}
-    step = max((last_ns - first_ns) // _STEPS, 1)
-    told = first_ns
-    for topic, log_ns, publish_ns, raw in bag.messages(extract):
-        if log_ns < first_ns:
-            continue
-        if log_ns > last_ns:
-            break
-        ingest.push(topic, log_ns, publish_ns, *decoded(extract[topic], raw))
+    for block in _paused(bag.blocks(ingest.fields), first_ns, last_ns, pause_ns):
+        ingest.push_block(block)
+        now_ns = int(block.log_ns[-1])
         if spans is not None:
-            spans[topic] = (spans[topic][0] if topic in spans else log_ns, log_ns)
-        if advance and log_ns >= told:
-            told = log_ns + step
-            advance((log_ns - first_ns) / max(last_ns - first_ns, 1), '')
-        yield log_ns
+            for rows in block.columns:
+                if len(rows):
+                    first, last = int(rows.log_ns[0]), int(rows.log_ns[-1])
+                    spans[rows.topic] = (spans.get(rows.topic, (first, 0))[0], last)
+        if advance:
+            advance((now_ns - first_ns) / max(last_ns - first_ns, 1), '')
+        yield now_ns
     if advance:
         advance(1.0, '')
+
+
+def _paused(blocks: Iterator[Block], first_ns: int, last_ns: int, pause_ns: float
+            ) -> Iterator[Block]:
+    """Cut blocks at the ends of an interval, and behind the first message from `pause_ns` on."""
+    for block in blocks:
+        low, high = np.searchsorted(block.log_ns, (first_ns, last_ns + 1)).tolist()
+        inside = block.split(high)[0].split(low)[1]
+        log_ns = inside.log_ns
+        if len(log_ns) and pause_ns <= log_ns[-1]:
+            early, inside = inside.split(int(np.searchsorted(log_ns, pause_ns)) + 1)
+            pause_ns = math.inf
+            yield early
+        if len(inside):
+            yield inside
+        if high < len(block):
+            return
 
 
 def apart(spans: Spans) -> bool:

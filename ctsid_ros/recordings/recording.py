@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every file of a bag becomes, whatever its format; messages in the order of log time."""
+"""What every file of a bag becomes, whatever its format; blocks in the order of log time."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-import heapq
 from itertools import count
 from operator import itemgetter
-from typing import TypeVar
+from typing import NamedTuple
 
-Payload = bytes | memoryview
-Row = tuple[int, int, int, Payload]  # log time [ns], publish time [ns], connection, message
+import numpy as np
+
+from ctsid_ros.decoding.block import Block, Decode, Located
+
 Note = Callable[[str], None]
-T = TypeVar('T', bound=Sequence[object])
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,27 @@ class Connection:
     count: int
 
 
+class Wanted(NamedTuple):
+    """
+    Which messages are wanted of a file, and what is to become of them.
+
+    Parameters
+    ----------
+    slots : mapping of int to int
+        Number of the topic, by connection.
+    topics : sequence of str
+    decoders : sequence of Decode
+    """
+
+    slots: Mapping[int, int]
+    topics: Sequence[str]
+    decoders: Sequence[Decode]
+
+    def block(self, found: Sequence[Located]) -> Block:
+        """Decode what a reader has found."""
+        return Block.of(found, self.topics, self.decoders)
+
+
 @dataclass(frozen=True)
 class Recording:
     """
@@ -56,8 +76,8 @@ class Recording:
     connections : tuple of Connection
     start_ns, end_ns : int
         First and last log time; 0 if there is no message.
-    rows : callable
-        (connection ids, where to note damage) -> messages in the order of log time.
+    blocks : callable
+        (what is wanted, where to note damage) -> messages in the order of log time.
     notes : tuple of str
         What was damaged and recovered.
     """
@@ -65,7 +85,7 @@ class Recording:
     connections: tuple[Connection, ...]
     start_ns: int
     end_ns: int
-    rows: Callable[[Collection[int], Note], Iterator[Row]]
+    blocks: Callable[[Wanted, Note], Iterator[Block]]
     notes: tuple[str, ...] = ()
 
     @property
@@ -74,89 +94,51 @@ class Recording:
         return sum(connection.count for connection in self.connections)
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """
-    A block of messages that is read at once.
+class _Stream(NamedTuple):
+    """A stream of blocks, and its next one."""
 
-    Parameters
-    ----------
-    offset, size : int
-        Where its (compressed) content lies in the file.
-    compression : str
-    start_ns, end_ns : int
-        First and last log time.
-    counts : mapping, optional
-        Number of messages by connection; None if not known without reading.
-    full_size, crc : int
-        Size and CRC-32 of the content, not compressed; 0 where not known.
-    """
-
-    offset: int
-    size: int
-    compression: str = ''
-    start_ns: int = 0
-    end_ns: int = 0
-    counts: Mapping[int, int] | None = None
-    full_size: int = 0
-    crc: int = 0
-
-    def holds(self, connections: Collection[int]) -> bool:
-        """Whether any of the connections has, or may have, messages here."""
-        return self.counts is None or any(self.counts.get(c) for c in connections)
+    number: int
+    block: Block
+    rest: Iterator[Block]
 
 
-def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
-    """Return first and last log time [ns] of all chunks; zeros if there are none."""
-    return (min((c.start_ns for c in chunks), default=0),
-            max((c.end_ns for c in chunks), default=0))
-
-
-def rows_in_order(chunks: Sequence[Chunk], read: Callable[[Chunk], list[Row]]) -> Iterator[Row]:
-    """
-    Yield the rows of all chunks by log time; rows of equal time in the order of the file.
-
-    Chunks may overlap in time; no more is held in memory than overlaps. Rows within a chunk need
-    not be in order: their sort is cheap when they are.
-    """
-    ordered = sorted(chunks, key=lambda chunk: chunk.start_ns)
-    pending: list[Row] = []
-    for i, chunk in enumerate(ordered):
-        pending += read(chunk)
-        pending.sort(key=itemgetter(0))
-        if i + 1 < len(ordered):
-            ready = bisect_left(pending, ordered[i + 1].start_ns, key=itemgetter(0))
-            yield from pending[:ready]
-            del pending[:ready]
-    yield from pending
-
-
-def merge_in_time(streams: Sequence[tuple[int, Callable[[], Iterator[T]]]],
-                  log_time: Callable[[T], int]) -> Iterator[T]:
+def merge_in_time(streams: Sequence[tuple[int, Callable[[], Iterator[Block]]]]
+                  ) -> Iterator[Block]:
     """
     Merge streams, each in the order of log time; none is opened before time reaches its start.
 
     Parameters
     ----------
     streams : sequence of (start_ns, function that opens the stream)
-    log_time : callable
-        Log time of an item [ns].
     """
     waiting = sorted(streams, key=itemgetter(0), reverse=True)
-    serial = count()
-    active: list[tuple[int, int, T, Iterator[T]]] = []
+    numbers = count()
+    active: list[_Stream] = []
+
+    def advance(number: int, rest: Iterator[Block]) -> None:
+        block = next((block for block in rest if len(block)), None)
+        if block is not None:
+            active.append(_Stream(number, block, rest))
+
     while waiting or active:
-        while waiting and (not active or waiting[-1][0] <= active[0][0]):
-            stream = waiting.pop()[1]()
-            for item in stream:
-                heapq.heappush(active, (log_time(item), next(serial), item, stream))
-                break
+        while waiting and (not active or waiting[-1][0] <= min(
+                int(stream.block.log_ns[-1]) for stream in active)):
+            advance(next(numbers), waiting.pop()[1]())
         if not active:
             continue
-        _, number, item, stream = active[0]
-        yield item
-        following = next(stream, None)
-        if following is None:
-            heapq.heappop(active)
-        else:
-            heapq.heapreplace(active, (log_time(following), number, following, stream))
+        # Up to where the first of the blocks ends nothing can come any more.
+        end_ns, number = min((int(s.block.log_ns[-1]), s.number) for s in active)
+        merged: Block | None = None
+        now, active = sorted(active), []
+        for stream in now:
+            # Where times are equal, those of a stream that was opened earlier come first.
+            side = 'right' if stream.number <= number else 'left'
+            ready, later = stream.block.split(int(np.searchsorted(
+                stream.block.log_ns, end_ns, side)))  # type: ignore[call-overload]
+            merged = ready if merged is None else merged.merged(ready)
+            if len(later):
+                active.append(stream._replace(block=later))
+            else:
+                advance(stream.number, stream.rest)
+        assert merged is not None
+        yield merged

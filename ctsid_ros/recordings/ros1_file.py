@@ -11,38 +11,50 @@ from __future__ import annotations
 
 import bz2
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 import io
 from pathlib import Path
 import struct
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lz4.frame
+import numpy as np
 
+from ctsid_ros.decoding.block import Block, Content, Located
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.recording import (
+from ctsid_ros.recordings.chunks import (
+    NO_CHECKSUMS,
+    YEAR,
     Chunk,
-    Connection,
-    Note,
-    Recording,
-    Row,
-    rows_in_order,
+    Room,
+    blocks_in_order,
+    fill,
+    plausible,
     span,
+    within,
+)
+from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
+from ctsid_ros.recordings.ros1_content import (
+    CONNECTION,
+    U32,
+    Header,
+    fields,
+    locate,
+    messages,
+    time_ns,
 )
 
 MAGIC = b'#ROSBAG V'
 _VERSION = b'#ROSBAG V2.0\n'
-_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = b'\2', b'\3', b'\5', b'\6', b'\7'
-_U32 = struct.Struct('<I')
+_BAG_HEADER, _CHUNK, _CHUNK_INFO = b'\3', b'\5', b'\6'
 _U64 = struct.Struct('<Q')
-_TIME = struct.Struct('<II')
-_DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
-    'none': lambda data: data, 'bz2': bz2.decompress,
-    'lz4': lambda data: bytes(lz4.frame.decompress(data))}
-
-Header = dict[bytes, bytes]
+_DECOMPRESS: dict[str, Callable[[memoryview], Content]] = {
+    'none': lambda data: data, 'bz2': bz2.decompress, 'lz4': lz4.frame.decompress}
+_CUT: dict[str, Callable[[], Any]] = {'bz2': bz2.BZ2Decompressor,
+                                      'lz4': lz4.frame.LZ4FrameDecompressor}
 
 
 def scan_ros1(path: Path, resources: ExitStack) -> Recording:
@@ -86,6 +98,9 @@ class _Scan:
                 header, data_size = self.header(size)
                 data = self.file.tell()
                 if data + data_size > size:
+                    if header[b'op'] == _CHUNK:  # its first records may be complete
+                        self.record(header, position, data, size - data)
+                        self.chunks[position] = replace(self.chunks[position], cut=True)
                     return
                 self.record(header, position, data, data_size)
             except (struct.error, KeyError, ValueError, IndexError):
@@ -94,11 +109,11 @@ class _Scan:
         self.complete = True
 
     def header(self, size: int) -> tuple[Header, int]:
-        (length,) = _U32.unpack(self.file.read(4))
+        (length,) = U32.unpack(self.file.read(4))
         if self.file.tell() + length > size:
             raise ValueError('a header is longer than the file')
-        header = _fields(self.file.read(length))
-        return header, _U32.unpack(self.file.read(4))[0]
+        header = fields(self.file.read(length))
+        return header, U32.unpack(self.file.read(4))[0]
 
     def record(self, header: Header, position: int, data: int, size: int) -> None:
         kind = header[b'op']
@@ -107,34 +122,38 @@ class _Scan:
             if compression not in _DECOMPRESS:
                 raise BagError(f'{self.path}: chunks are compressed with {compression!r}; ctsid '
                                'reads lz4, bz2 and none: convert the bag with `rosbag compress`')
-            self.chunks[position] = Chunk(data, size, compression)
+            self.chunks[position] = Chunk(data, size, compression,
+                                          full_size=U32.unpack(header[b'size'])[0])
         elif kind == _BAG_HEADER:
             if header.get(b'encryptor'):
                 raise BagError(f'{self.path}: the bag is encrypted; decrypt it with '
                                '`rosbag decrypt`')
             if _U64.unpack(header[b'index_pos'])[0]:
-                self.stated_chunks = _U32.unpack(header[b'chunk_count'])[0]
-        elif kind == _CONNECTION:
+                self.stated_chunks = U32.unpack(header[b'chunk_count'])[0]
+        elif kind == CONNECTION:
             self.connect(header, self.file.read(size))
         elif kind == _CHUNK_INFO:
             self.chunk_info(header, self.file.read(size))
 
     def connect(self, header: Header, data: bytes) -> None:
-        (number,) = _U32.unpack(header[b'conn'])
-        fields = _fields(data)
+        (number,) = U32.unpack(header[b'conn'])
+        declared = fields(data)
         self.connections[number] = Connection(
-            number, _topic(header[b'topic']), fields[b'type'].decode(), 'ros1', 'ros1msg',
-            fields[b'message_definition'].decode(errors='replace'), 0)
+            number, _topic(header[b'topic']), declared[b'type'].decode(), 'ros1', 'ros1msg',
+            declared[b'message_definition'].decode(errors='replace'), 0)
 
     def chunk_info(self, header: Header, data: bytes) -> None:
         (position,) = _U64.unpack(header[b'chunk_pos'])
         self.chunks[position] = replace(
             self.chunks[position], counts=dict(struct.iter_unpack('<II', data)),
-            start_ns=_time(header[b'start_time']), end_ns=_time(header[b'end_time']))
+            start_ns=time_ns(header[b'start_time']), end_ns=time_ns(header[b'end_time']))
 
     def contents(self) -> None:
-        """Read those chunks of which the index tells nothing."""
-        self.chunks = {position: chunk if chunk.counts is not None else self.read_anew(chunk)
+        """Read those chunks of which the index tells nothing, or what cannot be."""
+        starts = [chunk.start_ns for chunk in self.chunks.values() if chunk.counts is not None]
+        known = set(plausible(np.array(starts, np.int64)).tolist())
+        self.chunks = {position: chunk if chunk.counts is not None and chunk.start_ns in known
+                       and 0 <= chunk.end_ns - chunk.start_ns < YEAR else self.read_anew(chunk)
                        for position, chunk in self.chunks.items()}
         self.chunks = {position: chunk for position, chunk in self.chunks.items() if chunk.counts}
         found = sum(sum((chunk.counts or {}).values()) for chunk in self.chunks.values())
@@ -150,13 +169,14 @@ class _Scan:
         counts: Counter[int] = Counter()
         times: list[int] = []
         try:
-            for header, data in _records(_content(self.file, chunk)):
-                if header[b'op'] == _MESSAGE:
-                    counts[_U32.unpack(header[b'conn'])[0]] += 1
-                    times.append(_time(header[b'time']))
-                elif header[b'op'] == _CONNECTION:
-                    self.connect(header, bytes(data))
-        except (struct.error, KeyError, ValueError) as error:
+            content = _content(self.file, chunk, Room())
+            found = messages(content, self.connect)
+            counts.update(found.connections.tolist())
+            times = plausible(found.log_ns).tolist()
+            if found.problem:
+                self.notes.append(f'{self.path.name}: damaged chunk at byte {chunk.offset}: '
+                                  f'{found.problem}')
+        except ValueError as error:
             self.notes.append(f'{self.path.name}: damaged chunk at byte {chunk.offset}: {error}')
         return replace(chunk, counts=counts, start_ns=min(times, default=0),
                        end_ns=max(times, default=0))
@@ -167,69 +187,46 @@ class _Scan:
             totals.update(chunk.counts or {})
         connections = tuple(replace(connection, count=totals[number])
                             for number, connection in self.connections.items())
-        path, chunks = self.path, tuple(self.chunks.values())
+        if self.notes:
+            self.notes.append(f'{self.path.name}: {NO_CHECKSUMS}')
+        chunks = tuple(self.chunks.values())
+        return Recording(connections, *span(chunks), partial(_read, self.path, chunks),
+                         tuple(self.notes))
 
-        def rows(wanted: Collection[int], note: Note) -> Iterator[Row]:
-            return _read(path, chunks, frozenset(wanted), note)
 
-        return Recording(connections, *span(chunks), rows, tuple(self.notes))
+def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> Iterator[Block]:
+    def load(chunk: Chunk, room: Room) -> Content | ValueError:
+        try:
+            return _content(file, chunk, room)
+        except ValueError as error:
+            return error
 
+    def found(batch: Sequence[Chunk], contents: Sequence[Content | ValueError]) -> list[Located]:
+        return [part for row in zip(batch, contents, strict=True) for part in found_in(*row)]
 
-def _read(path: Path, chunks: tuple[Chunk, ...], wanted: frozenset[int], note: Note
-          ) -> Iterator[Row]:
+    def found_in(chunk: Chunk, content: Content | ValueError) -> list[Located]:
+        located, problem = ([], str(content)) if isinstance(content, ValueError) else locate(
+            content, wanted.slots)
+        located = [within(chunk, part) for part in located]
+        missing = chunk.count(wanted.slots) - sum(len(part.offsets) for part in located)
+        if missing > 0:
+            note(f'{path.name}: damaged chunk at byte {chunk.offset}: {missing} of its messages '
+                 f'are lost{problem and f" ({problem})"}; {NO_CHECKSUMS}')
+        return located
+
     with path.open('rb') as file:
-        def rows(chunk: Chunk) -> list[Row]:
-            found: list[Row] = []
-            try:
-                for header, data in _records(_content(file, chunk)):
-                    if header[b'op'] == _MESSAGE:
-                        (number,) = _U32.unpack(header[b'conn'])
-                        if number in wanted:
-                            log_ns = _time(header[b'time'])
-                            found.append((log_ns, log_ns, number, data))
-            except (struct.error, KeyError, ValueError) as error:
-                note(f'{path.name}: damaged chunk at byte {chunk.offset}: {error}')
-            return found
-
-        yield from rows_in_order([c for c in chunks if c.holds(wanted)], rows)
+        yield from blocks_in_order(chunks, wanted, load, found)
 
 
-def _records(content: bytes) -> Iterator[tuple[Header, memoryview]]:
-    view = memoryview(content)
-    position = 0
-    while position < len(content):
-        (length,) = _U32.unpack_from(content, position)
-        start = position + 4 + length
-        header = _fields(content[position + 4:start])
-        (size,) = _U32.unpack_from(content, start)
-        position = start + 4 + size
-        if position > len(content):
-            raise ValueError('a record is longer than its chunk')
-        yield header, view[start + 4:position]
-
-
-def _fields(data: bytes) -> Header:
-    fields: Header = {}
-    position = 0
-    while position < len(data):
-        (length,) = _U32.unpack_from(data, position)
-        position += 4 + length
-        name, _, value = data[position - length:position].partition(b'=')
-        fields[name] = value
-    return fields
-
-
-def _content(file: BinaryIO, chunk: Chunk) -> bytes:
-    file.seek(chunk.offset)
+def _content(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
+    packed = room.content(chunk.size) if chunk.compression == 'none' else room.packed(chunk.size)
+    fill(packed, file, chunk.offset)
     try:
-        return _DECOMPRESS[chunk.compression](file.read(chunk.size))
+        if chunk.cut and chunk.compression in _CUT:
+            return bytes(_CUT[chunk.compression]().decompress(packed))
+        return _DECOMPRESS[chunk.compression](packed)
     except (RuntimeError, OSError, EOFError, MemoryError) as error:
         raise ValueError(f'{chunk.compression}: {error}') from None
-
-
-def _time(value: bytes) -> int:
-    seconds, nanoseconds = _TIME.unpack(value)
-    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def _topic(name: bytes) -> str:

@@ -203,7 +203,8 @@ def _finish(watch: _Watch, start_ns: int) -> TopicSurvey:
     late = math.nan
     if watch.info.has_header and stamps[0].usable and len(header) == len(log):
         late = float(np.median(log - header)) * 1e-9
-    rows = np.array(watch.values, dtype=float).reshape(len(watch.values), -1)
+    rows = np.array(watch.values, dtype=float).reshape(
+        len(watch.values), len(watch.values[0]) if watch.values else 0)
     fields = tuple(field_stats(path, rows[:, i], RUN) for i, path in enumerate(watch.paths)
                    if i < rows.shape[1])
     rate = (len(log) - 1) / (last - first) if last > first else math.nan

@@ -78,6 +78,8 @@ class Replay:
     Attributes
     ----------
     results : list of Result
+    broken : str
+        Why the bag could not be read to its end; empty if it could.
 
     Raises
     ------
@@ -92,11 +94,14 @@ class Replay:
         self._tracker = Tracker(self.config.settings.for_windows())
         self._untested: deque[int] = deque()  # results that wait for data of their own future
         self.results: list[Result] = []
+        self.broken = ''
 
     @property
     def played(self) -> Played:
         """What became of the messages so far."""
-        return Played(self.config, self._ingest.counts(), tuple(self._ingest.report()))
+        end = [f'the bag could not be read to its end, and these are the windows before: '
+               f'{self.broken}'] if self.broken else []
+        return Played(self.config, self._ingest.counts(), (*end, *self._ingest.report()))
 
     @property
     def best(self) -> int | None:
@@ -105,12 +110,12 @@ class Replay:
 
     def run(self, advance: Advance | None = None) -> None:
         """
-        Play the interval to its end.
+        Play the interval to its end, or to where the bag cannot be read on (`broken`).
 
         Raises
         ------
         BagError
-            If the bag cannot be read on, or there is no window because a channel is missing, the
+            If there is no window because the bag cannot be read, because a channel is missing, the
             channels do not overlap, or the window is longer than the data.
         """
         total, spans = self._expected(), Spans()
@@ -120,9 +125,12 @@ class Replay:
                 done = len(self.results) / total if total else now
                 advance(min(done, 0.99), self._news(total))
 
-        for record in self._windows(self._ingest, moved, spans):
-            self._take(record)
-            moved()
+        try:
+            for record in self._windows(self._ingest, moved, spans):
+                self._take(record)
+                moved()
+        except BagError as error:
+            self._salvage(error)
         if advance:
             advance(1.0, self._news(total))
         if self.best is None and apart(spans):
@@ -130,6 +138,14 @@ class Replay:
                                         self.played.complaints))
         if not self.results:
             raise BagError(self._why_no_window())
+
+    def _salvage(self, error: BagError) -> None:
+        """Keep what came before a bag could not be read on; raise if it is nothing."""
+        self.broken = str(error)
+        for record in self._ingest.flush():
+            self._take(record)
+        if not self.results:
+            raise error
 
     def record(self, number: int) -> Record:
         """
@@ -140,8 +156,9 @@ class Replay:
         BagError
             If the bag cannot be read again.
         """
-        windows = self._windows(Ingest(self.config), None, None)
-        return next(islice(windows, number, None))
+        for record in islice(self._windows(Ingest(self.config), None, None), number, None):
+            return record
+        raise BagError('the bag does not give the same windows when it is read again')
 
     def _windows(self, ingest: Ingest, advance: Advance | None, spans: Spans | None
                  ) -> Iterator[Record]:

@@ -183,7 +183,7 @@ def command(args: argparse.Namespace) -> int:
 
     truth = read_truth(args)
     intervals = _intervals(args)
-    groups = recordings(args.bag, _topics(args))
+    groups = recordings(args.bag, _topics(args), say)
     with open_bag(groups[0]) as bag:
         config = config_for(args, bag)
     if len(groups) > 1:

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Messages as columns: what recordings hand out, and what `Ingest` takes.
+
+A reader says where the messages of a topic lie in the bytes that it has read (`Located`), a
+decoder turns them into columns (`Decoded`), and `Block.of` puts the columns of all topics into
+the order of recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Stamps = NDArray[np.int64]
+Index = NDArray[np.intp]
+Content = bytes | memoryview
+
+
+class Located(NamedTuple):
+    """
+    Messages of one topic within one buffer.
+
+    Parameters
+    ----------
+    slot : int
+        Number of the topic among those that are read.
+    content : bytes-like
+    offsets, lengths : ndarray of int, shape (N,)
+        All lie within the content: the reader has checked that.
+    log_ns, publish_ns : ndarray of int64, shape (N,)
+    """
+
+    slot: int
+    content: Content
+    offsets: Index
+    lengths: Index
+    log_ns: Stamps
+    publish_ns: Stamps
+
+
+class Decoded(NamedTuple):
+    """
+    What a decoder has read of messages, a row each.
+
+    Parameters
+    ----------
+    header_ns : ndarray of int64, shape (N,), or None
+        Header stamps as they stand, even if zero; None for types without a header.
+    values : ndarray, shape (N, k)
+        The scalars; or whatever else a decoder makes of a message, shape (N,).
+    sound : ndarray of bool, shape (N,)
+        Which of the messages could be decoded; stamps and values of others mean nothing.
+    """
+
+    header_ns: Stamps | None
+    values: NDArray[Any]
+    sound: NDArray[np.bool_]
+
+
+Decode = Callable[[Sequence[Located]], Decoded]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """
+    Messages of one topic, a row each, in the order of recording.
+
+    Parameters
+    ----------
+    topic : str
+    log_ns, publish_ns : ndarray of int64, shape (N,)
+    header_ns, values, sound
+        As a decoder gives them, see `Decoded`.
+    """
+
+    topic: str
+    log_ns: Stamps
+    publish_ns: Stamps
+    header_ns: Stamps | None
+    values: NDArray[Any]
+    sound: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.log_ns)
+
+    def __getitem__(self, rows: slice | Index) -> Columns:
+        return replace(self, log_ns=self.log_ns[rows], publish_ns=self.publish_ns[rows],
+                       header_ns=None if self.header_ns is None else self.header_ns[rows],
+                       values=self.values[rows], sound=self.sound[rows])
+
+    def followed_by(self, other: Columns) -> Columns:
+        """Return the rows of both."""
+        if not len(self) or not len(other):
+            return self if len(self) else other
+        headers = None if self.header_ns is None or other.header_ns is None else \
+            np.concatenate((self.header_ns, other.header_ns))
+        return Columns(self.topic, np.concatenate((self.log_ns, other.log_ns)),
+                       np.concatenate((self.publish_ns, other.publish_ns)), headers,
+                       np.concatenate((self.values, other.values)),
+                       np.concatenate((self.sound, other.sound)))
+
+
+@dataclass(frozen=True)
+class Block:
+    """
+    Messages of several topics that follow each other in a recording.
+
+    Parameters
+    ----------
+    which : ndarray of int, shape (M,)
+        Which of the columns each message belongs to, in the order of log time: it is the next
+        row there.
+    columns : tuple of Columns
+    """
+
+    which: Index
+    columns: tuple[Columns, ...]
+
+    @classmethod
+    def of(cls, found: Sequence[Located], topics: Sequence[str], decoders: Sequence[Decode]
+           ) -> Block:
+        """
+        Decode what a reader has found; by log time, and where that is equal by place.
+
+        Parameters
+        ----------
+        found : sequence of Located
+            In the order of the file; of one buffer there may be several, one after another.
+        topics : sequence of str
+            By slot.
+        decoders : sequence of Decode
+            By slot.
+        """
+        columns = []
+        for slot, (topic, decode) in enumerate(zip(topics, decoders, strict=True)):
+            own = [part for part in found if part.slot == slot]
+            columns.append(Columns(topic, _joined([part.log_ns for part in own]),
+                                   _joined([part.publish_ns for part in own]), *decode(own)))
+        buffers: dict[int, int] = {}
+        places: list[list[Index]] = [[] for _ in topics]
+        for part in found:
+            base = buffers.setdefault(id(part.content), len(buffers)) << 40
+            places[part.slot].append(part.offsets + base)
+        return cls._sorted(columns, [_joined(own) for own in places])
+
+    @classmethod
+    def _sorted(cls, columns: Sequence[Columns], places: Sequence[Stamps]) -> Block:
+        """Put rows in the order of log time, those of equal time in the order of place."""
+        which = np.repeat(np.arange(len(columns)), [len(c) for c in columns])
+        order = np.argsort(np.concatenate(places), kind='stable')
+        log = np.concatenate([c.log_ns for c in columns])[order]
+        if (log[1:] < log[:-1]).any():
+            order = order[np.argsort(log, kind='stable')]
+        which = which[order]
+        ordered, start = [], 0
+        for number, rows in enumerate(columns):
+            own = order[which == number] - start
+            start += len(rows)
+            ordered.append(rows if (own[1:] > own[:-1]).all() else rows[own])
+        return cls(which, tuple(ordered))
+
+    @property
+    def log_ns(self) -> Stamps:
+        """Log times of all messages [ns]."""
+        times = np.empty(len(self.which), np.int64)
+        for number, rows in enumerate(self.columns):
+            times[self.which == number] = rows.log_ns
+        return times
+
+    def __len__(self) -> int:
+        return len(self.which)
+
+    def split(self, at: int) -> tuple[Block, Block]:
+        """Return the first `at` messages and the others."""
+        counts = np.bincount(self.which[:at], minlength=len(self.columns)).tolist()
+        pairs = [(rows[:count], rows[count:])
+                 for rows, count in zip(self.columns, counts, strict=True)]
+        return (Block(self.which[:at], tuple(first for first, _ in pairs)),
+                Block(self.which[at:], tuple(rest for _, rest in pairs)))
+
+    def merged(self, other: Block) -> Block:
+        """Return the messages of both by log time; where that is equal, these before the other."""
+        if not len(self) or not len(other):
+            return self if len(self) else other
+        columns, places = [], []
+        for number, (first, second) in enumerate(zip(self.columns, other.columns, strict=True)):
+            columns.append(first.followed_by(second))
+            places += [np.flatnonzero(self.which == number),
+                       np.flatnonzero(other.which == number) + len(self)]
+        pairs = [np.concatenate(places[i:i + 2]) for i in range(0, len(places), 2)]
+        return self._sorted(columns, pairs)
+
+
+def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    return np.concatenate(parts) if parts else np.empty(0, np.int64)
