@@ -10,6 +10,7 @@ was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is ac
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 from typing import TYPE_CHECKING
@@ -72,6 +73,7 @@ def _run(argv: Sequence[str]) -> int:
         sys.stdout.reconfigure(errors='replace')
     try:
         args = _parser(argv).parse_args(argv)
+        args.command_line = shlex.join(('ctsid', *argv))
         code: int = args.command(args)
         sys.stdout.flush()
     except SystemExit as stop:  # argparse has printed why

@@ -57,8 +57,8 @@ def horizon(model: StateSpace) -> float:
     settling = -poles.real[poles.real < -_STILL * fastest]
     rising = poles.real[poles.real > _STILL * fastest]
     if len(rising):
-        return _UNSETTLED / float(rising.max())
-    slowest = float(settling.min()) if len(settling) else fastest / _SETTLED
+        return _UNSETTLED / float(np.max(rising))
+    slowest = float(np.min(settling)) if len(settling) else fastest / _SETTLED
     return min(_SETTLED / slowest, _LONGEST / fastest)
 
 

@@ -88,11 +88,16 @@ def write_results(folder: Path, contents: Mapping[str, str]) -> None:
     StorageError
         If a file cannot be written.
     """
-    from ctsid_core.model.storage import write_file
-
     for name in (MODEL, SERIES, TABLE, REPORT, PAGE):
         with suppress(OSError):
             (folder / name).unlink()
+    write_report(folder, contents)
+
+
+def write_report(folder: Path, contents: Mapping[str, str]) -> None:
+    """Write texts by file name, and leave other files alone; errors: as `write_results`."""
+    from ctsid_core.model.storage import write_file
+
     for name, text in contents.items():
         write_file(folder / name, text.encode(), force=True)
 
