@@ -85,7 +85,9 @@ def _run(argv: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except (CtsidError, OSError) as error:
-        print(f'ctsid: error: {error}', file=sys.stderr)
+        from ctsid_ros.report.words import lines
+
+        print(f'ctsid: error: {lines(str(error))}', file=sys.stderr)
         return 1
     except ImportError as error:
         missing = lacks_bag_package(error, 'reading bags')

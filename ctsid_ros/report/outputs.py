@@ -188,14 +188,14 @@ def corrupt_outputs(record: Record, settings: Settings) -> Mapping[int, tuple[Ar
         return {}
     found: dict[int, tuple[Array, Array]] = {}
     places = iter(part.y)
+    whole = list(_columns(record.outputs))
     for signal, spiky in zip(part.record.outputs, part.corrupt_y, strict=True):
         for column in range(signal.width):
             i, bad = next(places), spiky.mask[:, column]
             if bad.any():
-                times = signal.time[bad]
-                own, k = list(_columns(record.outputs))[i]
-                rows = np.searchsorted(own.time, times)
-                found[i] = times, own.values[rows][:, k]
+                own, k = whole[i]
+                rows = np.isin(own.time, signal.time[bad])
+                found[i] = own.time[rows], own.values[rows, k]
     return found
 
 

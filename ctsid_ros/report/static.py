@@ -135,7 +135,7 @@ def _draw(figure: Figure, axes: Axes, box: tuple[float, float, float, float], *,
             own.axvline(at, color=INK, linewidth=1.0, linestyle=(0, (5, 4)), alpha=0.6)
             own.text(at, 0.98, f' {cell(text)}', transform=own.get_xaxis_transform(), va='top')
         _limits(own, axes, limits)
-        shown = [line for line in own.get_lines() if not line.get_label().startswith('_')]
+        shown = [line for line in own.get_lines() if not str(line.get_label()).startswith('_')]
         if legend and shown:
             own.legend(handles=shown, loc='best', frameon=False)
     return own
@@ -172,7 +172,8 @@ def _curve(own: Any, curve: Curve) -> None:
     label = f' {name}' if name.startswith('_') else name or '_none'
     y = np.where(np.isfinite(curve.y), curve.y, np.nan)
     _around(own, curve, color)
-    line: dict[str, Any] = {'linewidth': curve.width, 'alpha': curve.opacity, 'color': color, 'label': label}
+    line: dict[str, Any] = {'linewidth': curve.width, 'alpha': curve.opacity, 'color': color,
+                            'label': label}
     if curve.kind == 'cross':
         own.plot(curve.x, y, 'x', markersize=8, markeredgewidth=2, color=color, label=label)
     elif curve.kind in ('cloud', 'dots'):

@@ -3,7 +3,7 @@
 Text that may come from a bag, made harmless for where it is shown.
 
 Names of topics, frames and units are written by others: they may hold markup, escape sequences of
-a terminal, formulas of a spreadsheet, or a megabyte of anything.
+a terminal, or a megabyte of anything.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ LONGEST = 1200      # characters of a paragraph
 LONGEST_CELL = 160  # ... of a cell of a table, a title, a label
 _CODE = re.compile(r'(?<!`)`([^`\n]+)`(?!`)')
 # What Markdown would take for markup; not the _ within a word, nor the [ ] around a unit.
-_MARKUP = re.compile(r'([\\`*<&|$~]|(?<!\w)_|_(?!\w)|\](?=[(\[:])|^[#>]|^[-+](?=\s))')
+_MARKUP = re.compile(r'([\\`*<&|$~]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[:])|^[#>]|^[-+](?=\s))')
 
 
 def printable(text: str, longest: int = LONGEST) -> str:
@@ -52,9 +52,3 @@ def markdown(text: str) -> str:
     """Return a paragraph for Markdown: markup stays text, `code` stays code."""
     return ''.join(f'`{piece}`' if code else _MARKUP.sub(r'\\\1', piece)
                    for piece, code in parts(text))
-
-
-def spreadsheet(text: str) -> str:
-    """Return the text of a cell of CSV, which no spreadsheet takes for a formula."""
-    text = printable(text, LONGEST_CELL)
-    return f"'{text}" if text[:1] in ('=', '+', '-', '@') else text

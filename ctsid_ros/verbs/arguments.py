@@ -172,7 +172,9 @@ def read_truth(args: argparse.Namespace) -> StateSpace | None:
 
 def say(text: str) -> None:
     """Print something that is not the result, to stderr."""
-    print(f'ctsid: {text}', file=sys.stderr, flush=True)
+    from ctsid_ros.report.words import lines
+
+    print(f'ctsid: {lines(text)}', file=sys.stderr, flush=True)
 
 
 def tell(value: Mapping[str, Any]) -> None:
