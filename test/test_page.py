@@ -14,6 +14,7 @@ import sys
 from bag_fixtures import write_rosbag2
 from flights import PARAMS, TRUTH, flight
 from markdown_it import MarkdownIt
+from marks import slow
 import numpy as np
 import pytest
 import yaml
@@ -21,7 +22,18 @@ import yaml
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
-from ctsid_ros.report.document import Bullets, Command, Headline, Section, to_markdown, to_text
+from ctsid_ros.report.document import (
+    Bullets,
+    Command,
+    Explorer,
+    Figure,
+    Gallery,
+    Headline,
+    Section,
+    to_markdown,
+    to_text,
+)
+from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import region
 from ctsid_ros.report.residual_figures import correlation, horizon_fits
@@ -146,7 +158,23 @@ def test_one_quantity_is_one_number(folder, capsys, monkeypatch):
     assert f'| rate | {percent(estimate.fit[0])} | {percent(estimate.held_out_fit[0])} |' in report
 
 
-def test_page_without_plotly_is_drawn_and_says_so(folder, monkeypatch, capsys):
+def test_page_without_plotly_is_drawn_and_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'plotly.offline', None)
+    x = np.arange(5.0)
+    figures = (Figure(Drawing((Axes([Curve(x, x, EVIL)], EVIL),)), EVIL, EVIL),
+               Figure(Drawing((Axes([Curve(x, x)]),), wide=True)))
+    page = to_html('t', [Section('Drawn', (Gallery(figures, 2),)),
+                         Section('One window', (Explorer(),))])
+    found = Tags(page)
+    assert not any(t in ('script', 'img', 'b') for t, _ in found.tags)
+    assert sum(t == 'svg' for t, _ in found.tags) == 3      # a wide one in two widths
+    assert 'One window' not in page                         # nothing can be clicked
+    assert 'pip install plotly' in page
+    assert '\x1b' not in page
+
+
+@pytest.mark.slow
+def test_whole_page_without_plotly(folder, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setitem(sys.modules, 'plotly.offline', None)
     code = main(['identify', 'bag', '--params', 'params.yaml', '--out', 'static', '--quiet'])
@@ -155,8 +183,46 @@ def test_page_without_plotly_is_drawn_and_says_so(folder, monkeypatch, capsys):
     found = Tags(page)
     assert not any(t in ('script', 'img') for t, _ in found.tags)
     assert sum(t == 'svg' for t, _ in found.tags) >= 9
-    assert 'pip install plotly' in page
     assert '\x1b' not in page
+
+
+@pytest.mark.slow
+def test_compare_and_simulate_write_pages_too(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(['compare', 'bag', '--params', 'params.yaml', '--out', 'compared',
+                 '--quiet']) in (0, 3)
+    page = Path('compared/report.html').read_text(encoding='utf-8')
+    for method in ('hd-pbsid', 'ct-pbsid', 'gobf'):
+        assert f'Measured and simulated, {method}' in page
+    assert '3 methods on bag' in page
+    assert '\x1b' not in capsys.readouterr().out
+
+
+def test_simulate_writes_a_page_with_its_numbers(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    words = ['simulate', 'res/model.json', 'bag', '--horizon', '1', '10', '--out', 'simulated']
+    assert main([*words, '--json', '--quiet', '--force']) == 0
+    told = json.loads(capsys.readouterr().out)
+    page = Path('simulated/report.html').read_text(encoding='utf-8')
+    shown = ' '.join(Tags(page).words)
+    assert re.search(r'These data, simulated: fit (\S+) %', shown)[1] == percent(told['fit'][0])
+    assert re.search(r'simulation fit \[%\]\s+(\S+)', shown)[1] == percent(told['fit'][0])
+    assert sorted(p.name for p in Path('simulated').iterdir()) == ['report.html', 'report.md']
+    assert main([*words, '--quiet']) == 1
+    assert 'add --force' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('suffix', ['.svg', *slow('.pdf', '.png')])
+def test_models_are_plotted_into_files(folder, suffix, capsys, tmp_path):
+    path = tmp_path / f'models{suffix}'
+    model = str(folder / 'res/model.json')
+    assert main(['plot', model, model, '-o', str(path)]) == 0
+    head = path.read_bytes()[:5]
+    assert head == {'.svg': b'<?xml', '.pdf': b'%PDF-', '.png': b'\x89PNG\r'}[suffix]
+    assert main(['plot', model, '-o', str(path)]) == 1
+    assert 'add --force' in capsys.readouterr().err
+    assert main(['plot', model, '-o', str(tmp_path / 'models.gif')]) == 1
+    assert '.pdf, .png, .svg' in capsys.readouterr().err
 
 
 def test_a_megabyte_of_name_is_cut():

@@ -6,10 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import textwrap
+from typing import TYPE_CHECKING
 
-from ctsid_ros.report.drawing import Drawing
 from ctsid_ros.report.tables import Table
 from ctsid_ros.report.words import cell, markdown, printable
+
+if TYPE_CHECKING:
+    from ctsid_ros.report.drawing import Drawing
 
 WIDTH = 99
 

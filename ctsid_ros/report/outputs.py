@@ -175,8 +175,8 @@ def gaps_of(signal: Signal) -> list[tuple[float, float]]:
     """Return the longest gaps of a signal in the order of time: intervals of many periods."""
     steps = np.diff(signal.time)
     places = np.flatnonzero(steps > _GAP * signal.period)
-    places = np.sort(places[np.argsort(-steps[places])][:_MOST_SPANS])
-    return [(float(signal.time[k]), float(signal.time[k + 1])) for k in places]
+    kept = sorted(places[np.argsort(-steps[places])][:_MOST_SPANS].tolist())
+    return [(float(signal.time[k]), float(signal.time[k + 1])) for k in kept]
 
 
 def corrupt_outputs(record: Record, settings: Settings) -> Mapping[int, tuple[Array, Array]]:

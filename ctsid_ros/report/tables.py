@@ -6,9 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
+from typing import TYPE_CHECKING
 
-from ctsid_core.linear.types import Array
 from ctsid_ros.report.words import cell, markdown
+
+if TYPE_CHECKING:
+    from ctsid_core.linear.types import Array
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@
         draw(entry.target);
       }
     }
-  }, { rootMargin: '600px' });
+  }, { rootMargin: '200px' });
   const plots = () => [...document.querySelectorAll('.plot')];
   plots().forEach((div) => seen.observe(div));
 
@@ -163,7 +163,7 @@
       figure.querySelector('h3').textContent = given.title;
       const div = figure.querySelector('.plot');
       div.figure = filled(given);
-      draw(div);
+      if (div.layout) draw(div); else seen.observe(div);
     });
     [...gallery.children].slice(one.figures.length).forEach((rest) => { rest.style.display = 'none'; });
   }
