@@ -19,7 +19,10 @@ import numpy as np
 import pytest
 import yaml
 
+from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
+from ctsid_core.model.verdict import Grade, Verdict
+from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
 from ctsid_ros.report.document import (
@@ -34,12 +37,14 @@ from ctsid_ros.report.document import (
     to_text,
 )
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
+from ctsid_ros.report.headline import Run, headline
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import region
 from ctsid_ros.report.residual_figures import correlation, horizon_fits
 from ctsid_ros.report.responses import bode_figures
 from ctsid_ros.report.spectra import spectra
-from ctsid_ros.report.tables import Table, percent
+from ctsid_ros.report.tables import Table, percent, pole_text
+from ctsid_ros.report.window_figures import Windows, changes, window_figure
 from ctsid_ros.report.words import lines, markdown, printable
 
 EVIL = '/<script>alert(1)</script>"\'><img src=x onerror=alert(1)>\x1b[31m`_*|$x\n# head\u202e=1+1'
@@ -171,6 +176,61 @@ def test_page_without_plotly_is_drawn_and_says_so(monkeypatch):
     assert 'One window' not in page                         # nothing can be clicked
     assert 'pip install plotly' in page
     assert '\x1b' not in page
+
+
+def test_windows_can_be_looked_at_one_by_one(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(['replay', 'bag', '--params', 'params.yaml', '--out', 'along', '--quiet']) == 0
+    page = Path('along/report.html').read_text(encoding='utf-8')
+    series = data_of(page, 'series') if 'id="series"' in page else pytest.skip('no plotly')
+    with Path('along/estimates.csv').open(encoding='utf-8') as stream:
+        rows = list(csv.DictReader(stream))
+    report = Path('along/report.md').read_text(encoding='utf-8')
+    assert len(series['windows']) == len(rows) == 3
+    for number, (shown, row) in enumerate(zip(series['windows'], rows, strict=True), 1):
+        told = dict(shown['facts'])
+        assert told['fit [%]'] == percent(float(row['fit_rate [%]']))
+        assert shown['grade'] == row['verdict']
+        assert pole_text(complex(float(row['pole2_re [rad/s]']),
+                                 float(row['pole2_im [rad/s]']))) in told['poles [rad/s]']
+        assert re.search(rf'\| {number} \| .* \| {told["fit [%]"]} \|', report)
+        for given in shown['figures']:
+            frame = series['frames'][given['frame']]
+            assert len(given['y']) == len(frame['data'])
+            for trace, y in zip(frame['data'][1:], given['y'][1:], strict=True):
+                assert 'x' in given or len(y) == len(trace['x'])
+    assert re.findall(r'of which the model is, simulated: fit (\S+) %', page) == [
+        percent(load_estimate('along/model.json').fit[0])]
+
+
+def test_a_change_of_the_plant_is_told_once_with_its_fits():
+    numbers = {'change_share': 0.4, 'change_fit_one_before': 45.2, 'change_fit_one_after': 69.7,
+               'change_fit_two_before': 98.94, 'change_fit_two_after': 98.9}
+    found = [Estimate(status=Status.CHANGED, settings=Settings(), statistics=numbers | {
+        'change_share': share}, verdict=Verdict(grade=Grade.REJECT, reason='x', change_cost=cost))
+        for share, cost in ((0.6, 20.0), (0.4, 53.7), (0.2, 30.0))]
+    starts = np.array([2.0, 4.0, 6.0])
+    windows = Windows(found, starts, starts + 10.0, np.full((3, 1), np.nan))
+    change, = changes(windows)
+    assert change.time == pytest.approx(8.0)
+    assert change.words == (
+        'The plant changed about 8.000 s after the start of the bag: one model fits 45.2 and '
+        '69.7 % before and after, two models 98.9 and 98.9 %; one model of both loses 54 points '
+        'of fit.')
+    marks = window_figure(windows).drawing.panels[0].marks
+    assert [text for _, text in marks] == ['change']
+
+
+@pytest.mark.parametrize(('status', 'command'), [
+    (Status.CHANGED, "ctsid identify 'my bag' --params p.yaml --start 1.0 --duration 4.0"),
+    (Status.NO_RESPONSE, "ctsid info 'my bag'"),
+    (Status.UNEXPLAINED, "ctsid compare 'my bag' --params p.yaml"),
+    (Status.TOO_SHORT, "ctsid identify 'my bag' --params p.yaml")])
+def test_a_rejection_says_what_to_try_next(status, command):
+    given = Estimate(status=status, settings=Settings(), statistics={'change_share': 0.4})
+    run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0))
+    assert headline(given, run).command == command
+    assert headline(given, run).grade == 'REJECT'
 
 
 @pytest.mark.slow

@@ -50,10 +50,16 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
     """Return the verdict of an estimate, and what to try next."""
     model = estimate.model or estimate.rejected_model
     own = [] if model is None else [
-        (f'fit of {", ".join(model.output_names)} [%]', fit_words(estimate.fit)),
+        (f'fit of {", ".join(model.output_names)}{_how(estimate)} [%]',
+         fit_words(estimate.fit)),
         ('held-out fit [%]', fit_words(estimate.held_out_fit)), ('order', str(model.n))]
     return Headline(estimate.verdict.grade.name, estimate.verdict.reason, _next(estimate, run),
                     (*own, *facts))
+
+
+def _how(estimate: Estimate) -> str:
+    predicts = any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices)
+    return ', predicted,' if predicts else ''
 
 
 def _next(estimate: Estimate, run: Run) -> str:

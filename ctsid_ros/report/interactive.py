@@ -8,6 +8,7 @@ fifth of it) and filled in by the page, so that they follow light, dark and prin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 import math
 from typing import Any
@@ -23,6 +24,9 @@ POINTS = 4000   # of a curve
 _GAP = 30.0     # pixels above each axes, for its title
 _BOTTOM = 46.0
 _DIGITS = 6
+# Numbers along a logarithmic axis of fewer decades than these; plotly's own would be small.
+_TICKS = ((0.5, (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8)), (1.2, (1, 2, 3, 5, 7)),
+          (2.6, (1, 2, 5)))
 
 
 def plotly_js() -> str | None:
@@ -71,18 +75,28 @@ def _across(panel: Axes, number: str, *, last: bool) -> dict[str, Any]:
     if number:
         axis['matches'] = 'x'
     if panel.x_log:
-        axis |= {'type': 'log', 'dtick': 1 if _decades(panel) > 1.5 else 'D1',
-                 'exponentformat': 'none', 'minorloglabels': 'complete'}
+        axis |= _log(panel.x_limits, [c.x for c in panel.curves])
     if panel.x_limits:
         low, high = panel.x_limits
         axis['range'] = [math.log10(low), math.log10(high)] if panel.x_log else [low, high]
     return axis
 
 
-def _decades(panel: Axes) -> float:
-    known = [c.x[np.isfinite(c.x) & (c.x > 0)] for c in panel.curves]
-    values = np.concatenate([*known, np.array(panel.x_limits or ())])
-    return math.log10(values.max() / values.min()) if len(values) else 0.0
+def _log(limits: tuple[float, float] | None, values: Sequence[Array]) -> dict[str, Any]:
+    """Return a logarithmic axis with numbers of full size, and enough of them."""
+    axis: dict[str, Any] = {'type': 'log', 'exponentformat': 'none', 'dtick': 1}
+    with np.errstate(invalid='ignore'):
+        known = np.concatenate([*(v[np.isfinite(v) & (v > 0.0)] for v in values),
+                                np.array(limits or ())])
+    if not len(known):
+        return axis
+    low, high = limits or (float(np.min(known)), float(np.max(known)))
+    for most, factors in _TICKS:
+        if math.log10(high / low) < most:
+            decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
+            ticks = [float(f'{f}e{d}') for d in decades for f in factors]
+            return axis | {'tickvals': ticks, 'ticktext': [f'{t:g}' for t in ticks]}
+    return axis
 
 
 def _up(panel: Axes, number: str, domain: tuple[float, float]) -> dict[str, Any]:
@@ -93,7 +107,7 @@ def _up(panel: Axes, number: str, domain: tuple[float, float]) -> dict[str, Any]
         'showgrid': not panel.bare,
         'title': {'text': _text(panel.y_label), 'standoff': 2}}
     if panel.y_log:
-        axis |= {'type': 'log', 'exponentformat': 'none', 'minorloglabels': 'complete'}
+        axis |= _log(panel.y_limits, [c.y for c in panel.curves])
     if panel.y_limits:
         low, high = panel.y_limits
         axis['range'] = [math.log10(low), math.log10(high)] if panel.y_log else [low, high]

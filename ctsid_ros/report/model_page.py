@@ -61,7 +61,12 @@ def output_section(shown: Shown, settings: Settings, estimate: Estimate | None =
     words: list[str] = []
     if estimate is not None and not shown.which:
         marks, words = _changed(shown, estimate)
-    return Section(f'Measured and simulated{shown.which}', (
+    how = shown.parts[0].how
+    if how != 'simulated':
+        words.append(f'No simulation explains these data: the outputs are {how}, from what was '
+                     'measured before, and the fits of the model are those of such predictions. '
+                     'Fit by horizon, below, shows how it simulates.')
+    return Section(f'Measured and {how.split()[0]}{shown.which}', (
         *words, Gallery(tuple(output_figures(shown.model, shown.record, shown.parts, shown.offset,
                                              settings, marks)))))
 
@@ -144,7 +149,8 @@ def residual_sections(shown: Shown, found: Validation, simulated: Array,
     """
     fits = horizon_fits(shown.model, shown.record) if fits is None else fits
     figures = residual_figures(shown.model, shown.record, found)
-    own = [horizon_figure(shown.model, fits, simulated)] if fits else []
+    level = simulated if shown.parts[-1].how == 'simulated' else found.fit
+    own = [horizon_figure(shown.model, fits, level)] if fits else []
     if own or figures:
         yield Section(f'Residuals{shown.which}', (
             'Residuals: measured less simulated outputs, with the trim refitted. Dashed: what '

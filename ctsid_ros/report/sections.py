@@ -109,10 +109,10 @@ def mode_table(found: Sequence[Mode]) -> Table:
                   'time constant [s]'), rows)
 
 
-def model_section(estimate: Estimate, title: str) -> Section:
-    """Return a model, accepted or rejected, with its verdict, poles and fits."""
+def model_section(estimate: Estimate, title: str, *, verdict: bool = True) -> Section:
+    """Return a model, accepted or rejected: its verdict if not yet told, poles and fits."""
     model = estimate.model or estimate.rejected_model
-    parts: list[str | Table | Bullets] = [verdict_text(estimate)]
+    parts: list[str | Table | Bullets] = [verdict_text(estimate)] if verdict else []
     if estimate.verdict.agreement is not None:
         parts.append(f'Cross-check: {estimate.verdict.agreement.words}')
     if model is None:
@@ -233,7 +233,8 @@ def window_section(results: Sequence[Result], start_ns: int, best: int = 0) -> S
     shown = thinned(rows, _MOST_ROWS, best)
     more = [f'{len(shown)} of {len(rows)} windows are shown; all are in `estimates.csv`.'] \
         if len(shown) < len(rows) else []
-    return Section('Windows in numbers', (Table(head, shown, (head[3], head[-1])), *more),
+    return Section('Models along the bag, in numbers',
+                   (Table(head, shown, (head[3], head[-1])), *more),
                    folded=True)
 
 

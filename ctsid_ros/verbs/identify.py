@@ -268,7 +268,8 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     return Outcome(sources, estimate, tuple(tests))
 
 
-def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
+def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = True
+              ) -> list[Section]:
     import numpy as np
 
     from ctsid_ros.report.dead_time import delay_words, looked_for
@@ -297,7 +298,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
                     *(channel_section(s.data, f'Signals of record {i}', brief=i == 1,
                                       delays=delays)
                       for i, s in enumerate(sources, 1))]
-    sections.append(model_section(estimate, title))
+    sections.append(model_section(estimate, title, verdict=verdict))
     if model:
         sections += [*(_test_section(t, model, outcome) for t in outcome.tests),
                      gain_section(model, estimate.covariance)]
@@ -330,7 +331,8 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
     found = _origin(outcome, args)
     run = run_of(args, str(out / MODEL), outcome.sources[0].span)
     first = headline(estimate, run, _facts(outcome))
-    numbers = [*_sections(outcome, truth), *_numbers(outcome), repeat_section(run, found)]
+    numbers = [*_sections(outcome, truth, verdict=False), *_numbers(outcome),
+               repeat_section(run, found)]
     write_results(out, {
         MODEL: to_json(estimate, found),
         REPORT: to_markdown(title, numbers, first),

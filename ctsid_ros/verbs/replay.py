@@ -123,7 +123,7 @@ class _Report:
     def model(self) -> StateSpace | None:
         return self.best.estimate.model or self.best.estimate.rejected_model
 
-    def sections(self) -> list[Section]:
+    def sections(self, *, verdict: bool = True) -> list[Section]:
         from ctsid_ros.report.dead_time import delay_words, looked_for
         from ctsid_ros.report.sections import (
             advice_section,
@@ -143,7 +143,7 @@ class _Report:
             self.played, delays=delay_words(estimate, self.played.config)),
                     window_section(self.results, self.zero_ns, self.number - 1),
                     status_section(self.results),
-                    self._best_section()]
+                    self._best_section(verdict=verdict)]
         if self.truth:
             sections.append(truth_section(estimate, self.results, self.truth))
         return [*sections, choice_section(estimate), complaint_section(self.notes),
@@ -154,12 +154,13 @@ class _Report:
         return 'the best on unseen data' if self.best.tested else \
             'the best on its own held-out data' if self.best.estimate.ok else 'the last one'
 
-    def _best_section(self) -> Section:
+    def _best_section(self, *, verdict: bool) -> Section:
         from ctsid_ros.report.sections import fit_table, model_section
 
         estimate, model = self.best.estimate, self.model
         section = model_section(estimate,
-                                f'Model of window {self.number}, {self._which()}: {MODEL}')
+                                f'Model of window {self.number}, {self._which()}: {MODEL}',
+                                verdict=verdict)
         if model is None:
             return section
         table = fit_table(estimate, model, next_fit=self.best.next_fit)
@@ -179,7 +180,7 @@ class _Report:
         run = run_of(self.args, str(out / MODEL), (next(span), next(span)))
         first = headline(estimate, run, self._facts())
         first = replace(first, sentence=f'{self._counted()} {first.sentence}')
-        numbers = [self._changes(), *self.sections()]
+        numbers = [self._changes(), *self.sections(verdict=False)]
         if self.model:
             numbers.append(bode_section(self.model, covariance=estimate.covariance))
         numbers.append(repeat_section(run, metadata))
