@@ -105,7 +105,8 @@ def test_verdict_and_command_come_first(folder):
     assert words.index('GOOD') < words.index('Try next') < words.index('Measured and simulated')
     assert 'ctsid simulate res/model.json ANOTHER_BAG' in words
     for drawn in ('residual of rate', 'coherence', 'time after the step', 'Fit by horizon',
-                  'correlation of the residuals', 'interval between samples'):
+                  'correlation of the residuals', 'interval between samples',
+                  'Samples that were used'):
         assert drawn in page, drawn
     assert 'ctsid identify bag --params params.yaml --out res' in words
     markdown_text = (folder / 'res/report.md').read_text(encoding='utf-8')

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import math
 
 import numpy as np
@@ -17,13 +17,15 @@ from ctsid_core.model.validation import Validation, prediction, simulation
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
+from ctsid_core.signals.samples import GroupCounts
+from ctsid_ros.ingest.counts import IngestCounts
 from ctsid_ros.report.document import Figure, Gallery, Section
 from ctsid_ros.report.outputs import Part, output_figures, raw_figures, sampling_figures
 from ctsid_ros.report.poles import pole_figure
 from ctsid_ros.report.residual_figures import horizon_figure, horizon_fits, residual_figures
 from ctsid_ros.report.responses import Bands, bode_figures, step_figures
 from ctsid_ros.report.spectra import spectra, supported_band
-from ctsid_ros.report.tables import percent
+from ctsid_ros.report.tables import Table, percent
 
 _COLUMNS = 3
 _NOTED = 2.0    # points of fit from which on a change is marked
@@ -159,11 +161,16 @@ def residual_sections(shown: Shown, found: Validation, simulated: Array,
             Gallery((*own, *figures), 3)))
 
 
-def sampling_section(record: Record, offset: float, which: str = '') -> Section:
-    """Return the intervals between the samples of each signal."""
+def sampling_section(record: Record, offset: float, counts: IngestCounts) -> Section:
+    """Return the intervals between the samples of each signal, and which were dropped."""
     figures = tuple(sampling_figures(record, offset))
-    return Section(f'Sampling{which}', (Gallery(figures, min(len(figures), _COLUMNS)),)
-                   if figures else ())
+    kinds = [f.name for f in fields(GroupCounts) if f.type in ('int', int)]
+    rows = tuple((name, *(str(getattr(channel.samples, kind)) for kind in kinds))
+                 for name, channel in counts.channels.items())
+    table = Table(('channel', *(kind.replace('_', ' ') for kind in kinds)), rows, ('channel',))
+    return Section('Sampling', (
+        *([Gallery(figures, min(len(figures), _COLUMNS))] if figures else []),
+        'Samples that were used, and those that were dropped, by the reason:', table))
 
 
 def simulated(model: StateSpace, record: Record, what: str, estimate: Estimate,

@@ -94,8 +94,7 @@ def output_figures(model: StateSpace, record: Record, parts: Sequence[Part], off
                   *inputs)
         words = '; '.join(f'{p.what}: fit {percent(p.fit[i])} %' for p in parts
                           if i < len(p.fit)) + '.'
-        figures.append(Figure(Drawing(panels, link='time', wide=True), words.capitalize()
-                              if words[0].islower() else words, name))
+        figures.append(Figure(Drawing(panels, link='time', wide=True), words, name))
     return figures
 
 
@@ -223,4 +222,5 @@ def sampling_figures(record: Record, offset: float) -> list[Figure]:
 
 def _jitter(steps: Array, usual: float) -> float:
     near = steps[steps <= _GAP * usual]
-    return float(near.std()) if len(near) else math.nan
+    jitter = float(near.std()) if len(near) else math.nan
+    return 0.0 if jitter < 1e-9 * usual else jitter

@@ -188,7 +188,8 @@ def _write(found: Sequence[Contender], data: Recorded, offset: float, args: argp
     folder = make_folder(args.out, args.bag, 'compare', force=args.force)
     write_report(folder, {REPORT: to_markdown(title, numbers, first),
                           PAGE: to_html(title, [*numbers[:1], *drawn,
-                                                sampling_section(record, offset), *numbers[1:]],
+                                                sampling_section(record, offset, data.counts),
+                                        *numbers[1:]],
                                         first)})
     say(f'wrote {folder / PAGE}')
 

@@ -389,7 +389,7 @@ def _drawn(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     )
 
     first = outcome.sources[0]
-    sampling = sampling_section(first.data.record, first.offset)
+    sampling = sampling_section(first.data.record, first.offset, first.data.counts)
     if outcome.model is None:
         return [raw_section(first.data.record, first.offset, outcome.config.settings), sampling]
     estimate = outcome.estimate

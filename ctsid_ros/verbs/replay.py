@@ -260,7 +260,7 @@ class _Report:
         offset = (record.epoch_ns - self.zero_ns) * 1e-9
         if self.model is None:
             return [*sections, raw_section(record, offset, settings),
-                    sampling_section(record, offset)]
+                    sampling_section(record, offset, self.played.counts)]
         part = simulated(self.model, record, f'Window {self.number}, of which the model is',
                          estimate, estimate.fit)
         shown = Shown(record, self.model, (part,), offset)
@@ -269,7 +269,7 @@ class _Report:
                                       estimate, self.truth)
         sections += residual_sections(shown, simulation(self.model, record, trim='refit'),
                                       part.fit)
-        return [*sections, sampling_section(record, offset)]
+        return [*sections, sampling_section(record, offset, self.played.counts)]
 
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,

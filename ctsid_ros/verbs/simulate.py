@@ -202,7 +202,7 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
     drawn = [output_section(shown, outcome.data.config.settings),
              *residual_sections(shown, found, found.fit, fits),
              *response_sections({'the model': (model, estimate.covariance)}, shown),
-             sampling_section(record, offset)]
+             sampling_section(record, offset, outcome.data.counts)]
     title = f'{bag_name([args.model])} on {bag_name(args.bag)}'
     folder = make_folder(args.out, args.bag, 'simulate', force=args.force)
     write_report(folder, {REPORT: to_markdown(title, numbers, first),
