@@ -234,6 +234,14 @@ def test_a_rejection_says_what_to_try_next(status, command):
     assert headline(given, run).grade == 'REJECT'
 
 
+def test_what_a_report_needs_is_asked_for_before_the_work(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr('ctsid_ros.replay.results.find_spec', lambda name: None)
+    assert main(['identify', 'bag', '--params', 'params.yaml', '--out', 'none', '--quiet']) == 1
+    assert 'pip install jinja2 matplotlib' in capsys.readouterr().err
+    assert not Path('none').exists()
+
+
 @pytest.mark.slow
 def test_whole_page_without_plotly(folder, monkeypatch):
     monkeypatch.chdir(folder)
