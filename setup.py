@@ -19,7 +19,8 @@ setup(
     maintainer='The ctsid developers',
     maintainer_email='ctsid@users.noreply.github.com',
     packages=find_packages(include=['ctsid_core*', 'ctsid_ros*']),
-    package_data={'ctsid_core': ['py.typed', 'model/*.json'], 'ctsid_ros': ['py.typed']},
+    package_data={'ctsid_core': ['py.typed', 'model/*.json'],
+                  'ctsid_ros': ['py.typed', 'report/page/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
@@ -29,7 +30,7 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=['numpy>=1.26', 'scipy', 'mcap', 'rosbags', 'lz4', 'zstandard',
-                      'PyYAML', 'rich'],
+                      'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly'],
     extras_require={
         'ros': ROS,
         'test': TEST,

@@ -10,6 +10,7 @@ was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is ac
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 from typing import TYPE_CHECKING
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
 VERBS = ('info', 'init', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study', 'show',
-         'export', 'params')  # modules of ctsid_ros.verbs
+         'export', 'plot', 'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
   ctsid info BAG                              what is in it
   ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
@@ -34,6 +35,7 @@ _EPILOG = """first steps:
   ctsid export MODEL --to c --rate 200 -o F.c the model as C, .mat, Simulink, YAML, ...
   ctsid advise BAG --params params.yaml       which excitation a better model needs
   ctsid compare BAG --params params.yaml      the models of all methods, side by side
+  ctsid plot MODEL... -o models.pdf           models in one figure
   ctsid study hd-vs-ct                        the published Monte Carlo study, repeated
 
 exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted
@@ -73,6 +75,7 @@ def _run(argv: Sequence[str]) -> int:
         sys.stdout.reconfigure(errors='replace')
     try:
         args = _parser(argv).parse_args(argv)
+        args.command_line = shlex.join(('ctsid', *argv))
         code: int = args.command(args)
         sys.stdout.flush()
     except SystemExit as stop:  # argparse has printed why
@@ -84,7 +87,9 @@ def _run(argv: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     except (CtsidError, OSError) as error:
-        print(f'ctsid: error: {error}', file=sys.stderr)
+        from ctsid_ros.report.words import lines
+
+        print(f'ctsid: error: {lines(str(error))}', file=sys.stderr)
         return 1
     except ImportError as error:
         missing = lacks_bag_package(error, 'reading bags')

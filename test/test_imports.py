@@ -48,10 +48,15 @@ USERS = {
     'mcap': ['ctsid_ros.recordings.*'],
     'rich': ['ctsid_ros.progress'],
     'rosbags': ['ctsid_ros.recordings.*'],
+    'jinja2': ['ctsid_ros.report.page'],
+    'markupsafe': ['ctsid_ros.report.page'],
+    'matplotlib': ['ctsid_ros.report.static', 'ctsid_ros.studies.network'],
+    'plotly': ['ctsid_ros.report.interactive'],
     'yaml': ['ctsid_ros.config.parameter_file', 'ctsid_ros.recordings.*', 'ctsid_ros.export.*'],
     'zstandard': ['ctsid_ros.recordings.*'],
     'numpy': ['ctsid_core*', 'ctsid_ros*'],
-    'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*', 'ctsid_ros.export.*'],
+    'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*', 'ctsid_ros.export.*',
+              'ctsid_ros.report.spectra', 'ctsid_ros.report.headline'],
 }
 
 

@@ -22,7 +22,8 @@ ROOT = Path(__file__).resolve().parent.parent
 NOT_SOURCE = shutil.ignore_patterns(
     '.*', 'build', 'install', 'log', 'results', '*.egg-info', '__pycache__')
 # pip's names of what setup.py requires and the node needs, by the rosdep keys of package.xml.
-ROSDEP = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'PyYAML': 'python3-yaml'}
+ROSDEP = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'PyYAML': 'python3-yaml',
+          'jinja2': 'python3-jinja2', 'matplotlib': 'python3-matplotlib'}
 LINTERS = ('ament_copyright', 'ament_flake8', 'ament_pep257', 'ament_xmllint')
 
 
@@ -76,7 +77,7 @@ def test_package_xml_names_what_setup_requires(manifest):
     comment = (ROOT / 'package.xml').read_text()
     assert {key for key in keys if key.startswith('python3-')} == set(ROSDEP.values())
     assert set(ROSDEP) < names
-    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich'}
+    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich', 'plotly'}
     assert [n for n in names - set(ROSDEP) if f'`{n}`' not in comment] == []
 
 

@@ -25,16 +25,13 @@ from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
 from ctsid_ros.progress import progress, time_left, working
 from ctsid_ros.replay.replay import Result
-from ctsid_ros.report.document import Bullets, Figure, Section, to_html, to_markdown, to_text
-from ctsid_ros.report.figures import (
-    bode_figures,
-    output_figures,
-    response_of,
-    response_std,
-    supported_band,
-    track_curve,
-    track_figures,
-)
+from ctsid_ros.report.document import Bullets, Figure, Section, to_markdown, to_text
+from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
+from ctsid_ros.report.drawing import thinned as fewer
+from ctsid_ros.report.interactive import figure
+from ctsid_ros.report.page import to_html
+from ctsid_ros.report.poles import track_curve
+from ctsid_ros.report.responses import bode_figures, response_of, response_std
 from ctsid_ros.report.sections import (
     advice_section,
     bode_section,
@@ -42,9 +39,11 @@ from ctsid_ros.report.sections import (
     truth_section,
     window_section,
 )
-from ctsid_ros.report.svg import Axes, Curve, draw, linear_ticks, log_ticks
+from ctsid_ros.report.spectra import supported_band
+from ctsid_ros.report.static import inline_svg
 from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.report.tracks import Mode, Track, match, modes, tracks
+from ctsid_ros.report.window_figures import Windows, window_figure
 
 GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.',
                excitation=(Excitation('torque', 0.1, 30.0, 12.0, 1.0, 0.01),),
@@ -91,8 +90,12 @@ def test_bode_bands_are_two_standard_deviations_and_no_wider_than_a_picture():
     gain, phase = (std[:, 0, 0] for std in response_std(TRUTH, omega, known))
     np.testing.assert_allclose(gain, 20 / math.log(10) * np.abs((0.001 / response).real))
     np.testing.assert_allclose(phase, np.degrees(np.abs((0.001 / response).imag)))
-    plain, banded = (bode_figures(TRUTH, (), None, c) for c in (None, known))
-    assert [f.svg.count('opacity="0.2"') for f in (*plain, *banded)] == [0, 0, 1, 1]
+    plain, banded = (bode_figures({'model': (TRUTH, c)})[0].drawing for c in (None, known))
+    assert [p.curves[0].low is None for p in (*plain.panels, *banded.panels)] == [
+        True, True, False, False]
+    curve = banded.panels[0].curves[0]
+    np.testing.assert_allclose(curve.high - curve.y, np.minimum(
+        2 * response_std(TRUTH, curve.x, known)[0][:, 0, 0], 20.0), rtol=1e-6)
     row = to_text([bode_section(TRUTH, 5, known)]).splitlines()[-1]
     assert row.count('±') == 2
 
@@ -108,15 +111,16 @@ def test_fits_poles_and_lists():
 TABLE = Table(('name', 'value'), (('a|b', '1.0'), ('<long>', '22.0')), ('name',))
 
 
-def test_table_in_three_renderings():
+def test_table_for_terminal_markdown_and_page():
     assert TABLE.text(0).splitlines() == [
         'name    value', '──────  ─────', 'a|b       1.0', '<long>   22.0']
     assert TABLE.markdown().splitlines() == [
-        '| name | value |', '| --- | ---: |', '| a\\|b | 1.0 |', '| <long> | 22.0 |']
-    root = ET.fromstring(TABLE.html().replace('class=wide', 'class="wide"').replace(
-        'class=l', 'class="l"'))
+        '| name | value |', '| --- | ---: |', '| a\\|b | 1.0 |', '| \\<long> | 22.0 |']
+    page = to_html('t', [Section('s', (TABLE,))])
+    root = ET.fromstring(page[page.index('<table>'):page.index('</table>') + 8])
     assert [[cell.text for cell in row] for row in root.iter('tr')] == [
         ['name', 'value'], ['a|b', '1.0'], ['<long>', '22.0']]
+    assert [cell.get('data-label') for cell in root.iter('td')] == ['name', 'value'] * 2
 
 
 def test_rows_are_thinned_evenly_with_both_ends():
@@ -133,7 +137,7 @@ class Checker(HTMLParser):
         self.texts: list[str] = []
 
     def handle_starttag(self, tag, attrs):
-        if tag != 'meta':
+        if tag not in ('meta', 'link'):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -151,15 +155,15 @@ def test_document_in_three_renderings():
         Section('First', ('A `word` & more.', TABLE, Bullets(('one', 'two <b>')))),
         Section('Detail', ('hidden on the terminal',), brief=False),
         Section('Empty', ()),
-        Section('Drawn', (Figure('<svg></svg>', 'a caption'),))]
+        Section('Drawn', (Figure(Drawing((Axes([]),)), 'a caption'),))]
     text, markdown = to_text(sections), to_markdown('Title', sections)
     assert text.startswith('First\n  A `word` & more.\n  name')
     assert 'Detail' not in text
     assert '  - two <b>' in text
-    assert markdown.startswith('# Title\n\n## First\n\nA `word` & more.\n\n| name |')
+    assert markdown.startswith('# Title\n\n## First\n\nA `word` \\& more.\n\n| name |')
     assert '## Detail' in markdown
     assert 'Empty' not in markdown + text
-    assert 'svg' not in markdown + text
+    assert 'Drawn' not in markdown + text
     checker = Checker()
     checker.feed(to_html('Title <1>', sections))
     assert checker.open == []
@@ -171,66 +175,65 @@ def test_document_in_three_renderings():
 # --- drawings
 
 
-def drawing(axes: Axes) -> ET.Element:
-    text = draw(axes)
-    assert 'nan' not in text
-    assert 'inf' not in text
-    return ET.fromstring(text)
-
-
-def path_points(element: ET.Element) -> np.ndarray:
-    return np.array([[float(v) for v in p.split()] for p in re.split('[ML]', element.get('d'))
-                     if p.strip('Z ')])
-
-
-def test_curve_is_where_its_values_are():
-    x, y = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 10.0, 5.0, -10.0])
-    (path,) = drawing(Axes([Curve(x, y)])).iter('path')
-    points = path_points(path)
-    across, up = points.T
-    np.testing.assert_allclose((across - across[0]) / (across[-1] - across[0]), x / 4, atol=1e-3)
-    np.testing.assert_allclose((up[1] - up) / (up[1] - up[-1]), (10 - y) / 20, atol=1e-2)
-    x = np.array([1.0, 10.0, 100.0])
-    (path,) = drawing(Axes([Curve(x, x)], x_log=True, y_log=True)).iter('path')
-    for values in path_points(path).T:
-        assert values[1] == pytest.approx((values[0] + values[2]) / 2, abs=0.1)
-
-
 def test_long_curves_keep_their_peaks_and_gaps():
     y = np.sin(np.arange(100_000) / 5000)
     y[54_321], y[70_000] = 7.0, math.nan
-    (path,) = drawing(Axes([Curve(np.arange(100_000.0), y)])).iter('path')
-    points = path_points(path)
-    assert len(points) < 2000
-    up = points[:, 1]
-    assert np.sum(up < up.min() + 0.2) == 1
-    y = np.array([1.0, 2.0, math.nan, 4.0, math.inf, 6.0, 7.0])
-    (path,) = drawing(Axes([Curve(np.arange(7.0), y)])).iter('path')
-    assert path.get('d').count('M') == 3
+    found = fewer(Curve(np.arange(100_000.0), y), 1500)
+    assert len(found.x) < 2000
+    assert np.nanmax(found.y) == 7.0
+    assert np.isnan(found.y).sum() == 1
+    dots = fewer(Curve(np.arange(100_000.0), y, kind='dots'), 1500)
+    assert len(dots.x) < 1600
+    assert np.nanmax(dots.y) == 7.0
+    assert np.mean(np.abs(dots.y) < 0.5) > 0.2        # not the extremes alone
 
 
-@pytest.mark.parametrize('axes', [
+ODD = [
     Axes([]), Axes([Curve(np.empty(0), np.empty(0))]), Axes([Curve(np.ones(3), np.ones(3))]),
     Axes([Curve(np.array([1.0]), np.array([2.0]), kind='both', low=np.array([1.0]),
                 high=np.array([3.0]))], y_log=True),
-    Axes([Curve(np.arange(3.0), np.array([-1.0, 0.0, math.nan]))], y_log=True, shade=(0.5, 9.0),
-         levels=[1.0, 2.0], title='a < b & "c"')])
-def test_odd_drawings_are_still_drawings(axes):
-    assert drawing(axes).tag == 'svg'
+    Axes([Curve(np.arange(3.0), np.array([-1.0, 0.0, math.nan]))], y_log=True,
+         spans=[Span(0.5, 9.0)], levels=[1.0, 2.0], title='a < b & "c" $x^'),
+    *(Axes([Curve(np.arange(1.0, 4.0), np.array([1.0, math.inf, 2.0]), '_<b>', kind=kind)],
+           marks=[(2.0, 'here')], x_log=True, x_limits=(1.0, 5.0), step=45.0, bare=True)
+      for kind in ('dots', 'dashed', 'cloud', 'cross', 'steps', 'stems'))]
 
 
-@pytest.mark.parametrize(('low', 'high'), [(0.0, 1.0), (-3.7, 12.9), (1e-6, 3e-6), (5e8, 9e8)])
-def test_ticks_are_round_and_inside(low, high):
-    ticks = np.array(linear_ticks(low, high))
-    assert 3 <= len(ticks) <= 8
-    assert (ticks >= low - 1e-9 * (high - low)).all()
-    assert (ticks <= high + 1e-9 * (high - low)).all()
-    step = ticks[1] - ticks[0]
-    np.testing.assert_allclose(np.diff(ticks), step)
-    assert any(math.isclose(step / 10 ** math.floor(math.log10(step)), k)
-               for k in (1, 2, 5, 10))
-    assert log_ticks(0.9, 110.0) == pytest.approx([1, 2, 5, 10, 20, 50, 100])
-    assert log_ticks(1e-4, 1e4) == pytest.approx([10.0 ** k for k in range(-4, 5)])
+def test_odd_drawings_are_drawn_by_matplotlib():
+    text = inline_svg(Drawing(tuple(ODD)), 350.0)
+    assert ET.fromstring(text.replace('xlink:', '')).tag.endswith('svg')
+    assert 'a &lt; b &amp; "c" $x^' in text
+    assert '#1769c4' not in text                          # the page has its own colours
+    assert 'var(--c1)' in text
+
+
+def test_odd_drawings_are_figures_of_plotly():
+    go = pytest.importorskip('plotly.graph_objects')
+
+    def named(value):
+        """Colours are filled in by the page."""
+        if isinstance(value, dict):
+            return {k: named(v) for k, v in value.items()}
+        if isinstance(value, list):
+            return [named(v) for v in value]
+        return 'red' if isinstance(value, str) and value.startswith('--') else value
+
+    found = named(figure(Drawing(tuple(ODD))))
+    drawn = go.Figure(found)                              # raises where plotly knows better
+    assert len(drawn.data) == 11
+    assert 'a &lt; b &amp; "c" $x^' in drawn.layout.annotations[0].text
+    assert drawn.data[-1].name == '_&lt;b&gt;'
+    assert 'NaN' not in repr(found)
+
+
+def test_axes_above_each_other_share_their_x():
+    found = figure(Drawing((Axes([Curve(np.arange(3.0), np.arange(3.0))], height=100.0),
+                            Axes([], x_label='t [s]', height=200.0))))['layout']
+    assert found['xaxis2']['matches'] == 'x'
+    assert not found['xaxis']['showticklabels']
+    assert found['xaxis2']['title']['text'] == 't [s]'
+    tall, low = (np.ptp(found[a]['domain']) for a in ('yaxis2', 'yaxis'))
+    assert tall == pytest.approx(2 * low, rel=1e-3)
 
 
 def test_response_is_that_of_scipy_with_a_continuous_phase():
@@ -261,18 +264,6 @@ def test_supported_band_ends_where_noise_begins():
     assert supported_band(few) is None
 
 
-def test_figures_of_a_diverged_simulation_are_drawings():
-    times = np.arange(100.0)
-    y = np.sin(times)[:, np.newaxis]
-    wild = np.exp(np.minimum(times, 800) * 5)[:, np.newaxis]
-    wild[-1] = math.inf
-    found = Validation(times=times, y=y, y_hat=wild, fit=np.array([-math.inf]), vaf=np.zeros(1),
-                       x0=np.zeros(2))
-    for figure in (*output_figures(TRUTH, found, 0.0, 'x'), *bode_figures(TRUTH)):
-        assert 'nan' not in figure.svg
-        ET.fromstring(figure.svg)
-
-
 # --- poles
 
 
@@ -301,15 +292,26 @@ def test_tracks_join_windows_and_end_where_a_mode_is_lost():
     assert [m.pole for m in found[0].modes] == pytest.approx([-1, -1.05, -1, -1.05])
 
 
-def test_track_figures_show_every_window_and_the_truth():
+def seen(estimates) -> Windows:
+    starts = np.array([e.start_ns * 1e-9 for e in estimates])
+    ends = np.array([e.end_ns * 1e-9 for e in estimates])
+    return Windows(estimates, starts, ends, np.full((len(estimates), 1), np.nan))
+
+
+def test_window_figure_shows_every_window_and_the_truth():
     estimates = [estimate(shifted(TRUTH, 0.1 * i), start=i) for i in range(5)]
-    figures = track_figures(estimates, np.arange(5.0), TRUTH)
-    assert len(figures) == 2
-    for figure in figures:
-        root = ET.fromstring(figure.svg)
-        assert len(list(root.iter('circle'))) == 5
-        assert figure.svg.count('stroke-dasharray="5 4"') == 1
-    assert track_figures([estimate(None, status=Status.GAPS)], np.zeros(1)) == []
+    panels = {p.title: p for p in window_figure(seen(estimates), TRUTH).drawing.panels}
+    assert list(panels) == ['verdict', 'fit [%]', 'natural frequency [rad/s]',
+                            'damping ratio of the oscillating modes']
+    assert len(panels['natural frequency [rad/s]'].curves[0].x) == 5
+    assert len(panels['natural frequency [rad/s]'].levels) == 1
+    assert len(panels['verdict'].spans) == 1            # neighbours of one kind together
+    gaps = estimate(None, status=Status.GAPS, fit=np.empty(0), start=5)
+    (strip, _, *rest) = window_figure(seen([gaps])).drawing.panels
+    assert (strip.spans[0].text, rest) == ('REJECT', [])
+    strip = window_figure(seen([*estimates, gaps, gaps])).drawing.panels[0]
+    assert [s.text for s in strip.spans] == ['GOOD', 'REJECT']
+    assert strip.spans[0].high == strip.spans[1].low
 
 
 def test_bands_are_two_standard_deviations():
@@ -467,22 +469,13 @@ def test_an_estimate_without_a_model_is_told_once():
 def test_bands_are_shaded_for_each_input():
     two = replace(TRUTH, B=np.hstack([TRUTH.B] * 2), D=np.zeros((1, 2)), delay=(0.0, 0.0),
                   input_names=('a', 'b'), input_units=('', ''))
-    first, _, second, _ = bode_figures(two, [(0.5, 2.0), (10.0, 40.0)])
-    places = [re.search(r'<rect x="([\d.]+)" y="[\d.]+" width="([\d.]+)"[^>]*--shade', f.svg)
-              for f in (first, second)]
-    assert float(places[0][1]) < float(places[0][1]) + float(places[0][2]) < float(places[1][1])
-    assert '--shade' not in bode_figures(two, [None, (1.0, 2.0)])[0].svg
-
-
-def test_the_simulated_line_does_not_hide_the_measured_one():
-    t = np.linspace(0.0, 1.0, 50)
-    found = Validation(times=t, y=t[:, None], y_hat=t[:, None], fit=np.array([97.7]),
-                       vaf=np.zeros(1), x0=np.zeros(2))
-    figure, = output_figures(TRUTH, found, 0.0, 'x', np.array([95.04]))
-    widths = [float(w) for w in re.findall(r'<path[^>]*stroke-width="([\d.]+)"', figure.svg)]
-    assert widths[0] > 3 * widths[1]  # drawn first, behind
-    assert figure.caption.endswith('Fit: 95.0 %.')
-    assert output_figures(TRUTH, found, 0.0, 'x')[0].caption.endswith('Fit: 97.7 %.')
+    figures = bode_figures({'model': (two, None)}, [(0.5, 2.0), (10.0, 40.0)])
+    assert [f.title for f in figures] == ['a → rate', 'b → rate']
+    assert [[(s.low, s.high) for s in p.spans] for f in figures for p in f.drawing.panels] == [
+        [(0.5, 2.0)], [(0.5, 2.0)], [(10.0, 40.0)], [(10.0, 40.0)]]
+    first, second = bode_figures({'model': (two, None)}, [None, (1.0, 2.0)])
+    assert not first.drawing.panels[0].spans
+    assert second.drawing.panels[0].spans
 
 
 def test_choices_are_told_in_the_files_only():

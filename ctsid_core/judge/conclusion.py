@@ -73,7 +73,8 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
                *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds,
-                    'change_cost': change.cost, 'change_share': _share(part, change)},
+                    'change_cost': change.cost, 'change_share': _share(part, change),
+                    **_fits_beside(change)},
         records=_shares(solution) if part.several else ())
 
 
@@ -179,6 +180,13 @@ def _share(part: Joint, change: Change) -> float:
     own = part.parts[change.record]
     at = own.record.start + change.share * own.record.duration
     return float((at - own.whole.start) / own.whole.duration)
+
+
+def _fits_beside(change: Change) -> dict[str, float]:
+    """Return the fits of one model and of two, before and after the change [%]."""
+    return {f'change_fit_{who}_{when}': fit for who, fits in (('one', change.one),
+                                                              ('two', change.two))
+            for when, fit in zip(('before', 'after'), fits, strict=True)}
 
 
 def _shares(solution: Solution) -> tuple[RecordShare, ...]:

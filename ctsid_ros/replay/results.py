@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 import re
 from typing import TYPE_CHECKING
@@ -40,8 +41,9 @@ def make_folder(out: str | None, bags: Sequence[str], method: str, *, force: boo
     Raises
     ------
     StorageError
-        If it exists, or cannot be made or written to.
+        If it exists, or cannot be made or written to, or what a report needs is not installed.
     """
+    _check_packages()
     if out is None:
         stamp = datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')
         folder = Path('results') / f'{bag_name(bags)}-{method}-{stamp}'
@@ -68,6 +70,19 @@ def make_folder(out: str | None, bags: Sequence[str], method: str, *, force: boo
     return folder
 
 
+def _check_packages() -> None:
+    """Raise `StorageError` before the work, not after it, if the report could not be written."""
+    def lacks(name: str) -> bool:
+        return find_spec(name) is None
+
+    drawn = 'matplotlib' if lacks('plotly') and lacks('matplotlib') else ''
+    missing = [name for name in ('jinja2' * lacks('jinja2'), drawn) if name]
+    if missing:
+        keys = ' '.join(f'python3-{name}' for name in missing)
+        raise StorageError(f'the report needs {" and ".join(missing)}; install with: python3 -m '
+                           f'pip install {" ".join(missing)} (keys of rosdep: {keys})')
+
+
 @contextmanager
 def results_folder(out: str | None, bags: Sequence[str], method: str, *, force: bool
                    ) -> Iterator[Path]:
@@ -89,12 +104,17 @@ def write_results(folder: Path, contents: Mapping[str, str]) -> None:
     StorageError
         If a file cannot be written.
     """
-    from ctsid_core.model.storage import write_file
-
     own = [folder / name for name in (MODEL, SERIES, TABLE, REPORT, PAGE, TOPICS_BAG)]
     for path in (*own, *folder.glob('estimates-[2-9].mcap')):  # further parts, see BagWriter
         with suppress(OSError):
             path.unlink()
+    write_report(folder, contents)
+
+
+def write_report(folder: Path, contents: Mapping[str, str]) -> None:
+    """Write texts by file name, and leave other files alone; errors: as `write_results`."""
+    from ctsid_core.model.storage import write_file
+
     for name, text in contents.items():
         write_file(folder / name, text.encode(), force=True)
 

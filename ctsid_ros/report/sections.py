@@ -13,18 +13,25 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, gain_deviation
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import ResidualTests, Validation
-from ctsid_core.model.verdict import Excitation, Grade
+from ctsid_core.model.validation import ResidualTests
+from ctsid_core.model.verdict import Grade
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
-from ctsid_ros.report.figures import (
-    bode_figures,
+from ctsid_ros.report.responses import (
     frequencies,
-    label,
     response_of,
     response_std,
-    supported_band,
 )
-from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
+from ctsid_ros.report.tables import (
+    Table,
+    fit_words,
+    join,
+    label,
+    number,
+    percent,
+    plus_minus,
+    pole_text,
+    thinned,
+)
 from ctsid_ros.report.tracks import Mode, match, modes, modes_of
 
 if TYPE_CHECKING:
@@ -51,7 +58,7 @@ def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float
     for index, (bag, start, end) in enumerate(records, 1):
         own = shares.get(index)
         rows.append((str(index), bag, f'{start:.1f}', f'{end:.1f}',
-                     _fits(own.fit) if own else '-',
+                     fit_words(own.fit) if own else '-',
                      number(1.0 / own.weight, 2) if own else 'left out'))
     head = ('record', 'bag', 'from [s]', 'to [s]', 'fit [%]', 'noise')
     words = [] if not shares else [
@@ -102,10 +109,10 @@ def mode_table(found: Sequence[Mode]) -> Table:
                   'time constant [s]'), rows)
 
 
-def model_section(estimate: Estimate, title: str) -> Section:
-    """Return a model, accepted or rejected, with its verdict, poles and fits."""
+def model_section(estimate: Estimate, title: str, *, verdict: bool = True) -> Section:
+    """Return a model, accepted or rejected: its verdict if not yet told, poles and fits."""
     model = estimate.model or estimate.rejected_model
-    parts: list[str | Table | Bullets] = [verdict_text(estimate)]
+    parts: list[str | Table | Bullets] = [verdict_text(estimate)] if verdict else []
     if estimate.verdict.agreement is not None:
         parts.append(f'Cross-check: {estimate.verdict.agreement.words}')
     if model is None:
@@ -189,7 +196,7 @@ def bode_section(model: StateSpace, points: int = 13,
     head = ('frequency [rad/s]', '[Hz]', *columns)
     rows = tuple((number(w), number(w / (2 * math.pi), 3),
                   *(v[k] for v in columns.values())) for k, w in enumerate(omega))
-    return Section('Frequency response in numbers', (Table(head, rows),))
+    return Section('Frequency response in numbers', (Table(head, rows),), folded=True)
 
 
 def _with_std(values: Array, std: Array) -> list[str]:
@@ -201,23 +208,6 @@ def _with_std(values: Array, std: Array) -> list[str]:
 def _decimals(std: float) -> int:
     """Return how many decimals belong beside a deviation of two digits."""
     return min(max(1 - math.floor(math.log10(std)), 1), 4) if 0 < std < math.inf else 1
-
-
-def response_section(model: StateSpace, found: Validation, truth: StateSpace | None,
-                     covariance: Covariance | None = None,
-                     excitation: Sequence[Excitation] = ()) -> Section:
-    """Return the Bode diagrams, shaded where the data support the response to each input."""
-    words = []
-    if len(excitation) == model.nu:
-        bands = [(x.low, x.high) if x.high > x.low else None for x in excitation]
-        words = ['Shaded: the excited band of each input, as in the table of the verdict. Beyond '
-                 'it the model extrapolates.']
-    else:
-        bands = [supported_band(found)] * model.nu
-        words = ['Shaded: the frequencies at which the model explains more than half of the power '
-                 'of an output. Beyond them it extrapolates.'] if any(bands) else []
-    words += ['The bands around the curves are two standard deviations.'] if covariance else []
-    return Section('Frequency response', (*words, *bode_figures(model, bands, truth, covariance)))
 
 
 def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
@@ -243,7 +233,9 @@ def window_section(results: Sequence[Result], start_ns: int, best: int = 0) -> S
     shown = thinned(rows, _MOST_ROWS, best)
     more = [f'{len(shown)} of {len(rows)} windows are shown; all are in `estimates.csv`.'] \
         if len(shown) < len(rows) else []
-    return Section('Models along the bag', (Table(head, shown, (head[3], head[-1])), *more))
+    return Section('Models along the bag, in numbers',
+                   (Table(head, shown, (head[3], head[-1])), *more),
+                   folded=True)
 
 
 def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
@@ -254,12 +246,8 @@ def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
         else f'none: {estimate.status.name}'
     poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''
     order = str(estimate.model.n) if estimate.model else '-'
-    return (str(index), *span, estimate.verdict.grade.name, order, _fits(estimate.fit),
-            _fits(result.next_fit), poles)
-
-
-def _fits(values: Array) -> str:
-    return ' / '.join(percent(v) for v in values) if len(values) else '-'
+    return (str(index), *span, estimate.verdict.grade.name, order, fit_words(estimate.fit),
+            fit_words(result.next_fit), poles)
 
 
 def status_section(results: Sequence[Result]) -> Section:

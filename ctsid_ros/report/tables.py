@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One table, three renderings: text for a terminal, Markdown, HTML; and numbers for people."""
+"""One table for terminal, Markdown and page; and numbers for people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 import math
+from typing import TYPE_CHECKING
+
+from ctsid_ros.report.words import cell, markdown
+
+if TYPE_CHECKING:
+    from ctsid_core.linear.types import Array
 
 
 @dataclass(frozen=True)
@@ -31,32 +36,21 @@ class Table:
 
     def text(self, indent: int = 2) -> str:
         """Return aligned lines for a terminal."""
-        widths = [max(map(len, column)) for column in zip(self.head, *self.rows, strict=True)]
-        rule = tuple('─' * width for width in widths)
+        head, *rows = ([cell(text) for text in row] for row in (self.head, *self.rows))
+        widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+        rule = ['─' * width for width in widths]
         lines = []
-        for row in (self.head, rule, *self.rows):
-            cells = (cell.ljust(width) if name in self.left else cell.rjust(width)
-                     for cell, width, name in zip(row, widths, self.head, strict=True))
+        for row in (head, rule, *rows):
+            cells = (text.ljust(width) if name in self.left else text.rjust(width)
+                     for text, width, name in zip(row, widths, self.head, strict=True))
             lines.append((' ' * indent + '  '.join(cells)).rstrip())
         return '\n'.join(lines)
 
     def markdown(self) -> str:
         """Return a table of Markdown."""
         rule = ('---' if name in self.left else '---:' for name in self.head)
-        lines = ['| ' + ' | '.join(cell.replace('|', '\\|') for cell in row) + ' |'
-                 for row in (self.head, tuple(rule), *self.rows)]
-        return '\n'.join(lines)
-
-    def html(self) -> str:
-        """Return a table of HTML."""
-        def line(row: Sequence[str], tag: str) -> str:
-            cells = (f'<{tag}{" class=l" if name in self.left else ""}>{escape(cell)}</{tag}>'
-                     for cell, name in zip(row, self.head, strict=True))
-            return f'<tr>{"".join(cells)}</tr>'
-
-        body = '\n'.join(line(row, 'td') for row in self.rows)
-        return (f'<div class=wide><table>\n<thead>{line(self.head, "th")}</thead>\n'
-                f'<tbody>\n{body}\n</tbody></table></div>')
+        head, *rows = ([markdown(cell(text)) for text in row] for row in (self.head, *self.rows))
+        return '\n'.join(f'| {" | ".join(row)} |' for row in (head, list(rule), *rows))
 
 
 def thinned(rows: Sequence[tuple[str, ...]], most: int, keep: int = 0
@@ -103,3 +97,13 @@ def join(words: Sequence[str]) -> str:
     """Return words as a list in a sentence."""
     return words[0] if len(words) == 1 else ', '.join(words[:-1]) + ' and ' + words[-1] \
         if words else ''
+
+
+def label(name: str, unit: str) -> str:
+    """Return a name with its unit."""
+    return f'{name} [{unit}]' if unit else name
+
+
+def fit_words(values: Array) -> str:
+    """Return the fits of all outputs [%]."""
+    return ' / '.join(percent(v) for v in values) if len(values) else '-'

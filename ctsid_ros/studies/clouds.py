@@ -9,7 +9,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.statespace import StateSpace
-from ctsid_ros.report.svg import Axes, Curve
+from ctsid_ros.report.drawing import Axes, Curve
 from ctsid_ros.studies.monte_carlo import Outcome
 
 _SHOWN = 15      # curves; the band tells of all runs

@@ -16,10 +16,11 @@ import numpy as np
 
 from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.linear.types import Array
-from ctsid_ros.report.svg import Axes, Curve
+from ctsid_ros.report.drawing import Axes, Curve, Span
+from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.experiments import second_order
-from ctsid_ros.studies.figure_files import write_drawings, write_table
+from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.runner import arguments
 
 HIGHEST = 200
@@ -58,7 +59,8 @@ def whole_basis() -> Axes:
                *(Curve(np.full(2, x), np.array([-1.0, 1.0]), label, 0, 'dashed')
                  for x, label in ((-edge, 'effective support'), (edge, '')))]
     return Axes(curves, title='[HD] figure 2: basis of order 200', x_label='t',
-                y_label='h_n(t)', shade=(-edge, edge), y_limits=(-0.8, 0.8), height=300.0)
+                y_label='h_n(t)', spans=(Span(-edge, edge, 2),), y_limits=(-0.8, 0.8),
+                height=300.0)
 
 
 def ball() -> Axes:

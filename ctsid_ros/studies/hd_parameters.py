@@ -17,11 +17,11 @@ from functools import partial
 import numpy as np
 
 from ctsid_core.settings import Settings
-from ctsid_ros.report.svg import Axes
+from ctsid_ros.report.drawing import Axes
+from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.clouds import error_bars
 from ctsid_ros.studies.experiments import from_rest, second_order
-from ctsid_ros.studies.figure_files import write_drawings
 from ctsid_ros.studies.hd_robustness import METHODS
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, outcome, summary
 from ctsid_ros.studies.runner import Task, arguments, conclude, keeping

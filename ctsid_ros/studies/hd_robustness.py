@@ -18,11 +18,11 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
+from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.bounds import output_error_bound
 from ctsid_ros.studies.clouds import bode, eigenvalues
 from ctsid_ros.studies.experiments import from_rest, second_order
-from ctsid_ros.studies.figure_files import write_drawings
 from ctsid_ros.studies.monte_carlo import Outcome, of_poles, outcome, summary
 from ctsid_ros.studies.runner import arguments, conclude, keeping
 

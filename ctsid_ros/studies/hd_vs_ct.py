@@ -16,10 +16,10 @@ from functools import partial
 from pathlib import Path
 
 from ctsid_core.settings import Settings
+from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.clouds import eigenvalues
 from ctsid_ros.studies.experiments import quadrotor
-from ctsid_ros.studies.figure_files import write_drawings
 from ctsid_ros.studies.monte_carlo import Outcome, Summary, of_poles, summary
 from ctsid_ros.studies.runner import arguments, conclude, keeping
 from ctsid_ros.studies.table1 import PUBLISHED, SNRS, one

@@ -26,13 +26,14 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.subspace.gobf_equations import KINKS, filter_records, observe, realise
-from ctsid_ros.report.svg import Axes, Curve
+from ctsid_ros.report.drawing import Axes, Curve
+from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.clouds import phase
-from ctsid_ros.studies.figure_files import write_csv, write_drawings, write_svg
+from ctsid_ros.studies.figure_files import write_csv
 from ctsid_ros.studies.local_polynomials import local_polynomials
 from ctsid_ros.studies.monte_carlo import Outcome, compared
-from ctsid_ros.studies.network import network
+from ctsid_ros.studies.network import draw_network
 from ctsid_ros.studies.runner import Task, arguments, conclude, keeping
 
 PERIOD, COUNT, ORDER = 0.005, 400, 4
@@ -164,7 +165,7 @@ def _error_curves(errors: dict[tuple[str, str], Array], way: str) -> list[Axes]:
 def draw(out: Path, models: dict[tuple[str, str], ComplexArray],
          errors: dict[tuple[str, str], Array]) -> None:
     """Draw the figures of the paper."""
-    write_svg(out / 'tm_figure_1.svg', *network(4))
+    draw_network(out / 'tm_figure_1.svg', 4)
     write_drawings(out / 'tm_filters.svg', _filters())
     write_drawings(out / 'tm_figure_2.svg', _samples())
     for way in WAYS:

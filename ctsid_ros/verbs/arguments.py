@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.recordings.playback import Interval
+    from ctsid_ros.report.headline import Run
 
 ACCEPTED, NO_MODEL, INTERRUPTED = 0, 3, 130
 _DAY = 86_400 * 10**9
@@ -99,6 +100,13 @@ def add_results(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--force', action='store_true', help='replace the results in that folder')
 
 
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """Add the folder of a report, of verbs that write no model."""
+    parser.add_argument('--out', metavar='DIR', help='folder for report.md and report.html '
+                        '[default: none is written]')
+    parser.add_argument('--force', action='store_true', help='replace the report in that folder')
+
+
 def add_style(parser: argparse.ArgumentParser, *, quiet: bool = True) -> None:
     """Add how to print the result."""
     parser.add_argument('--json', action='store_true',
@@ -145,6 +153,14 @@ def read_params(path: str) -> Config:
         raise SettingsError(faults) from None
 
 
+def run_of(args: argparse.Namespace, model: str = '',
+           span: tuple[float, float] = (0.0, math.inf)) -> Run:
+    """Return what a report says of its making: the command line, bags, parameters, model."""
+    from ctsid_ros.report.headline import Run
+
+    return Run(args.command_line, tuple(args.bag), args.params, model, span)
+
+
 def read_truth(args: argparse.Namespace) -> StateSpace | None:
     """Return the model that --truth names, if it is given."""
     if not args.truth:
@@ -156,7 +172,9 @@ def read_truth(args: argparse.Namespace) -> StateSpace | None:
 
 def say(text: str) -> None:
     """Print something that is not the result, to stderr."""
-    print(f'ctsid: {text}', file=sys.stderr, flush=True)
+    from ctsid_ros.report.words import lines
+
+    print(f'ctsid: {lines(text)}', file=sys.stderr, flush=True)
 
 
 def tell(value: Mapping[str, Any]) -> None:

@@ -19,11 +19,15 @@ from ctsid_ros.verbs.arguments import (
     add_bag,
     add_interval,
     add_params,
+    add_report,
     add_style,
     config_for,
     interval_of,
     named,
+    run_of,
+    say,
     tell,
+    zero_ns,
 )
 
 if TYPE_CHECKING:
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_core.settings import Settings
     from ctsid_core.signals.record import Record
+    from ctsid_ros.recordings.playback import Recorded
 
 HELP = 'identify one interval of a bag by all methods, side by side'
 EPILOG = ('example: ctsid compare flight.mcap --params params.yaml --duration 20\n'
@@ -46,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag(parser)
     add_params(parser)
     add_interval(parser)
+    add_report(parser)
     add_style(parser)
 
 
@@ -86,8 +92,12 @@ def command(args: argparse.Namespace) -> int:
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
         notes = (*bag.notes, *data.complaints)
+        epoch_ns = data.record.epoch_ns
+        offset = (epoch_ns - zero_ns(bag, epoch_ns)) * 1e-9
     with progress('identifying', quiet=args.quiet) as advance:
         found = compare(data.record, config.settings, advance)
+    if args.out is not None:
+        _write(found, data, offset, args, notes)
     if args.json:
         tell({'verb': 'compare', 'bag': named(args.bag), 'reference': _reference(found),
               'notes': notes, 'methods': [_document(c) for c in found]})
@@ -127,6 +137,66 @@ def compare(record: Record, settings: Settings, advance: Advance = silent) -> li
         if first is None and model is not None:
             first, settings = estimate, settings.replace(delay=model.delay)
     return found
+
+
+def _write(found: Sequence[Contender], data: Recorded, offset: float, args: argparse.Namespace,
+           notes: tuple[str, ...]) -> None:
+    """Write the report."""
+    from dataclasses import replace
+
+    from ctsid_core.settings import METHODS
+    from ctsid_ros.replay.results import (
+        PAGE,
+        REPORT,
+        bag_name,
+        make_folder,
+        origin,
+        write_report,
+    )
+    from ctsid_ros.report.document import to_markdown
+    from ctsid_ros.report.headline import headline, repeat_section
+    from ctsid_ros.report.model_page import (
+        Shown,
+        output_section,
+        raw_section,
+        response_sections,
+        sampling_section,
+        simulated,
+    )
+    from ctsid_ros.report.page import to_html
+    from ctsid_ros.report.sections import complaint_section
+
+    record, settings, run = data.record, data.config.settings, run_of(args)
+    with_model = [c for c in found if c.model is not None]
+    lead = next((c for c in with_model if c.estimate.ok), (*with_model, *found)[0])
+    first = headline(lead.estimate, run, [('methods that agree', _agreeing(found))])
+    first = replace(first, sentence=f'{lead.method}: {first.sentence}',
+                    command=run.command('identify') if lead.estimate.ok else first.command)
+    drawn = [raw_section(record, offset, settings)]
+    if lead.model is not None:
+        models = {c.method: (c.model, c.estimate.covariance) for c in with_model
+                  if c.model is not None}
+        parts = [simulated(c.model, record, c.method, c.estimate, c.estimate.fit)
+                 for c in with_model if c.model is not None]
+        every = [Shown(record, c.model, (part,), offset, f', {c.method}')
+                 for c, part in zip(with_model, parts, strict=True) if c.model is not None]
+        drawn = [*response_sections(models, every[0], lead.estimate),
+                 *(output_section(shown, settings) for shown in every)]
+    numbers = [*_sections(found), complaint_section(notes), repeat_section(run, origin(
+        data.config, args.bag, {'start': args.start, 'duration': args.duration}))]
+    title = f'{len(METHODS)} methods on {bag_name(args.bag)}'
+    folder = make_folder(args.out, args.bag, 'compare', force=args.force)
+    write_report(folder, {REPORT: to_markdown(title, numbers, first),
+                          PAGE: to_html(title, [*numbers[:1], *drawn,
+                                                sampling_section(record, offset, data.counts),
+                                        *numbers[1:]],
+                                        first)})
+    say(f'wrote {folder / PAGE}')
+
+
+def _agreeing(found: Sequence[Contender]) -> str:
+    asked = [c.agreement for c in found if c.agreement is not None]
+    return f'{sum(a.agrees for a in asked)} of {len(asked)}'
 
 
 def _reference(found: Sequence[Contender]) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import json
 import math
 from pathlib import Path
@@ -25,7 +25,7 @@ from ctsid_ros.replay.results import (
     results_folder,
     write_results,
 )
-from ctsid_ros.report.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.report.document import Section, to_markdown, to_text
 from ctsid_ros.report.tables import Table, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -41,6 +41,7 @@ from ctsid_ros.verbs.arguments import (
     named,
     read_params,
     read_truth,
+    run_of,
     say,
     seconds,
     span,
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from ctsid_core.signals.record import Record
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.playback import Interval, Recorded
+    from ctsid_ros.report.model_page import Shown
 
 HELP = 'identify one model from one or several recordings'
 EPILOG = ('example: ctsid identify flight.mcap --params params.yaml --test-from 60\n'
@@ -266,7 +268,8 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     return Outcome(sources, estimate, tuple(tests))
 
 
-def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
+def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = True
+              ) -> list[Section]:
     import numpy as np
 
     from ctsid_ros.report.dead_time import delay_words, looked_for
@@ -295,7 +298,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
                     *(channel_section(s.data, f'Signals of record {i}', brief=i == 1,
                                       delays=delays)
                       for i, s in enumerate(sources, 1))]
-    sections.append(model_section(estimate, title))
+    sections.append(model_section(estimate, title, verdict=verdict))
     if model:
         sections += [*(_test_section(t, model, outcome) for t in outcome.tests),
                      gain_section(model, estimate.covariance)]
@@ -318,30 +321,55 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
 
 def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
            truth: StateSpace | None) -> None:
-    from ctsid_core.advice.advice import advise
     from ctsid_core.model.storage import save_series, to_json
-    from ctsid_core.model.validation import residual_tests
-    from ctsid_ros.report.experiment import experiment_section
-    from ctsid_ros.report.sections import bode_section, residual_section
+    from ctsid_ros.report.headline import headline, repeat_section
+    from ctsid_ros.report.page import to_html
 
     estimate, title = outcome.estimate, f'One model of {bag_name(args.bag)}'
     if len(outcome.sources) > 1:
         title = f'One model of {len(outcome.sources)} records'
-    sections = _sections(outcome, truth)
-    if outcome.model:
-        for number, record in _shown(outcome):
-            own = estimate.trimmed(outcome.model, number)
-            sections.append(residual_section(residual_tests(own, record), own))
-        if len(outcome.sources) == 1:
-            advice = advise(estimate, outcome.sources[0].learnt)
-            sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
-        sections.append(bode_section(outcome.model, covariance=estimate.covariance))
+    found = _origin(outcome, args)
+    run = run_of(args, str(out / MODEL), outcome.sources[0].span)
+    first = headline(estimate, run, _facts(outcome))
+    numbers = [*_sections(outcome, truth, verdict=False), *_numbers(outcome),
+               repeat_section(run, found)]
     write_results(out, {
-        MODEL: to_json(estimate, _origin(outcome, args)),
-        REPORT: to_markdown(title, sections),
-        PAGE: to_html(title, [*sections[:2], *_figures(outcome, truth), *sections[2:]])})
+        MODEL: to_json(estimate, found),
+        REPORT: to_markdown(title, numbers, first),
+        PAGE: to_html(title, [*_drawn(outcome, truth), *numbers], first)})
     for name in (SERIES, TABLE):
         save_series(out / name, [estimate], force=True)
+
+
+def _facts(outcome: Outcome) -> list[tuple[str, str]]:
+    from ctsid_ros.report.tables import fit_words
+
+    return [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
+                                         if len(outcome.sources) > 1 else ''),
+             fit_words(t.test.fit)) for t in outcome.tests]
+
+
+def _numbers(outcome: Outcome) -> list[Section]:
+    """Return what is too long for the terminal."""
+    from ctsid_core.advice.advice import advise
+    from ctsid_core.model.validation import residual_tests
+    from ctsid_ros.report.experiment import experiment_section
+    from ctsid_ros.report.sections import bode_section, residual_section
+
+    estimate, model, sections = outcome.estimate, outcome.model, []
+    if model is None:
+        return []
+    for number, record in _shown(outcome):
+        own = estimate.trimmed(model, number)
+        tests = residual_tests(own, record)
+        if len(outcome.sources) == 1 and not outcome.tests:   # the same data: the same number
+            tests = replace(tests, whiteness=estimate.verdict.whiteness)
+        sections.append(residual_section(tests, own))
+    if len(outcome.sources) == 1:
+        advice = advise(estimate, outcome.sources[0].learnt)
+        sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
+    sections.append(bode_section(model, covariance=estimate.covariance))
+    return sections
 
 
 def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
@@ -350,31 +378,46 @@ def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
             for i, s in enumerate(outcome.sources[:_MOST_DRAWN], 1)]
 
 
-def _figures(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
-    model, sections = outcome.model, []
-    if model is None:
-        return []
+def _drawn(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     from ctsid_core.model.validation import simulation
-    from ctsid_ros.report.figures import output_figures
-    from ctsid_ros.report.sections import response_section
+    from ctsid_ros.report.model_page import (
+        output_section,
+        raw_section,
+        residual_sections,
+        response_sections,
+        sampling_section,
+    )
 
-    found = None
-    for number, record in _shown(outcome):
-        source = outcome.sources[number - 1]
-        own = outcome.estimate.trimmed(model, number)
-        seen = simulation(own, record)
-        found = found or seen
-        what = 'The data it was identified from' if source.tested is None else \
-            'Data the model has not seen'
-        title = 'Measured and simulated' + (
-            f', record {number}' if len(outcome.sources) > 1 else '')
-        fit = None if source.tested is not None else _fit_on(outcome.estimate, number)
-        sections.append(Section(title, tuple(
-            output_figures(own, seen, source.offset, what, fit))))
-    if found:
-        sections.append(response_section(model, found, truth, outcome.estimate.covariance,
-                                         outcome.estimate.verdict.excitation))
-    return sections
+    first = outcome.sources[0]
+    sampling = sampling_section(first.data.record, first.offset, first.data.counts)
+    if outcome.model is None:
+        return [raw_section(first.data.record, first.offset, outcome.config.settings), sampling]
+    estimate = outcome.estimate
+    shown = [_of_record(outcome, number) for number, _ in _shown(outcome)]
+    sections = [output_section(one, outcome.config.settings, estimate) for one in shown]
+    sections += response_sections({'identified': (outcome.model, estimate.covariance)}, shown[0],
+                                  estimate, truth)
+    last = shown[0].parts[-1]
+    tested = first.tested or first.data.record
+    own = replace(shown[0], record=tested)
+    sections += residual_sections(own, simulation(own.model, tested, trim='refit'), last.fit)
+    return [*sections, sampling]
+
+
+def _of_record(outcome: Outcome, number: int) -> Shown:
+    """Return a record with what the model makes of what it has learnt from, and of the rest."""
+    from ctsid_ros.report.model_page import Shown, simulated
+    from ctsid_ros.report.outputs import Part
+
+    source, several = outcome.sources[number - 1], len(outcome.sources) > 1
+    assert outcome.model is not None
+    own = outcome.estimate.trimmed(outcome.model, number)
+    parts = [simulated(own, source.learnt, 'The data it was identified from', outcome.estimate,
+                       _fit_on(outcome.estimate, number))]
+    parts += [Part('Data the model has not seen (shaded), simulated', t.test, t.test.fit)
+              for t in outcome.tests if t.source is source]
+    return Shown(source.data.record, own, parts, source.offset,
+                 f', record {number}' if several else '')
 
 
 def _fit_on(estimate: Estimate, number: int) -> Array:

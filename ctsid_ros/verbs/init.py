@@ -9,6 +9,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from ctsid_ros.report.tables import number
+from ctsid_ros.report.words import cell, printable
 from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, say
 
 if TYPE_CHECKING:
@@ -64,12 +65,13 @@ def _head(guessed: Guess, bags: list[str], name: str) -> str:
     others = guessed.others[:_MOST_OTHERS]
     if others:
         lines += ['#', *_comment('These move as well (standard deviation in brackets):'), '#']
-        lines += [f'#   {topic}  {path}  ({number(std, 3)})' for topic, path, std in others]
+        lines += [f'#   {cell(topic)}  {cell(path)}  ({number(std, 3)})'
+                  for topic, path, std in others]
         if len(guessed.others) > len(others):
             lines.append(f'#   ... and {len(guessed.others) - len(others)} more: ctsid info')
     return '\n'.join([*lines, '#', ''])
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, 99, initial_indent='# ', subsequent_indent='# ',
+    return textwrap.wrap(printable(text), 99, initial_indent='# ', subsequent_indent='# ',
                          break_long_words=False, break_on_hyphens=False)

@@ -22,7 +22,7 @@ from ctsid_ros.replay.results import (
     results_folder,
     write_results,
 )
-from ctsid_ros.report.document import Section, to_html, to_markdown, to_text
+from ctsid_ros.report.document import Bullets, Section, to_markdown, to_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     INTERRUPTED,
@@ -37,6 +37,7 @@ from ctsid_ros.verbs.arguments import (
     interval_of,
     named,
     read_truth,
+    run_of,
     say,
     tell,
     zero_ns,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.replay.replay import Replay, Result
+    from ctsid_ros.report.window_figures import Windows
 
 HELP = 'identify models in sliding windows along a bag'
 EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results/flight
@@ -125,7 +127,7 @@ class _Report:
     def model(self) -> StateSpace | None:
         return self.best.estimate.model or self.best.estimate.rejected_model
 
-    def sections(self) -> list[Section]:
+    def sections(self, *, verdict: bool = True) -> list[Section]:
         from ctsid_ros.report.dead_time import delay_words, looked_for
         from ctsid_ros.report.sections import (
             advice_section,
@@ -145,20 +147,24 @@ class _Report:
             self.played, delays=delay_words(estimate, self.played.config)),
                     window_section(self.results, self.zero_ns, self.number - 1),
                     status_section(self.results),
-                    self._best_section()]
+                    self._best_section(verdict=verdict)]
         if self.truth:
             sections.append(truth_section(estimate, self.results, self.truth))
         return [*sections, choice_section(estimate), complaint_section(self.notes),
                 advice_section(estimate, self.best.next_fit, self.played.complaints,
                                delay_sought=looked_for(estimate, settings))]
 
-    def _best_section(self) -> Section:
+    def _which(self) -> str:
+        return 'the best on unseen data' if self.best.tested else \
+            'the best on its own held-out data' if self.best.estimate.ok else 'the last one'
+
+    def _best_section(self, *, verdict: bool) -> Section:
         from ctsid_ros.report.sections import fit_table, model_section
 
         estimate, model = self.best.estimate, self.model
-        what = 'the best on unseen data' if self.best.tested else \
-            'the best on its own held-out data' if estimate.ok else 'the last one'
-        section = model_section(estimate, f'Model of window {self.number}, {what}: {MODEL}')
+        section = model_section(estimate,
+                                f'Model of window {self.number}, {self._which()}: {MODEL}',
+                                verdict=verdict)
         if model is None:
             return section
         table = fit_table(estimate, model, next_fit=self.best.next_fit)
@@ -167,22 +173,62 @@ class _Report:
     def write(self, out: Path) -> None:
         from ctsid_core.model.storage import save_series, to_json
         from ctsid_ros.export.estimates_bag import write_estimates
+        from ctsid_ros.report.explorer import series
+        from ctsid_ros.report.headline import headline, repeat_section
+        from ctsid_ros.report.page import to_html
         from ctsid_ros.report.sections import bode_section
 
+        estimate = self.best.estimate
         metadata = origin(self.played.config, self.args.bag, {
             'start': self.args.start, 'duration': self.args.duration, 'window': self.number})
-        sections = self.sections()
+        span = ((t - self.zero_ns) * 1e-9 for t in (estimate.start_ns, estimate.end_ns))
+        run = run_of(self.args, str(out / MODEL), (next(span), next(span)))
+        first = headline(estimate, run, self._facts())
+        first = replace(first, sentence=f'{self._counted()} {first.sentence}')
+        numbers = [self._changes(), *self.sections(verdict=False)]
         if self.model:
-            sections.append(bode_section(self.model, covariance=self.best.estimate.covariance))
+            numbers.append(bode_section(self.model, covariance=estimate.covariance))
+        numbers.append(repeat_section(run, metadata))
         title = f'Models along {bag_name(self.args.bag)}'
-        write_results(out, {MODEL: to_json(self.best.estimate, metadata),
-                            REPORT: to_markdown(title, sections),
-                            PAGE: to_html(title, [*sections[:2], *self._figures(),
-                                                  *sections[2:]])})
+        write_results(out, {MODEL: to_json(estimate, metadata),
+                            REPORT: to_markdown(title, numbers, first),
+                            PAGE: to_html(title, [*self._drawn(), *numbers], first,
+                                          series(self.windows))})
         for name in (SERIES, TABLE):
             save_series(out / name, [r.estimate for r in self.results],
                         columns=self._columns(), force=True)
         write_estimates(out / TOPICS_BAG, self.played.config, [r.tracked for r in self.results])
+
+    def _counted(self) -> str:
+        """Return how many windows got which verdict, and of which one the model is."""
+        grades = [r.estimate.verdict.grade.name for r in self.results]
+        counts = ', '.join(f'{grades.count(g)} {g}' for g in dict.fromkeys(grades))
+        count = f'{len(grades)} window{"s" if len(grades) > 1 else ""}: {counts}.'
+        return f'{count} Kept is the model of window {self.number}, {self._which()}.'
+
+    def _facts(self) -> list[tuple[str, str]]:
+        from ctsid_ros.report.tables import fit_words
+
+        return [('next fit [%]', fit_words(self.best.next_fit)),
+                ('window', f'{self.number} of {len(self.results)}')]
+
+    def _changes(self) -> Section:
+        from ctsid_ros.report.window_figures import changes
+
+        found = tuple(change.words for change in changes(self.windows))
+        return Section('Changes of the plant', (Bullets(found),) if found else (), brief=False)
+
+    @property
+    def windows(self) -> Windows:
+        """The windows as they are drawn."""
+        import numpy as np
+
+        from ctsid_ros.report.window_figures import Windows
+
+        estimates = [r.estimate for r in self.results]
+        starts, ends = ((np.array([getattr(e, key) - self.zero_ns for e in estimates]) * 1e-9)
+                        for key in ('start_ns', 'end_ns'))
+        return Windows(estimates, starts, ends, np.array([r.next_fit for r in self.results]))
 
     def _columns(self) -> dict[str, Sequence[float]]:
         """Return what the series has beside the estimates."""
@@ -196,28 +242,40 @@ class _Report:
             columns[f'next_fit_{name} [%]'] = [float(r.next_fit[i]) for r in self.results]
         return columns
 
-    def _figures(self) -> list[Section]:
-        import numpy as np
-
+    def _drawn(self) -> list[Section]:
         from ctsid_core.model.validation import simulation
-        from ctsid_ros.report.figures import output_figures, track_figures
-        from ctsid_ros.report.sections import response_section
+        from ctsid_ros.report.document import Explorer, Figure, Gallery
+        from ctsid_ros.report.model_page import (
+            Shown,
+            output_section,
+            raw_section,
+            residual_sections,
+            response_sections,
+            sampling_section,
+            simulated,
+        )
+        from ctsid_ros.report.window_figures import gain_figures, window_figure
 
-        middles = np.array([(r.estimate.start_ns + r.estimate.end_ns) / 2 - self.zero_ns
-                            for r in self.results]) * 1e-9
-        sections = [Section('Poles along the bag', tuple(track_figures(
-            [r.estimate for r in self.results], middles, self.truth)))]
-        if self.model:
-            record = self.run.record(self.number - 1)
-            found = simulation(self.model, record)
-            offset = (record.epoch_ns - self.zero_ns) * 1e-9
-            sections += [
-                Section('Measured and simulated', tuple(output_figures(
-                    self.model, found, offset, f'Window {self.number}, of which the model is',
-                    self.best.estimate.fit))),
-                response_section(self.model, found, self.truth, self.best.estimate.covariance,
-                                 self.best.estimate.verdict.excitation)]
-        return sections
+        estimate, settings, windows = self.best.estimate, self.played.config.settings, self.windows
+        along: Figure = window_figure(windows, self.truth)
+        gains = tuple(gain_figures(windows))
+        sections = [Section('Models along the bag', (along, *([Gallery(gains, min(len(gains), 3))]
+                                                              if gains else []))),
+                    Section('One window', (Explorer(self.number - 1),))]
+        record = self.run.record(self.number - 1)
+        offset = (record.epoch_ns - self.zero_ns) * 1e-9
+        if self.model is None:
+            return [*sections, raw_section(record, offset, settings),
+                    sampling_section(record, offset, self.played.counts)]
+        part = simulated(self.model, record, f'Window {self.number}, of which the model is',
+                         estimate, estimate.fit)
+        shown = Shown(record, self.model, (part,), offset)
+        sections.append(output_section(shown, settings, estimate))
+        sections += response_sections({'identified': (self.model, estimate.covariance)}, shown,
+                                      estimate, self.truth)
+        sections += residual_sections(shown, simulation(self.model, record, trim='refit'),
+                                      part.fit)
+        return [*sections, sampling_section(record, offset, self.played.counts)]
 
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,

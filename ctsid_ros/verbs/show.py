@@ -74,7 +74,7 @@ def _response(model: StateSpace | None) -> dict[str, Any] | None:
         return None
     import numpy as np
 
-    from ctsid_ros.report.figures import frequencies
+    from ctsid_ros.report.responses import frequencies
 
     omega = frequencies(model, count=100)
     response = model.frequency_response(omega)

@@ -18,10 +18,13 @@ from ctsid_ros.verbs.arguments import (
     add_bag,
     add_interval,
     add_params,
+    add_report,
     add_style,
     interval_of,
     named,
     read_params,
+    run_of,
+    say,
     steps,
     tell,
     zero_ns,
@@ -54,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'has another operating point), model = those of the model [default refit]')
     parser.add_argument('--rejected', action='store_true',
                         help='simulate a model that was rejected, too; the exit code is 3 then')
+    add_report(parser)
     add_style(parser)
 
 
@@ -88,6 +92,8 @@ def command(args: argparse.Namespace) -> int:
         notes = (*bag.notes, *data.complaints,
                  *(note for v in outcome.predicted.values() for note in v.notes))
     why = '' if estimate.ok else estimate.verdict.reason
+    if args.out is not None:
+        _write(estimate, outcome, args, notes)
     if args.json:
         tell({**_document(outcome, args, notes), 'accepted': estimate.ok,
               'reason': estimate.verdict.reason})
@@ -154,6 +160,60 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
     title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
     return [Section(title, (Table(('output', *columns), rows, ('output',)), _trim(args.trim))),
             channel_section(outcome.data), complaint_section(notes)]
+
+
+def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
+           notes: tuple[str, ...]) -> None:
+    """Write the report."""
+    import numpy as np
+
+    from ctsid_ros.replay.results import (
+        PAGE,
+        REPORT,
+        bag_name,
+        make_folder,
+        origin,
+        write_report,
+    )
+    from ctsid_ros.report.document import Headline, to_markdown
+    from ctsid_ros.report.headline import repeat_section
+    from ctsid_ros.report.model_page import (
+        Shown,
+        output_section,
+        residual_sections,
+        response_sections,
+        sampling_section,
+    )
+    from ctsid_ros.report.outputs import Part
+    from ctsid_ros.report.page import to_html
+    from ctsid_ros.report.tables import fit_words
+
+    model, record, found = outcome.model, outcome.data.record, outcome.simulated
+    run = run_of(args)
+    offset = outcome.first - record.start
+    words = (f'The model explains {fit_words(found.fit)} % of {", ".join(model.output_names)} '
+             'here, simulated from the inputs alone; its own data, '
+             f'{fit_words(estimate.fit)} %. {estimate.verdict.reason}')
+    first = Headline(estimate.verdict.grade.name, words, run.command('identify'),
+                     (('simulation fit [%]', fit_words(found.fit)),
+                      ('VAF [%]', fit_words(found.vaf))))
+    shown = Shown(record, model, (Part('These data, simulated', found, found.fit),), offset)
+    fits: dict[float, Array] = {}
+    for k, ahead in outcome.predicted.items():
+        fits[k * max(s.period for s in record.outputs)] = ahead.fit
+    fits = dict(sorted(fits.items())) if all(np.isfinite(list(fits))) else {}
+    metadata = origin(outcome.data.config, args.bag, {'start': outcome.first,
+                                                      'end': outcome.last})
+    numbers = [*_sections(outcome, args, notes), repeat_section(run, metadata)]
+    drawn = [output_section(shown, outcome.data.config.settings),
+             *residual_sections(shown, found, found.fit, fits),
+             *response_sections({'the model': (model, estimate.covariance)}, shown),
+             sampling_section(record, offset, outcome.data.counts)]
+    title = f'{bag_name([args.model])} on {bag_name(args.bag)}'
+    folder = make_folder(args.out, args.bag, 'simulate', force=args.force)
+    write_report(folder, {REPORT: to_markdown(title, numbers, first),
+                          PAGE: to_html(title, [*drawn, *numbers], first)})
+    say(f'wrote {folder / PAGE}')
 
 
 def _trim(trim: str) -> str:

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page shows of one window of a series when it is clicked, for all windows, briefly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import math
+from typing import Any
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.step_response import horizon, step_response
+from ctsid_ros.report.drawing import Axes, Curve, Drawing
+from ctsid_ros.report.interactive import figure, numbers
+from ctsid_ros.report.poles import region
+from ctsid_ros.report.responses import frequencies, response_of, response_std
+from ctsid_ros.report.tables import fit_words, label, number, plus_minus, pole_text
+from ctsid_ros.report.tracks import modes_of
+from ctsid_ros.report.window_figures import Windows
+from ctsid_ros.report.words import cell, printable
+
+_POINTS = 32            # of a curve
+_NEAR = (0.85, 0.92, 0.97, 1.0, 1.03, 1.09, 1.18)    # of a resonance
+_OUTLINE = 4            # every so many points of the outline of a region are kept
+_DIGITS = 4
+_OF_PAIR = 1400         # bytes that an input and an output take in a window ...
+_MOST = 1_000_000       # ... and that all may take
+_WIDEST = 20.0          # half the width of a band [dB]
+
+
+def series(windows: Windows) -> dict[str, Any]:
+    """Return frames that all windows share, and what is filled in for each."""
+    models = [e.model or e.rejected_model for e in windows.estimates]
+    known = [m for m in models if m is not None]
+    if not known:
+        return {'frames': [], 'windows': [_item(windows, k, []) for k in range(len(models))]}
+    first = known[0]
+    pairs = [(i, j) for i in range(first.ny) for j in range(first.nu)]
+    pairs = pairs[:max(int(_MOST / (_OF_PAIR * len(models))), 1)]
+    every = [frequencies(m, count=2) for m in known]
+    omega = _shown([m for m in known if m.n == first.n], every)
+    length = float(np.median([horizon(m) + max(m.delay, default=0.0) for m in known]))
+    times = np.linspace(0.0, length, _POINTS)
+    frames = _frames(first, pairs, omega, times)
+    items = []
+    for k, (estimate, model) in enumerate(zip(windows.estimates, models, strict=True)):
+        filled = _filled(estimate, model, pairs, omega, times) if model is not None and (
+            model.ny, model.nu) == (first.ny, first.nu) else []
+        items.append(_item(windows, k, filled))
+    return {'frames': frames, 'windows': items}
+
+
+def _shown(models: Sequence[StateSpace], ends: Sequence[Array]) -> Array:
+    """Return frequencies for all windows, closer where the median mode oscillates."""
+    wide = np.geomspace(float(np.median([w[0] for w in ends])),
+                        float(np.median([w[-1] for w in ends])), _POINTS)
+    swinging = [float(np.median([abs(m.poles[k]) for m in models]))
+                for k, p in enumerate(models[0].poles) if p.imag > 0.0]
+    near = [w * f for w in swinging for f in _NEAR][:_POINTS // 2]
+    return np.sort(np.concatenate((wide[::1 + bool(near)], near)))
+
+
+def _frames(model: StateSpace, pairs: Sequence[tuple[int, int]], omega: Array, times: Array
+            ) -> list[dict[str, Any]]:
+    """Return the figures without their curves: the plane of the poles, then two of each pair."""
+    nothing, none, still = np.zeros(len(omega)), np.zeros(1), np.zeros(_POINTS)
+    bode = Drawing((
+        Axes([Curve(omega, nothing, '', 1, 'line', nothing, nothing)], 'magnitude [dB]',
+             x_log=True, height=120.0),
+        Axes([Curve(omega, nothing, '', 1)], 'phase [deg]', 'frequency [rad/s]', x_log=True,
+             height=110.0)))
+    frames = [figure(Drawing((Axes(
+        [Curve(none, none, 'pole', 1, 'cross'), Curve(none, none, '95 %', 1, width=1.0)],
+        'imaginary part [rad/s]', 'real part [rad/s]', marks=[(0.0, '')], height=230.0),)))]
+    for i, _ in pairs:
+        frames += [figure(bode), figure(Drawing((Axes(
+            [Curve(times, still, '', 1, 'line', still, still)],
+            label(model.output_names[i], model.output_units[i]), 'time after the step [s]',
+            height=230.0),)))]
+    return frames
+
+
+def _filled(estimate: Estimate, model: StateSpace, pairs: Sequence[tuple[int, int]],
+            omega: Array, times: Array) -> list[dict[str, Any]]:
+    """Return titles and values of the figures of one window."""
+    x, y = _regions(estimate, model)
+    found: list[dict[str, Any]] = [{'title': 'Poles', 'frame': 0, 'x': [
+        _brief(model.poles.real), x], 'y': [_brief(model.poles.imag), y]}]
+    std = response_std(model, omega, estimate.covariance)[0]
+    longest = float(times[-1])
+    step = step_response(model, estimate.covariance, length=longest, count=_POINTS)
+    for k, (i, j) in enumerate(pairs):
+        gain, phase = response_of(model, omega, i, j)
+        name = f'{model.input_names[j]} → {model.output_names[i]}'
+        found.append({'title': cell(f'{name}, frequency response'), 'frame': 1 + 2 * k, 'y': [
+            _band(gain, np.minimum(2.0 * std[:, i, j], _WIDEST)), _brief(gain), _brief(phase)]})
+        late = times - model.delay[j]
+        values, s = (np.where(late < 0.0, 0.0, np.interp(late, step.times, v[:, i, j]))
+                     for v in (step.values, step.std))
+        found.append({'title': cell(f'{name}, unit step'), 'frame': 2 + 2 * k,
+                      'y': [_band(values, 2.0 * s), _brief(values)]})
+    return found
+
+
+def _band(values: Array, half: Array) -> list[float | None] | None:
+    if not np.isfinite(half).all():
+        return None
+    return _brief(np.concatenate((values - half, (values + half)[::-1])))
+
+
+def _regions(estimate: Estimate, model: StateSpace
+             ) -> tuple[list[float | None] | None, list[float | None] | None]:
+    curves = [region(complex(p), c, 1) for p, c in zip(
+        model.poles, estimate.pole_covariance, strict=True) if np.isfinite(c).all()]
+    if not curves:
+        return None, None
+    x, y = (_brief(np.concatenate([np.append(v[::_OUTLINE], np.nan) for v in rows]))
+            for rows in ([c.x for c in curves], [c.y for c in curves]))
+    return x, y
+
+
+def _brief(values: Array) -> list[float | None]:
+    return numbers(values, _DIGITS)
+
+
+def _item(windows: Windows, k: int, figures: list[dict[str, Any]]) -> dict[str, Any]:
+    estimate = windows.estimates[k]
+    start, end = float(windows.starts[k]), float(windows.ends[k])
+    return {'title': f'Window {k + 1} of {len(windows.estimates)}, {start:.1f} to {end:.1f} s',
+            'at': float(f'{windows.middles[k]:.9g}'), 'grade': estimate.verdict.grade.name,
+            'reason': printable(estimate.verdict.reason),
+            'facts': [[name, cell(value)] for name, value in facts(
+                estimate, windows.next_fits[k]).items()], 'figures': figures}
+
+
+def facts(estimate: Estimate, next_fit: Array) -> Mapping[str, str]:
+    """Return the numbers of one window, as the tables have them."""
+    model = estimate.model or estimate.rejected_model
+    if model is None:
+        return {'status': estimate.status.name}
+    std = estimate.delay_std
+    found = {
+        'status': estimate.status.name, 'order': str(model.n), 'fit [%]': fit_words(estimate.fit),
+        'held-out fit [%]': fit_words(estimate.held_out_fit),
+        'next fit [%]': fit_words(next_fit),
+        'poles [rad/s]': '; '.join(f'{pole_text(m.pole)} (std {number(m.std, 2)})'
+                                    for m in modes_of(estimate)),
+        'natural frequency [rad/s], damping': '; '.join(
+            f'{plus_minus(m.frequency, m.frequency_std)}, '
+            f'{plus_minus(m.damping, m.damping_std, 3)}' for m in modes_of(estimate))}
+    if any(model.delay):
+        found['dead time [s]'] = '; '.join(
+            plus_minus(d, s, 3) for d, s in zip(model.delay, std, strict=True))
+    if (model.poles.real < 0.0).all():
+        found['DC gain'] = '; '.join(
+            plus_minus(float(g), float(s)) for g, s in zip(
+                model.dc_gain.ravel(), estimate.dc_gain_std.ravel(), strict=True)
+            if math.isfinite(g))
+    return found
+
+

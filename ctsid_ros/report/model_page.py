@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The drawn sections of one model: what it does beside the data, and how well it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+import math
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import Validation, prediction, simulation
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record
+from ctsid_core.signals.samples import GroupCounts
+from ctsid_ros.ingest.counts import IngestCounts
+from ctsid_ros.report.document import Figure, Gallery, Section
+from ctsid_ros.report.outputs import Part, output_figures, raw_figures, sampling_figures
+from ctsid_ros.report.poles import pole_figure
+from ctsid_ros.report.residual_figures import horizon_figure, horizon_fits, residual_figures
+from ctsid_ros.report.responses import Bands, bode_figures, step_figures
+from ctsid_ros.report.spectra import spectra, supported_band
+from ctsid_ros.report.tables import Table, percent
+
+_COLUMNS = 3
+_NOTED = 2.0    # points of fit from which on a change is marked
+Models = Mapping[str, tuple[StateSpace, Covariance | None]]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """
+    A record on which a model is shown.
+
+    Parameters
+    ----------
+    record : Record
+        All of it.
+    model : StateSpace
+        At the trim of this record.
+    parts : sequence of Part
+    offset : float
+        Of its times, after the start of the bag [s].
+    which : str
+        Words that tell it from others: ', record 2'; or empty.
+    """
+
+    record: Record
+    model: StateSpace
+    parts: Sequence[Part]
+    offset: float
+    which: str = ''
+
+
+def output_section(shown: Shown, settings: Settings, estimate: Estimate | None = None) -> Section:
+    """Return measured beside simulated outputs; a change of the plant is marked."""
+    marks: list[tuple[float, str]] = []
+    words: list[str] = []
+    if estimate is not None and not shown.which:
+        marks, words = _changed(shown, estimate)
+    how = shown.parts[0].how
+    if how != 'simulated':
+        words.append(f'No simulation explains these data: the outputs are {how}, from what was '
+                     'measured before, and the fits of the model are those of such predictions. '
+                     'Fit by horizon, below, shows how it simulates.')
+    return Section(f'Measured and {how.split()[0]}{shown.which}', (
+        *words, Gallery(tuple(output_figures(shown.model, shown.record, shown.parts, shown.offset,
+                                             settings, marks)))))
+
+
+def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]], list[str]]:
+    """Return when the plant changed, and the fits of one model and of two."""
+    numbers, cost = estimate.statistics, estimate.verdict.change_cost
+    share = numbers.get('change_share', math.nan)
+    if not math.isfinite(share) or not (cost > _NOTED or estimate.status is Status.CHANGED):
+        return [], []
+    part = shown.parts[0].found.times
+    at = float(part[0] + share * (part[-1] - part[0]))
+    fits = [percent(numbers.get(f'change_fit_{who}_{when}', math.nan))
+            for who in ('one', 'two') for when in ('before', 'after')]
+    return [(at, 'change')], [
+        f'Marked: the most likely change of the plant, {at + shown.offset:.1f} s after the start '
+        f'of the bag. One model fits {fits[0]} % before and {fits[1]} % after it, two models '
+        f'{fits[2]} and {fits[3]} %.']
+
+
+def raw_section(record: Record, offset: float, settings: Settings) -> Section:
+    """Return the signals of a record without a model."""
+    return Section('Signals', (Gallery(tuple(raw_figures(record, offset, settings))),))
+
+
+def response_sections(models: Models, shown: Shown, estimate: Estimate | None = None,
+                      truth: StateSpace | None = None) -> Iterator[Section]:
+    """Yield Bode diagrams with spectra, step responses, and poles."""
+    first = next(iter(models.values()))[0]
+    bands, words = _bands(first, shown, estimate)
+    seen = spectra(shown.record)
+    if seen is not None:
+        words += ['Dots: the response as spectra of inputs and outputs give it, without a model, '
+                  'where the coherence is above 0.3; in a closed loop it is biased. Coherence: '
+                  'the share of the power of the output that is of this input.']
+    if any(c is not None for _, c in models.values()):
+        words += ['The bands around the curves are two standard deviations.']
+    columns = min(first.nu, _COLUMNS) if first.ny * first.nu > 1 else 1
+    yield Section('Frequency response', (' '.join(words), Gallery(
+        tuple(bode_figures(models, bands, seen, truth)), columns)))
+    steps = step_figures(models, truth)
+    poles = pole_figure(models, truth)
+    if len(steps) == 1:
+        yield Section('Step response and poles', (Gallery((
+            Figure(steps[0].drawing, 'Response to a unit step of the input, in deviations from '
+                   'the trim; band: two standard deviations.', steps[0].title), poles), 2),))
+        return
+    yield Section('Step responses', (
+        'Response to a unit step of each input, in deviations from the trim; bands: two standard '
+        'deviations.', Gallery(tuple(steps), columns)))
+    yield Section('Poles', (Gallery((poles,)),))
+
+
+def _bands(model: StateSpace, shown: Shown, estimate: Estimate | None) -> tuple[Bands, list[str]]:
+    excitation = estimate.verdict.excitation if estimate is not None else ()
+    if len(excitation) == model.nu:
+        return [(x.low, x.high) if x.high > x.low else None for x in excitation], [
+            'Shaded: the excited band of each input, as in the table of the verdict. Beyond it '
+            'the model extrapolates.']
+    band = supported_band(shown.parts[0].found)
+    return [band] * model.nu, [
+        'Shaded: the frequencies at which the model explains more than half of the power of an '
+        'output. Beyond them it extrapolates.'] if band else []
+
+
+def residual_sections(shown: Shown, found: Validation, simulated: Array,
+                      fits: Mapping[float, Array] | None = None) -> Iterator[Section]:
+    """
+    Yield fits by horizon and what correlations tell of the residuals.
+
+    Parameters
+    ----------
+    shown : Shown
+    found : Validation
+        The simulation whose residuals are tested.
+    simulated : ndarray, shape (ny,)
+        Its fit, as reported [%].
+    fits : mapping, optional
+        Fits of predictions by horizon [s]; computed if not given.
+    """
+    fits = horizon_fits(shown.model, shown.record) if fits is None else fits
+    figures = residual_figures(shown.model, shown.record, found)
+    level = simulated if shown.parts[-1].how == 'simulated' else found.fit
+    own = [horizon_figure(shown.model, fits, level)] if fits else []
+    if own or figures:
+        yield Section(f'Residuals{shown.which}', (
+            'Residuals: measured less simulated outputs, with the trim refitted. Dashed: what '
+            '99 % of chance correlations do not exceed. Correlation with an input at positive '
+            'lags (shaded) is dynamics that the model lacks; at negative ones, a closed loop.',
+            Gallery((*own, *figures), 3)))
+
+
+def sampling_section(record: Record, offset: float, counts: IngestCounts) -> Section:
+    """Return the intervals between the samples of each signal, and which were dropped."""
+    figures = tuple(sampling_figures(record, offset))
+    kinds = [f.name for f in fields(GroupCounts) if f.type in ('int', int)]
+    rows = tuple((name, *(str(getattr(channel.samples, kind)) for kind in kinds))
+                 for name, channel in counts.channels.items())
+    table = Table(('channel', *(kind.replace('_', ' ') for kind in kinds)), rows, ('channel',))
+    return Section('Sampling', (
+        *([Gallery(figures, min(len(figures), _COLUMNS))] if figures else []),
+        'Samples that were used, and those that were dropped, by the reason:', table))
+
+
+def simulated(model: StateSpace, record: Record, what: str, estimate: Estimate,
+              fit: Array | None = None) -> Part:
+    """
+    Return data with what a model makes of them, in the way in which its fits are meant.
+
+    Parameters
+    ----------
+    model : StateSpace
+    record : Record
+    what : str
+        Which data these are.
+    estimate : Estimate
+        That the model is of: one that was found by its predictions is drawn so.
+    fit : ndarray, optional
+        The fits that the report has for these data [%].
+    """
+    if any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices):
+        found = prediction(model, record, HORIZONS[AHEAD])
+        how = f'predicted {HORIZONS[AHEAD]} samples ahead'
+    else:
+        found, how = simulation(model, record), 'simulated'
+    known = fit is not None and len(fit) == model.ny and bool(np.isfinite(fit).any())
+    return Part(f'{what}, {how}', found, fit if known and fit is not None else found.fit, how)

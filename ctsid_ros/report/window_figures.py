@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models of consecutive windows drawn: verdicts, modes, gains and dead times over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.verdict import Grade
+from ctsid_ros.report.document import Figure
+from ctsid_ros.report.drawing import AMBER, GREEN, RED, Axes, Curve, Drawing, Span
+from ctsid_ros.report.poles import around, track_curve
+from ctsid_ros.report.tables import label, number, percent
+from ctsid_ros.report.tracks import modes, tracks
+
+PAINT = {Grade.GOOD: GREEN, Grade.WEAK: AMBER, Grade.REJECT: RED}
+_TIME = 'time after the start of the bag [s]'
+_MOST_TRACKS, _MOST_GAINS = 12, 12
+_NOTED = 2.0    # points of fit from which on a change is drawn
+
+
+@dataclass(frozen=True)
+class Windows:
+    """
+    Estimates along a bag, and where they lie.
+
+    Parameters
+    ----------
+    estimates : sequence of Estimate
+    starts, ends : ndarray
+        Of each window, after the start of the bag [s].
+    next_fits : ndarray, shape (number of windows, ny)
+        Fit on the first later window that shares no data with it [%]; NaN where there is none.
+    """
+
+    estimates: Sequence[Estimate]
+    starts: Array
+    ends: Array
+    next_fits: Array
+
+    @property
+    def middles(self) -> Array:
+        """Middle of each window [s]."""
+        middles: Array = 0.5 * (self.starts + self.ends)
+        return middles
+
+
+@dataclass(frozen=True)
+class ChangeSeen:
+    """A change of the plant: when [s], what it costs [%], the fits of one model and of two [%]."""
+
+    time: float
+    cost: float
+    one: tuple[float, float]
+    two: tuple[float, float]
+
+    @property
+    def words(self) -> str:
+        """The change in a sentence."""
+        one, two = (' and '.join(percent(v) for v in pair) for pair in (self.one, self.two))
+        known = '' if math.isnan(self.one[0]) else (
+            f': one model fits {one} % before and after, two models {two} %')
+        return (f'The plant changed about {number(self.time, 4)} s after the start of the bag'
+                f'{known}; one model of both loses {number(self.cost, 2)} points of fit.')
+
+
+def changes(windows: Windows) -> list[ChangeSeen]:
+    """Return the changes that windows show, each as the window shows it that it costs most."""
+    found = [(s, change) for e, s, t in zip(windows.estimates, windows.starts, windows.ends,
+                                            strict=True)
+             if (change := _change(e, float(s), float(t))) is not None]
+    found.sort(key=lambda pair: -pair[1].cost)
+    length = float(np.median(windows.ends - windows.starts)) if len(windows.ends) else 0.0
+    kept: list[ChangeSeen] = []
+    for _, one in found:
+        if all(abs(one.time - other.time) > 0.5 * length for other in kept):
+            kept.append(one)
+    return sorted(kept, key=lambda c: c.time)
+
+
+def _change(estimate: Estimate, start: float, end: float) -> ChangeSeen | None:
+    numbers, cost = estimate.statistics, estimate.verdict.change_cost
+    share = numbers.get('change_share', math.nan)
+    if not (cost > _NOTED or estimate.status is Status.CHANGED) or not math.isfinite(share):
+        return None
+    fits = {who: (numbers.get(f'change_fit_{who}_before', math.nan),
+                  numbers.get(f'change_fit_{who}_after', math.nan)) for who in ('one', 'two')}
+    return ChangeSeen(start + share * (end - start), cost, fits['one'], fits['two'])
+
+
+def window_figure(windows: Windows, truth: StateSpace | None = None) -> Figure:
+    """Draw verdicts, fits, natural frequency, damping and dead time over time."""
+    seen = [(c.time, 'change') for c in changes(windows)]
+    panels = [_strip(windows, seen), _fits(windows, seen), *_modes(windows, truth, seen),
+              *_dead_times(windows, seen)]
+    last = panels[-1]
+    panels[-1] = Axes(last.curves, last.title, _TIME, '', y_log=last.y_log, levels=last.levels,
+                      marks=last.marks, y_limits=last.y_limits, height=last.height)
+    dashed = ' Dashed across: the truth.' if truth else ''
+    return Figure(Drawing(tuple(panels), link='time', wide=True, picks=True),
+                  'One dot per window, at its middle; bands are two standard deviations.'
+                  f'{dashed} A click shows the model of a window below, where the page is '
+                  'interactive.')
+
+
+def _strip(windows: Windows, marks: Sequence[tuple[float, str]]) -> Axes:
+    """Return the verdicts as a strip, neighbours of one kind together."""
+    middles, grades = windows.middles, [e.verdict.grade for e in windows.estimates]
+    edges = _edges(windows)
+    spans, first = [], 0
+    for k in range(1, len(grades) + 1):
+        if k == len(grades) or grades[k] is not grades[first]:
+            spans.append(Span(float(edges[first]), float(edges[k]), PAINT[grades[first]],
+                              grades[first].name, 0.45))
+            first = k
+    curves = []
+    for grade, color in PAINT.items():
+        rows = [k for k, g in enumerate(grades) if g is grade]
+        if rows:
+            curves.append(Curve(middles[rows], np.full(len(rows), 0.5), grade.name, color, 'dots',
+                                texts=[f'window {k + 1}: {windows.estimates[k].status.name}, '
+                                       f'{grade.name}' for k in rows]))
+    return Axes(curves, 'verdict', spans=spans, marks=marks, y_limits=(0.0, 1.0), bare=True,
+                height=46.0)
+
+
+def _edges(windows: Windows) -> Array:
+    """Return where the strip goes from one window to the next [s]."""
+    m = windows.middles
+    if len(m) == 1:
+        return np.array([windows.starts[0], windows.ends[0]])
+    inner = 0.5 * (m[1:] + m[:-1])
+    edges: Array = np.concatenate(([m[0] - (inner[0] - m[0])], inner,
+                                   [m[-1] + (m[-1] - inner[-1])]))
+    return edges
+
+
+def _fits(windows: Windows, marks: Sequence[tuple[float, str]]) -> Axes:
+    names = _names(windows)
+    curves = []
+    for i, name in enumerate(names):
+        fits = np.array([e.fit[i] if i < len(e.fit) else np.nan for e in windows.estimates])
+        curves.append(Curve(windows.middles, fits, f'fit of {name}', 1 + i % 6, 'both'))
+        curves.append(Curve(windows.middles, windows.next_fits[:, i], f'next fit of {name}',
+                            1 + i % 6, 'dashed'))
+    known = np.concatenate([c.y[np.isfinite(c.y)] for c in curves] or [np.empty(0)])
+    low = max(float(known.min()), 0.0) if len(known) else 0.0
+    return Axes(curves, 'fit [%]', marks=[(t, '') for t, _ in marks], height=110.0,
+                y_limits=(low - 4.0, 102.0))
+
+
+def _names(windows: Windows) -> tuple[str, ...]:
+    known = [m.output_names for e in windows.estimates if (m := e.model or e.rejected_model)]
+    return known[0] if known else ()
+
+
+def _modes(windows: Windows, truth: StateSpace | None, marks: Sequence[tuple[float, str]]
+           ) -> Iterator[Axes]:
+    found = tracks(windows.estimates)[:_MOST_TRACKS]
+    lines, true = [(t, '') for t, _ in marks], modes(truth)
+    if not found:
+        return
+    yield Axes([track_curve(t, windows.middles, i, frequency=True) for i, t in enumerate(found)],
+               'natural frequency [rad/s]', y_log=True, levels=[m.frequency for m in true],
+               height=180.0, marks=lines,
+               y_limits=around([m.frequency for t in found for m in t.modes], log=True))
+    # A real pole has damping 1 and says nothing more; an oscillating one does.
+    swinging = [t for t in found if any(m.pole.imag > 0 for m in t.modes)]
+    if swinging:
+        yield Axes([track_curve(t, windows.middles, found.index(t), frequency=False)
+                    for t in swinging], 'damping ratio of the oscillating modes', marks=lines,
+                   levels=[m.damping for m in true if m.pole.imag > 0], height=150.0,
+                   y_limits=around([m.damping for t in swinging for m in t.modes
+                                    if m.pole.imag > 0], log=False, std=np.array(
+                                        [m.damping_std for t in swinging for m in t.modes
+                                         if m.pole.imag > 0])))
+
+
+def _dead_times(windows: Windows, marks: Sequence[tuple[float, str]]) -> Iterator[Axes]:
+    models = [(t, e.model, e.delay_std) for t, e in zip(windows.middles, windows.estimates,
+                                                        strict=True) if e.model is not None]
+    if not any(any(m.delay) for _, m, _ in models):
+        return
+    times = np.array([t for t, _, _ in models])
+    curves = []
+    for j, name in enumerate(models[0][1].input_names):
+        values = 1e3 * np.array([m.delay[j] for _, m, _ in models])
+        std = 1e3 * np.array([s[j] for _, _, s in models])
+        curves.append(Curve(times, values, f'dead time of {name}', 1 + j % 6, 'both',
+                            values - 2 * std, values + 2 * std))
+    values = np.concatenate([c.y for c in curves])
+    room = 0.3 * (float(np.ptp(values)) or float(np.max(values)) or 1.0)
+    yield Axes(curves, 'dead time [ms]', marks=[(t, '') for t, _ in marks], height=110.0,
+               y_limits=(max(float(np.min(values)) - room, 0.0),
+                         float(np.max(values)) + room))
+
+
+def gain_figures(windows: Windows) -> list[Figure]:
+    """Draw the DC gains over time, of the models that settle."""
+    rows = [(t, e, e.model) for t, e in zip(windows.middles, windows.estimates, strict=True)
+            if e.model is not None and (e.model.poles.real < 0.0).all()]
+    if not rows:
+        return []
+    first, times = rows[0][2], np.array([t for t, _, _ in rows])
+    gains = np.array([m.dc_gain for _, _, m in rows])
+    stds = np.array([e.dc_gain_std for _, e, _ in rows])
+    figures = []
+    for i, j in [(i, j) for i in range(first.ny) for j in range(first.nu)][:_MOST_GAINS]:
+        y, s = gains[:, i, j], stds[:, i, j]
+        unit = _per(first.output_units[i], first.input_units[j])
+        figures.append(Figure(Drawing((Axes(
+            [Curve(times, y, '', 1, 'both', y - 2 * s, y + 2 * s)], label('DC gain', unit),
+            _TIME, height=140.0, y_limits=around(y.tolist(), log=False, std=s)),),
+            link='time', picks=True), '', f'{first.input_names[j]} → {first.output_names[i]}'))
+    return figures
+
+
+def _per(above: str, below: str) -> str:
+    """Return the unit of a gain; empty if it is not known."""
+    if not above:
+        return ''
+    over, under = (f'({u})' if '/' in u or ' ' in u else u for u in (above, below))
+    return f'{over}/{under}' if below else above

@@ -1,0 +1,400 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages of reports: what is on them, that they need nothing else, and that names stay names."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from html.parser import HTMLParser
+import json
+from pathlib import Path
+import re
+import sys
+
+from bag_fixtures import write_rosbag2
+from flights import PARAMS, TRUTH, flight
+from markdown_it import MarkdownIt
+from marks import slow
+import numpy as np
+import pytest
+import yaml
+
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.storage import load_estimate
+from ctsid_core.model.verdict import Grade, Verdict
+from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Record, Signal
+from ctsid_ros.cli import main
+from ctsid_ros.report.document import (
+    Bullets,
+    Command,
+    Explorer,
+    Figure,
+    Gallery,
+    Headline,
+    Section,
+    to_markdown,
+    to_text,
+)
+from ctsid_ros.report.drawing import Axes, Curve, Drawing
+from ctsid_ros.report.headline import Run, headline
+from ctsid_ros.report.page import to_html
+from ctsid_ros.report.poles import region
+from ctsid_ros.report.residual_figures import correlation, horizon_fits
+from ctsid_ros.report.responses import bode_figures
+from ctsid_ros.report.spectra import spectra
+from ctsid_ros.report.tables import Table, percent, pole_text
+from ctsid_ros.report.window_figures import Windows, changes, window_figure
+from ctsid_ros.report.words import lines, markdown, printable
+
+EVIL = '/<script>alert(1)</script>"\'><img src=x onerror=alert(1)>\x1b[31m`_*|$x\n# head\u202e=1+1'
+TOPIC = '/imu' + ''.join(EVIL.split())     # no topic has blanks
+MOST_BYTES = 7_000_000
+
+
+class Tags(HTMLParser):
+    """Elements and attributes of a page, less what scripts contain."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        if not self.tags or self.tags[-1][0] not in ('script', 'style'):
+            self.words.append(data)
+
+
+def data_of(page: str, name: str):
+    return json.loads(re.search(rf'id="{name}">(.*?)</script>', page, re.DOTALL)[1])
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory) -> Path:
+    """A flight whose topics and units are hostile, with the results of its identification."""
+    place = tmp_path_factory.mktemp('page')
+    sent = [replace(s, topic=TOPIC) if s.topic == '/imu' else s for s in flight(12.0)]
+    write_rosbag2(place / 'bag', sent)
+    params = yaml.safe_load(PARAMS)
+    params['/**']['ros__parameters']['rate'] |= {'topic': TOPIC, 'unit': EVIL}
+    (place / 'params.yaml').write_text(yaml.safe_dump(params))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        assert main(['identify', 'bag', '--params', 'params.yaml', '--out', 'res', '--quiet',
+                     '--test-from', '9']) == 0
+    return place
+
+
+def test_page_stands_alone(folder):
+    page = (folder / 'res/report.html').read_text(encoding='utf-8')
+    assert len(page.encode()) < MOST_BYTES
+    found = Tags(page)
+    assert [t for t, a in found.tags if t in ('img', 'iframe', 'object') or 'src' in a] == []
+    assert [a['href'] for t, a in found.tags if 'href' in a] == ['data:,']
+    assert sum(t == 'script' for t, _ in found.tags) in (0, 4)
+    assert not any(key.startswith('on') for _, a in found.tags for key in a)
+
+
+def test_verdict_and_command_come_first(folder):
+    page = (folder / 'res/report.html').read_text(encoding='utf-8')
+    words = ' '.join(Tags(page).words)
+    assert words.index('GOOD') < words.index('Try next') < words.index('Measured and simulated')
+    assert 'ctsid simulate res/model.json ANOTHER_BAG' in words
+    for drawn in ('residual of rate', 'coherence', 'time after the step', 'Fit by horizon',
+                  'correlation of the residuals', 'interval between samples',
+                  'Samples that were used'):
+        assert drawn in page, drawn
+    assert 'ctsid identify bag --params params.yaml --out res' in words
+    markdown_text = (folder / 'res/report.md').read_text(encoding='utf-8')
+    assert markdown_text.index('**GOOD.**') < markdown_text.index('## ')
+
+
+def test_names_stay_names_in_every_file(folder, capsys):
+    page = (folder / 'res/report.html').read_text(encoding='utf-8')
+    assert '<script>alert' not in page
+    assert '<img' not in page
+    assert '\x1b' not in page
+    assert '<script>alert(1)</script>' in ' '.join(Tags(page).words)
+    titles = [a['text'] for f in data_of(page, 'figures') for a in f['layout']['annotations']]
+    assert any('&lt;script&gt;' in t for t in titles)       # plotly has an HTML of its own
+    text = (folder / 'res/report.md').read_text(encoding='utf-8')
+    shown = MarkdownIt('commonmark', {'html': True}).enable('table').render(text)
+    assert {t for t, _ in Tags(shown).tags} <= {
+        'h1', 'h2', 'p', 'strong', 'code', 'pre', 'ul', 'li', 'table', 'thead', 'tbody', 'tr',
+        'th', 'td'}
+    assert '<script>alert(1)</script>' in ' '.join(Tags(shown).words)
+    rows = list(csv.reader((folder / 'res/estimates.csv').open(encoding='utf-8')))
+    assert not any(c[:1] in ('=', '@', '+') or '\n' in c for row in rows for c in row)
+    assert load_estimate(folder / 'res/model.json').model.output_units == (EVIL,)
+    assert main(['show', str(folder / 'res/model.json')]) == 0
+    assert main(['info', str(folder / 'bag')]) == 0
+    out = capsys.readouterr().out
+    assert '\x1b' not in out
+    assert '\u202e' not in out
+    assert main(['init', str(folder / 'bag'), '-o', str(folder / 'guess.yaml'), '--force']) == 0
+    guess = yaml.safe_load((folder / 'guess.yaml').read_text(encoding='utf-8'))
+    assert list(guess) == ['/**']
+    assert '\x1b' not in capsys.readouterr().err
+
+
+def test_one_quantity_is_one_number(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    main(['identify', 'bag', '--params', 'params.yaml', '--out', 'res', '--force', '--quiet',
+          '--test-from', '9', '--json'])
+    told = json.loads(capsys.readouterr().out)
+    estimate = load_estimate('res/model.json')
+    with Path('res/estimates.csv').open(encoding='utf-8') as stream:
+        row, = csv.DictReader(stream)
+    page = ' '.join(Tags(Path('res/report.html').read_text(encoding='utf-8')).words)
+    report = Path('res/report.md').read_text(encoding='utf-8')
+    for value, column, json_value in (
+            (estimate.fit[0], 'fit_rate [%]', told['estimate']['fit'][0]),
+            (estimate.held_out_fit[0], 'held_out_fit_rate [%]',
+             told['estimate']['held_out_fit'][0])):
+        assert float(row[column]) == json_value == value
+    assert re.findall(r'identified from, simulated: fit (\S+) %', page) == [
+        percent(estimate.fit[0])]
+    assert re.findall(r'unseen data \[%\]\s+(\S+)', page) == [percent(told['test']['fit'][0])]
+    assert re.search(r'\(shaded\), simulated: fit (\S+) %', page)[1].rstrip('.') == percent(
+        told['test']['fit'][0])
+    assert f'| rate | {percent(estimate.fit[0])} | {percent(estimate.held_out_fit[0])} |' in report
+
+
+def test_page_without_plotly_is_drawn_and_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'plotly.offline', None)
+    x = np.arange(5.0)
+    figures = (Figure(Drawing((Axes([Curve(x, x, EVIL)], EVIL),)), EVIL, EVIL),
+               Figure(Drawing((Axes([Curve(x, x)]),), wide=True)))
+    page = to_html('t', [Section('Drawn', (Gallery(figures, 2),)),
+                         Section('One window', (Explorer(),))])
+    found = Tags(page)
+    assert not any(t in ('script', 'img', 'b') for t, _ in found.tags)
+    assert sum(t == 'svg' for t, _ in found.tags) == 3      # a wide one in two widths
+    assert 'One window' not in page                         # nothing can be clicked
+    assert 'pip install plotly' in page
+    assert '\x1b' not in page
+
+
+def test_windows_can_be_looked_at_one_by_one(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(['replay', 'bag', '--params', 'params.yaml', '--out', 'along', '--quiet']) == 0
+    page = Path('along/report.html').read_text(encoding='utf-8')
+    series = data_of(page, 'series') if 'id="series"' in page else pytest.skip('no plotly')
+    with Path('along/estimates.csv').open(encoding='utf-8') as stream:
+        rows = list(csv.DictReader(stream))
+    report = Path('along/report.md').read_text(encoding='utf-8')
+    assert len(series['windows']) == len(rows) == 3
+    for number, (shown, row) in enumerate(zip(series['windows'], rows, strict=True), 1):
+        told = dict(shown['facts'])
+        assert told['fit [%]'] == percent(float(row['fit_rate [%]']))
+        assert shown['grade'] == row['verdict']
+        assert pole_text(complex(float(row['pole2_re [rad/s]']),
+                                 float(row['pole2_im [rad/s]']))) in told['poles [rad/s]']
+        assert re.search(rf'\| {number} \| .* \| {told["fit [%]"]} \|', report)
+        for given in shown['figures']:
+            frame = series['frames'][given['frame']]
+            assert len(given['y']) == len(frame['data'])
+            for trace, y in zip(frame['data'][1:], given['y'][1:], strict=True):
+                assert 'x' in given or len(y) == len(trace['x'])
+    assert re.findall(r'of which the model is, simulated: fit (\S+) %', page) == [
+        percent(load_estimate('along/model.json').fit[0])]
+
+
+def test_a_change_of_the_plant_is_told_once_with_its_fits():
+    numbers = {'change_share': 0.4, 'change_fit_one_before': 45.2, 'change_fit_one_after': 69.7,
+               'change_fit_two_before': 98.94, 'change_fit_two_after': 98.9}
+    found = [Estimate(status=Status.CHANGED, settings=Settings(), statistics=numbers | {
+        'change_share': share}, verdict=Verdict(grade=Grade.REJECT, reason='x', change_cost=cost))
+        for share, cost in ((0.6, 20.0), (0.4, 53.7), (0.2, 30.0))]
+    starts = np.array([2.0, 4.0, 6.0])
+    windows = Windows(found, starts, starts + 10.0, np.full((3, 1), np.nan))
+    change, = changes(windows)
+    assert change.time == pytest.approx(8.0)
+    assert change.words == (
+        'The plant changed about 8.000 s after the start of the bag: one model fits 45.2 and '
+        '69.7 % before and after, two models 98.9 and 98.9 %; one model of both loses 54 points '
+        'of fit.')
+    marks = window_figure(windows).drawing.panels[0].marks
+    assert [text for _, text in marks] == ['change']
+
+
+@pytest.mark.parametrize(('status', 'command'), [
+    (Status.CHANGED, "ctsid identify 'my bag' --params p.yaml --start 1.0 --duration 4.0"),
+    (Status.NO_RESPONSE, "ctsid info 'my bag'"),
+    (Status.UNEXPLAINED, "ctsid compare 'my bag' --params p.yaml"),
+    (Status.TOO_SHORT, "ctsid identify 'my bag' --params p.yaml")])
+def test_a_rejection_says_what_to_try_next(status, command):
+    given = Estimate(status=status, settings=Settings(), statistics={'change_share': 0.4})
+    run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0))
+    assert headline(given, run).command == command
+    assert headline(given, run).grade == 'REJECT'
+
+
+def test_what_a_report_needs_is_asked_for_before_the_work(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr('ctsid_ros.replay.results.find_spec', lambda name: None)
+    assert main(['identify', 'bag', '--params', 'params.yaml', '--out', 'none', '--quiet']) == 1
+    assert 'pip install jinja2 matplotlib' in capsys.readouterr().err
+    assert not Path('none').exists()
+
+
+@pytest.mark.slow
+def test_whole_page_without_plotly(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.setitem(sys.modules, 'plotly.offline', None)
+    code = main(['identify', 'bag', '--params', 'params.yaml', '--out', 'static', '--quiet'])
+    assert code == 0
+    page = Path('static/report.html').read_text(encoding='utf-8')
+    found = Tags(page)
+    assert not any(t in ('script', 'img') for t, _ in found.tags)
+    assert sum(t == 'svg' for t, _ in found.tags) >= 9
+    assert '\x1b' not in page
+
+
+@pytest.mark.slow
+def test_compare_and_simulate_write_pages_too(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(['compare', 'bag', '--params', 'params.yaml', '--out', 'compared',
+                 '--quiet']) in (0, 3)
+    page = Path('compared/report.html').read_text(encoding='utf-8')
+    for method in ('hd-pbsid', 'ct-pbsid', 'gobf'):
+        assert f'Measured and simulated, {method}' in page
+    assert '3 methods on bag' in page
+    assert '\x1b' not in capsys.readouterr().out
+
+
+def test_simulate_writes_a_page_with_its_numbers(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    words = ['simulate', 'res/model.json', 'bag', '--horizon', '1', '10', '--out', 'simulated']
+    assert main([*words, '--json', '--quiet', '--force']) == 0
+    told = json.loads(capsys.readouterr().out)
+    page = Path('simulated/report.html').read_text(encoding='utf-8')
+    shown = ' '.join(Tags(page).words)
+    assert re.search(r'These data, simulated: fit (\S+) %', shown)[1] == percent(told['fit'][0])
+    assert re.search(r'simulation fit \[%\]\s+(\S+)', shown)[1] == percent(told['fit'][0])
+    assert sorted(p.name for p in Path('simulated').iterdir()) == ['report.html', 'report.md']
+    assert main([*words, '--quiet']) == 1
+    assert 'add --force' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('suffix', ['.svg', *slow('.pdf', '.png')])
+def test_models_are_plotted_into_files(folder, suffix, capsys, tmp_path):
+    path = tmp_path / f'models{suffix}'
+    model = str(folder / 'res/model.json')
+    assert main(['plot', model, model, '-o', str(path)]) == 0
+    head = path.read_bytes()[:5]
+    assert head == {'.svg': b'<?xml', '.pdf': b'%PDF-', '.png': b'\x89PNG\r'}[suffix]
+    assert main(['plot', model, '-o', str(path)]) == 1
+    assert 'add --force' in capsys.readouterr().err
+    assert main(['plot', model, '-o', str(tmp_path / 'models.gif')]) == 1
+    assert '.pdf, .png, .svg' in capsys.readouterr().err
+
+
+def test_a_megabyte_of_name_is_cut():
+    long = 'x' * 10**6 + '<b>'
+    sections = [Section(long, (long, Bullets((long,)), Command(long),
+                               Table((long, 'b'), ((long, long),))))]
+    first = Headline('GOOD', long, long, ((long, long),))
+    assert len(to_text(sections)) < 10_000
+    assert len(to_markdown(long, sections, first)) < 20_000
+    page = to_html(long, sections, first)
+    assert len(page.encode()) < MOST_BYTES
+    assert 'x' * 2000 not in page[:page.find('<script')]
+
+
+@pytest.mark.parametrize('text', [
+    '<script>alert(1)</script>', '`<b>', '``<b>`', r'\`<b>`', '[a](javascript:b)', '![a](b)',
+    '&lt;b&gt;', '# head', '- item', '*a* _b_ __c__', 'a | b', '`a` <i> `b`', '<http://a.b>',
+    '[a]: b', '> quote'])
+def test_markdown_shows_what_was_written(text):
+    shown = Tags(MarkdownIt('commonmark', {'html': True}).render(markdown(text)))
+    assert {t for t, _ in shown.tags} <= {'p', 'code'}
+    assert ''.join(shown.words).strip().replace('`', '') == text.replace('`', '')
+
+
+def test_control_characters_are_seen():
+    assert printable('a\x1b[2Jb\n\tc\u202e\x85') == r'a\x1b[2Jb c\u202e\x85'
+    assert lines('a\nb\x07') == 'a\nb\\x07'
+    assert len(printable('é' * 10**6)) < 2000
+
+
+# --- drawings
+
+
+def sampled(count: int = 6000, delay: float = 0.0) -> Record:
+    rng = np.random.default_rng(5)
+    t = np.arange(count) * 0.02
+    u = rng.standard_normal((count, 2))
+    u[:, 1] += 0.5 * u[:, 0]
+    plant = replace(TRUTH, B=np.hstack([TRUTH.B, -0.5 * TRUTH.B]), D=np.zeros((1, 2)),
+                    delay=(delay, 0.0), x_trim=np.zeros(2), y_trim=np.zeros(1),
+                    input_names=('a', 'b'), input_units=('', ''))
+    held = Signal(t, u, 'zoh')
+    y = plant.simulate((held,), t)
+    return Record((held,), (Signal(t, y + 0.001 * rng.standard_normal(y.shape)),), 0.0, t[-1])
+
+
+def test_spectra_tell_the_response_of_correlated_inputs_apart():
+    found = spectra(sampled())
+    assert found is not None
+    near = (found.omega > 2.0) & (found.omega < 15.0)
+    true = TRUTH.frequency_response(found.omega[near])[:, 0, 0]
+    np.testing.assert_allclose(np.abs(found.response[near, 0, 0] / true), 1.0, atol=0.15)
+    np.testing.assert_allclose(np.abs(found.response[near, 0, 1] / true), 0.5, atol=0.1)
+    assert (found.coherence[near] > 0.9).all()
+    assert spectra(sampled(100)) is None
+
+
+def test_coherence_of_nothing_is_low():
+    record = sampled()
+    noise = np.random.default_rng(1).standard_normal((6000, 1))
+    found = spectra(replace(record, outputs=(replace(record.outputs[0], values=noise),)))
+    assert np.median(found.coherence) < 0.3
+
+
+def test_dots_of_phase_lie_by_the_curve_however_late_the_input():
+    record = sampled(delay=0.5)
+    model = replace(TRUTH, B=np.hstack([TRUTH.B, -0.5 * TRUTH.B]), D=np.zeros((1, 2)),
+                    delay=(0.5, 0.0), input_names=('a', 'b'), input_units=('', ''))
+    phase = bode_figures({'model': (model, None)}, [(1.0, 10.0), None],
+                         spectra(record))[0].drawing.panels[1]
+    dots, line = phase.curves
+    own = np.interp(dots.x, line.x, line.y)
+    near = dots.x < 10.0
+    assert np.max(np.abs(dots.y - own)[near]) < 60.0
+    assert line.y[np.searchsorted(line.x, 10.0)] < -360.0
+    low, high = phase.y_limits
+    assert low % phase.step == high % phase.step == 0.0
+
+
+def test_regions_hold_what_the_covariance_says():
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    outline = region(-1.0 + 3.0j, covariance, 1)
+    away = np.stack((outline.x + 1.0, outline.y - 3.0))
+    np.testing.assert_allclose(np.einsum('ik,ij,jk->k', away, np.linalg.inv(covariance), away),
+                               5.991, rtol=1e-9)
+    real = region(-2.0 + 0.0j, np.diag([0.01, 0.0]), 1)
+    assert np.ptp(real.y) == 0.0
+    assert np.ptp(real.x) == pytest.approx(2 * 1.96 * 0.1)
+
+
+def test_correlation_is_the_sum_it_says():
+    rng = np.random.default_rng(2)
+    a, b = rng.standard_normal((2, 30))
+    found = correlation(a, b, 30)
+    assert found[3] == pytest.approx(a[:-3] @ b[3:])
+    assert found[-4] == pytest.approx(a[4:] @ b[:-4])
+
+
+def test_fits_by_horizon_fall_to_that_of_the_simulation():
+    record = sampled(2000)
+    model = replace(TRUTH, B=np.hstack([TRUTH.B, -0.5 * TRUTH.B]), D=np.zeros((1, 2)),
+                    delay=(0.0, 0.0), x_trim=np.zeros(2), y_trim=np.zeros(1),
+                    input_names=('a', 'b'), input_units=('', ''))
+    fits = horizon_fits(model, record)
+    assert list(fits) == pytest.approx([0.02 * k for k in (1, 2, 5, 10, 20, 50, 100, 200)])
+    assert all(f[0] > 90.0 for f in fits.values())
