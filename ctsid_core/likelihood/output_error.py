@@ -31,9 +31,11 @@ from ctsid_core.linear.types import Array, ComplexArray
 ROUNDING = 1e-24      # of an output's power: what is left of it is rounding
 _RANK = 1e-13         # relative singular value below which a linear direction is not determined
 LEAST_GAIN = 0.01     # -2 log likelihood: a tenth of a standard deviation is not worth a step
+_SLOW = 0.01          # of the gain that a step has to promise: the least that the last one brought
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 _DAMPING = 1e-4       # of the first step
+_LEAST_DAMPING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -130,8 +132,8 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
     rival : float
         Cost of another model: given up when five more steps like the last would not reach it.
     least : float
-        Gain of -2 log likelihood below which another step is not worth it: the less of what the
-        step promises and what the last one brought.
+        Gain of -2 log likelihood that another step has to promise; the last one has to have
+        brought some of it.
     """
     best, damping, gain = start, _DAMPING, np.inf
     for _ in range(steps):
@@ -140,9 +142,10 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         scale = np.sqrt(np.diag(curvature))
         scale[~(scale > 1e-150)] = 1.0
         gradient, curvature = gradient / scale, curvature / np.outer(scale, scale)
-        promise = gradient @ np.linalg.solve(curvature + _DAMPING * np.eye(len(scale)), gradient)
+        promise = gradient @ np.linalg.solve(
+            curvature + _LEAST_DAMPING * np.eye(len(scale)), gradient)
         moved = None
-        if min(float(promise), gain) < least or best.cost - 5.0 * gain > rival:
+        if promise < least or gain < _SLOW * least or best.cost - 5.0 * gain > rival:
             break
         for _ in range(6):
             effort.check()
@@ -154,7 +157,7 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
             damping = max(damping, 1e-3) * 10.0
         if moved is None:
             break
-        gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, 1e-9)
+        gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, _LEAST_DAMPING)
         if effort.over or np.all(best.power <= ROUNDING):
             break
     return best

@@ -94,17 +94,17 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if not settings.order and order + 1 in found and responds_otherwise(
             samples, found[order], found[order + 1]):
         order += 1
-        found[order] = _climbed(samples, found[order], free, effort)
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
         part, corrupt, samples, found[order], free, effort, seen)
     if own.feedthrough:
         best, free = _direct(part, seen, samples, found, best, free, subspace, settings, effort)
-    best, free = _without_needless(samples, best, free, effort)
+    best, free = _without_needless(
+        samples, _climbed(samples, best, free, effort), free, effort)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
-        best = _climbed(samples, best, free, effort, steps=5)
+        best = _climbed(samples, best, free, effort)
     if solved := _by_prediction(part, settings, corrupt, samples, best, free, effort):
         return solved
     found[best.fit.model.n] = best
@@ -128,10 +128,10 @@ def _affordable(part: Joint, corrupt: Corrupt, settings: Settings, effort: Effor
     return most
 
 
-def _climbed(samples: Samples, one: Tried, free: Free, effort: Effort, steps: int = 100) -> Tried:
+def _climbed(samples: Samples, one: Tried, free: Free, effort: Effort) -> Tried:
     """Return a model at the maximum of the likelihood of other samples."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    return tried(samples, climb(samples, start, free, effort, steps=steps), free)
+    return tried(samples, climb(samples, start, free, effort), free)
 
 
 def _left_out(found: dict[int, Tried], order: int, settings: Settings,
