@@ -154,7 +154,7 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
             if trial is not None and trial.cost < best.cost:
                 moved = trial
                 break
-            damping = max(damping, 1e-3) * 10.0
+            damping = max(damping, 10.0 * _LEAST_DAMPING) * 100.0
         if moved is None:
             break
         gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, _LEAST_DAMPING)
