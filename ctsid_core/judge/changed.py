@@ -113,7 +113,7 @@ def _divided(samples: Samples, model: ModalModel, free: Free, place: int, share:
         effort.check()
         try:
             same = fit_states(side, model, free)
-            other = climb(side, fit_at(side, model.poles, model.delay, free), free,
+            other = climb(side, fit_at(side, model.poles, model.delay, free, same), free,
                           effort, steps=_STEPS, least=_LEAST_GAIN)
         except np.linalg.LinAlgError:
             return Change()

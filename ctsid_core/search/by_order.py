@@ -105,7 +105,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     for n in range(1, (order or max_order) + 1):
         effort.check()
         best = _best_of(n, found, thin, grid, subspace, free, effort, known_delay,
-                        np.inf if order or not found else _needed(found, thin, n))
+                        np.inf if order or not found else _rival(found, thin, n))
         if best is not None:
             found[n] = tried(thin, best, free)
         if effort.beyond(SEARCH) and found:
@@ -182,11 +182,28 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     return float(np.sum(gain)) - unit * (larger.parameters - smaller.parameters)
 
 
-def _needed(found: dict[int, Tried], samples: Samples, n: int) -> float:
+def _rival(found: dict[int, Tried], samples: Samples, n: int) -> float:
     """Return the cost that order n must reach at least to beat the best smaller order."""
     best = found[choose(found)]
-    price = (n - best.fit.model.n) * (samples.nu + samples.ny + len(samples.records))
-    return best.fit.cost - max(price, 0.0) * float(np.log(np.max(samples.counts)))
+    more = (n - best.fit.model.n) * (samples.nu + samples.ny + len(samples.records))
+    return needed(best, samples, more, float(np.max(samples.counts)))
+
+
+def needed(best: Tried, samples: Samples, more: int, independent: float) -> float:
+    """
+    Return the cost that another model must reach at least to beat the best one.
+
+    Parameters
+    ----------
+    best : Tried
+    samples : Samples
+    more : int
+        Parameters that the other one has more.
+    independent : float
+        Samples that count as such, at most if it has more of them, else at least.
+    """
+    count = float(np.max(samples.counts))
+    return best.fit.cost - more * count / independent * float(np.log(independent))
 
 
 def _delays(free: Free, known: Array) -> list[Array]:

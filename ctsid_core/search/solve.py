@@ -26,6 +26,8 @@ from ctsid_core.search.by_order import (
     choose,
     criterion,
     explains,
+    needed,
+    parameters,
     responds_otherwise,
     search_orders,
     tried,
@@ -359,7 +361,11 @@ def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, fr
         if not _gains(fit_at(samples, one.fit.model.poles, one.fit.model.delay,
                              replace(free, feedthrough=False)), other):
             continue
-        with_D = tried(samples, climb(samples, other, direct, effort), direct)
+        more = parameters(samples, other, direct) - best.parameters
+        fewest = max(float(np.min(one.independent)), 2.0)
+        rival = needed(best, samples, more,
+                       float(np.max(samples.counts)) if more > 0 else fewest)
+        with_D = tried(samples, climb(samples, other, direct, effort, rival=rival), direct)
         if with_D.parameters <= best.parameters:
             better = criterion(with_D, best) <= 0.0
         else:
