@@ -30,8 +30,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 ROUNDING = 1e-24      # of an output's power: what is left of it is rounding
 _RANK = 1e-13         # relative singular value below which a linear direction is not determined
-LEAST_GAIN = 0.01     # -2 log likelihood: a tenth of a standard deviation is not worth a step
-_SLOW = 0.01          # of the gain that a step has to promise: the least that the last one brought
+LEAST_GAIN = 1e-4     # -2 log likelihood: a hundredth of a standard deviation
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 _DAMPING = 1e-4       # of the first step
@@ -132,8 +131,8 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
     rival : float
         Cost of another model: given up when five more steps like the last would not reach it.
     least : float
-        Gain of -2 log likelihood that another step has to promise; the last one has to have
-        brought some of it.
+        Gain of -2 log likelihood that another step has to promise, and the last one to have
+        brought.
     """
     best, damping, gain = start, _DAMPING, np.inf
     for _ in range(steps):
@@ -145,7 +144,7 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         promise = gradient @ np.linalg.solve(
             curvature + _LEAST_DAMPING * np.eye(len(scale)), gradient)
         moved = None
-        if promise < least or gain < _SLOW * least or best.cost - 5.0 * gain > rival:
+        if min(float(promise), gain) < least or best.cost - 5.0 * gain > rival:
             break
         for _ in range(6):
             effort.check()
