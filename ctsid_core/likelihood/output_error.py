@@ -251,6 +251,7 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
             slopes, of_c = np.sum(t.dz * driving, axis=2), _real(driven, poles)
             error, direct = t.y - _simulated(t, model, r, driven), _direct(t, free, r, records)
             for k, i in enumerate(t.channels):
+                samples.effort.check()
                 c = model.c[i]
                 turned = t.z * c[:, np.newaxis]
                 J = np.zeros((len(t.one), shared + own * ny))

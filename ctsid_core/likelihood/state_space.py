@@ -171,6 +171,7 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     for own in whole.columns:
         for t in own.triangles:
             for _ in t.channels:
+                samples.effort.check()
                 block = slice(at, at + t.count)
                 at += t.count
                 seen = np.fft.rfft(rows[block] @ directions, axis=0) / np.sqrt(t.count)

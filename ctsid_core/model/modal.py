@@ -31,6 +31,8 @@ from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.signals.record import Signal
 
+_CACHED = 2 ** 14      # steps of modes taken at a time: what is between stays in the cache
+
 
 class ModeResponses(NamedTuple):
     """
@@ -131,11 +133,7 @@ class Steps:
     def responses(self, poles: Array | ComplexArray, *,
                   slopes: bool = True) -> tuple[ComplexArray, ComplexArray]:
         """Return responses and their derivatives by the pole, see `ModeResponses`."""
-        found = [_read(poles, part, slopes) for part in self._parts]
-        if len(found) == 1:
-            return found[0]
-        return (np.concatenate([z for z, _ in found], axis=1),
-                np.concatenate([dz for _, dz in found], axis=1))
+        return _joined([_read_in_blocks(poles, part, slopes) for part in self._parts], 1)
 
 
 class _Part(NamedTuple):
@@ -239,6 +237,23 @@ def _shifted(derivatives: Array, stamps: Array, place: int, to: float) -> Array:
     h = to - stamps[place - 1]
     return np.array([sum(x * h ** k / factorial(k) for k, x in enumerate(derivatives[j:]))
                      for j in range(len(derivatives))])
+
+
+def _read_in_blocks(poles: Array | ComplexArray, part: _Part,
+                    slopes: bool) -> tuple[ComplexArray, ComplexArray]:
+    """Return the same as `_read`, some poles at a time."""
+    few = max(_CACHED // max(part.force[0].size, 1), 1)
+    return _joined([_read(poles[i:i + few], part, slopes)
+                    for i in range(0, max(len(poles), 1), few)], 0)
+
+
+def _joined(found: list[tuple[ComplexArray, ComplexArray]],
+            axis: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return responses and slopes of several modes, or inputs, as one."""
+    if len(found) == 1:
+        return found[0]
+    z, dz = zip(*found, strict=True)
+    return np.concatenate(z, axis=axis), np.concatenate(dz, axis=axis)
 
 
 def _read(poles: Array | ComplexArray, part: _Part,
