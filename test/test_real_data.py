@@ -55,10 +55,10 @@ def test_robot_arm(data_folder, hold, seed):
     estimate = identify(first, Settings(order=4))
     assert estimate.ok
     assert check(estimate.model, second) >= 90.0
-    # Two lightly damped modes, known to better than 0.1 % from either half.
-    other = identify(second, Settings(order=4)).model
-    np.testing.assert_allclose(np.sort(other.natural_frequency),
-                               np.sort(estimate.model.natural_frequency), rtol=3e-3)
+    # Two lightly damped modes, alike in both halves: at order 6, for fewer states are too few.
+    modes = [np.sort(identify(half, Settings(order=6)).model.natural_frequency)[:4]
+             for half in (first, second)]
+    np.testing.assert_allclose(*modes, rtol=3e-3)
 
 
 @pytest.mark.parametrize(('hold', 'seed', 'least'), [

@@ -113,8 +113,10 @@ def _divided(samples: Samples, model: ModalModel, free: Free, place: int, share:
         effort.check()
         try:
             same = fit_states(side, model, free)
-            other = climb(side, fit_at(side, model.poles, model.delay, free, same), free,
-                          effort, steps=_STEPS, least=_LEAST_GAIN)
+            starts = [fit_at(side, model.poles, model.delay, free, near)
+                      for near in ((same, None) if samples.several else (None,))]
+            other = climb(side, min(starts, key=lambda fit: fit.cost), free, effort,
+                          steps=_STEPS, least=_LEAST_GAIN)
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)

@@ -17,7 +17,7 @@ from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import uniform, with_noise
 from ctsid_core.likelihood.output_error import fit_states
-from ctsid_core.likelihood.residuals import Residuals, residuals, white_part
+from ctsid_core.likelihood.residuals import Residuals, residuals, simulated, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
@@ -53,8 +53,9 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
         pole_deviation(covariance, model)
     share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
     unseen = held_out(samples, fit, solution.free, share, effort, solution.refit)
-    change = Change() if solution.refit else most_likely_change(
-        *(solution.simulating or (samples, fit, solution.free)), effort)
+    simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
+    change = Change() if solution.refit or simulating is None else \
+        most_likely_change(*simulating, effort)
     names = tuple(last.whole.input_names[j] for j in last.u)
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,
@@ -143,8 +144,20 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
         error=numbers.error, coloured=numbers.coloured_error, held_out=numbers.held_out_error,
         expected=everywhere(unseen.expected),
-        poles=model.poles, deviation=deviation, change=change, where=_where(part, change),
+        driven=everywhere(_driven(solution)), poles=model.poles, deviation=deviation,
+        change=change, where=_where(part, change) or _worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction)
+
+
+def _driven(solution: Solution) -> Array:
+    """Return the rms response to the inputs alone, over the motion, (ny,); 0 if not known."""
+    fit, samples = solution.fit, solution.samples
+    if solution.by_prediction:
+        return np.zeros(samples.ny)
+    alone = replace(fit.model, x0=0.0 * fit.model.x0, y0=0.0 * fit.model.y0)
+    made = simulated(samples, replace(fit, model=alone))
+    return np.concatenate([np.std(np.concatenate([own[k] for own in made]), axis=0)
+                           for k in range(len(made[0]))])
 
 
 def _over_all(solution: Solution) -> Array:
@@ -171,6 +184,13 @@ def _where(part: Joint, change: Change) -> str:
     at = _share(part, change) * own.duration
     which = f' of record {part.numbers[change.record]}' if part.several else ' of the window'
     return f'about {at:.2g} s after the start{which}'
+
+
+def _worst(solution: Solution) -> str:
+    """Return which of several records is explained least, in words."""
+    part, power = solution.part, solution.fit.power
+    return f', most of it of record {part.numbers[int(np.argmax(power.max(axis=1)))]}' \
+        if part.several else ''
 
 
 def _share(part: Joint, change: Change) -> float:

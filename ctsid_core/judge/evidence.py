@@ -31,12 +31,14 @@ class Evidence:
         Rms error on the part held out, over the motion of the whole window.
     expected : ndarray, shape (ny,)
         The part of it that the uncertainty of the rest's model lets expect.
+    driven : ndarray, shape (ny,)
+        Rms response to the inputs alone, over the motion; 0 if not known.
     poles : ndarray, shape (n,)
     deviation : ndarray, shape (n,)
         Standard deviations, in the same order [rad/s].
     change : Change
     where : str
-        Which window, or record, changed, and when.
+        Which window, or record, changed, and when; or which is explained least.
     by_prediction : bool
         Whether the model was found by its predictions: errors are those of predictions then.
     numbers : Verdict
@@ -52,6 +54,7 @@ class Evidence:
     coloured: Array
     held_out: Array
     expected: Array
+    driven: Array
     poles: ComplexArray
     deviation: Array
     change: Change

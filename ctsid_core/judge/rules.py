@@ -71,11 +71,11 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
     for i in np.flatnonzero(e.coloured > _UNEXPLAINED):
         yield Status.UNEXPLAINED, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
-            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion; check with '
-            '`ctsid plot` that these are the right signals and that nothing else drives the '
+            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.where}; check '
+            'with `ctsid plot` that these are the right signals and that nothing else drives the '
             'plant.')
-    follows = (e.numbers.response_uncertainty <= _FOLLOWS) | (e.held_out < _UNEXPLAINED)
-    for i in np.flatnonzero(~follows & np.isfinite(e.error)):
+    follows = e.held_out < _UNEXPLAINED * e.driven          # what follows nothing goes by itself
+    for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
             'as far as the noise lets see; check its sensor and that it is the right signal, or '

@@ -35,14 +35,15 @@ def input_spectra(samples: Samples,
     t = np.linspace(record.start, record.end, count)
     ends = np.cumsum([s.width for s in record.inputs])
     inputs = record.inputs[:int(np.searchsorted(ends, len(delay))) + 1]
-    u = mode_responses(np.empty(0, dtype=complex), inputs, delay.tolist(), record.start, t,
-                       slopes=False).inputs
+    none = np.empty(0, dtype=complex)
+    as_sent, u = (mode_responses(none, inputs, d.tolist(), record.start, t, slopes=False).inputs
+                  for d in (0.0 * delay, delay))
     lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:]
     omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
     power = np.abs(lines) ** 2 / omega
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
-    tapered = np.abs(np.fft.rfft(np.diff(u, axis=1) * np.hanning(count - 1), axis=1)) ** 2
+    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * np.hanning(count - 1), axis=1)) ** 2
     breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
     return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
             breadth / _LOBE)

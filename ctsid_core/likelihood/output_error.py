@@ -34,6 +34,7 @@ LEAST_GAIN = 1e-4     # -2 log likelihood: a hundredth of a standard deviation
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 _DAMPING = 1e-4       # of the first step
+_PATIENCE = 4         # steps before a climb is given up beside a better one: for saddles
 _LEAST_DAMPING = 1e-9
 
 
@@ -135,16 +136,17 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         brought.
     """
     best, damping, gain = start, _DAMPING, np.inf
-    for _ in range(steps):
+    for taken in range(steps):
         rows, error, places = jacobian(samples, best, free)
         gradient, curvature = rows.T @ error, rows.T @ rows
         scale = np.sqrt(np.diag(curvature))
         scale[~(scale > 1e-150)] = 1.0
         gradient, curvature = gradient / scale, curvature / np.outer(scale, scale)
-        promise = gradient @ np.linalg.solve(
-            curvature + _LEAST_DAMPING * np.eye(len(scale)), gradient)
+        promise = float(gradient @ np.linalg.solve(
+            curvature + _LEAST_DAMPING * np.eye(len(scale)), gradient))
         moved = None
-        if min(float(promise), gain) < least or best.cost - 5.0 * gain > rival:
+        hopeless = taken >= _PATIENCE and best.cost - 5.0 * gain > rival
+        if hopeless or min(promise, gain) < least:
             break
         for _ in range(6):
             effort.check()

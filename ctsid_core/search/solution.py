@@ -51,7 +51,8 @@ class Solution:
     errors_ahead : ndarray, shape (horizons, ny)
         Of its predictions, over the motion.
     simulating : tuple of Samples, Fit and Free, or None
-        Of the best model that simulates, if it is another one: a plant that changes shows there.
+        Of the best model that simulates, if it is another one of a stable plant: there shows
+        whether the plant changes.
     singular_values : ndarray
         Of a subspace method; their drop shows the order.
     condition : float

@@ -220,9 +220,9 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
                                 max_order=settings.max_order,
                                 known_delay=np.array(own.delays(samples.nu)), record=record,
                                 corrupt=rows)
+    stable = found is not None and bool(np.all(np.linalg.eigvals(found.matrices.A).real <= 1e-9))
     # In open loop a stable plant is what simulates best.
-    if found is None or own.feedthrough and np.all(
-            np.linalg.eigvals(found.matrices.A).real <= 1e-9):
+    if found is None or own.feedthrough and stable:
         return None
     rival, _ = with_noise(samples, best.fit, errors, last)
     own_price = information(found.errors, samples, found.found.parameters)
@@ -237,7 +237,7 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', 'no simulation explains the outputs; predictions from '
                 'their own past do far better'),), plant=found.matrices,
-        simulating=(samples, best.fit, free), errors_ahead=found.errors)
+        simulating=(samples, best.fit, free) if stable else None, errors_ahead=found.errors)
 
 
 def _names(part: Joint) -> list[str]:
