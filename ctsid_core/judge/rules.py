@@ -74,7 +74,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.where}; check '
             'with `ctsid plot` that these are the right signals and that nothing else drives the '
             'plant.')
-    follows = e.held_out < _UNEXPLAINED * e.driven          # what follows nothing goes by itself
+    follows = e.held_out < _DISTURBED * e.driven            # what follows nothing goes by itself
     for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
