@@ -19,6 +19,9 @@ from verdict_cases import distance, excited, nothing, steps
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.errors import DataError
+from ctsid_core.judge.changed import Change
+from ctsid_core.judge.evidence import Evidence
+from ctsid_core.judge.rules import judge
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
@@ -283,3 +286,16 @@ def test_well_excited_windows_are_good():
     print(grades)
     assert grades[Grade.GOOD] >= 190
     assert grades[Grade.REJECT] == 0
+
+
+@pytest.mark.parametrize('worst', ['', ', most of it of record 2'])
+def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
+    """A change too small to reject has an instant, too: it is a note, not part of the reason."""
+    one = np.array([0.9])
+    status, verdict = judge(Evidence(
+        input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
+        expected=0.0 * one, driven=one, poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 3.0),
+        where='about 3 s after the start of the window', worst=worst,
+        numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
+    assert status is Status.UNEXPLAINED
+    assert f'is 90 % of its motion{worst}; check with ' in verdict.reason

@@ -17,7 +17,7 @@ from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import uniform, with_noise
 from ctsid_core.likelihood.output_error import fit_states
-from ctsid_core.likelihood.residuals import Residuals, residuals, simulated, white_part
+from ctsid_core.likelihood.residuals import Residuals, driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
@@ -68,7 +68,7 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
         status=status, settings=solution.settings,
         model=model if accepted else None, rejected_model=None if accepted else model,
         pole_std=deviation, covariance=covariance, verdict=verdict,
-        fit=100.0 * (1.0 - evidence.error), held_out_fit=100.0 * (1.0 - evidence.held_out),
+        fit=100.0 * (1.0 - verdict.error), held_out_fit=100.0 * (1.0 - verdict.held_out_error),
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
@@ -137,27 +137,16 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         coloured_error=everywhere(coloured),
         held_out_error=everywhere(tested(unseen.error, unseen.expected, error)),
         independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curve_gains(
-            solution.samples, solution.fit, errors, solution.independent)))
+            solution.samples, errors, solution.independent)))
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
-        error=numbers.error, coloured=numbers.coloured_error, held_out=numbers.held_out_error,
-        expected=everywhere(unseen.expected),
-        driven=everywhere(_driven(solution)), poles=model.poles, deviation=deviation,
-        change=change, where=_where(part, change) or _worst(solution),
+        expected=everywhere(unseen.expected), driven=everywhere(
+            np.zeros_like(error) if solution.by_prediction else
+            driven(solution.samples, solution.fit, errors)),
+        poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction)
-
-
-def _driven(solution: Solution) -> Array:
-    """Return the rms response to the inputs alone, over the motion, (ny,); 0 if not known."""
-    fit, samples = solution.fit, solution.samples
-    if solution.by_prediction:
-        return np.zeros(samples.ny)
-    alone = replace(fit.model, x0=0.0 * fit.model.x0, y0=0.0 * fit.model.y0)
-    made = simulated(samples, replace(fit, model=alone))
-    return np.concatenate([np.std(np.concatenate([own[k] for own in made]), axis=0)
-                           for k in range(len(made[0]))])
 
 
 def _over_all(solution: Solution) -> Array:

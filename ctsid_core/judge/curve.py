@@ -14,31 +14,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.output_error import Fit
-from ctsid_core.likelihood.residuals import Residuals, simulated
+from ctsid_core.likelihood.residuals import Residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 
 
-def curve_gains(samples: Samples, fit: Fit, errors: Residuals, independent: Array) -> Array:
+def curve_gains(samples: Samples, errors: Residuals, independent: Array) -> Array:
     """
     Return the points of fit that a curve gains after the model, (ny,) [%].
 
     Parameters
     ----------
     samples : Samples
-    fit : Fit
     errors : Residuals
-        That it leaves.
+        That the model leaves.
     independent : ndarray, shape (ny,)
         Number of independent ones: a curve has to be worth its two numbers.
     """
     gains = np.zeros(samples.ny)
-    made = simulated(samples, fit)
     for stream, s in enumerate(samples.records[0].streams):
         for k, i in enumerate(range(s.channels.start, s.channels.stop)):
             e = np.concatenate([own[stream][:, k] for own in errors])
-            y = np.concatenate([own[stream][:, k] for own in made])
+            y = np.concatenate([r.streams[stream].y[:, k] - own[stream][:, k]
+                                for r, own in zip(samples.records, errors, strict=True)])
             y = (y - y.mean()) / (y.std() + 1e-300)
             powers = np.stack([np.ones_like(y), y, y ** 2, y ** 3])
             line, curve = (float(np.mean((e - np.linalg.lstsq(p.T, e, rcond=1e-10)[0] @ p) ** 2))

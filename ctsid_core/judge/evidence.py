@@ -23,22 +23,17 @@ class Evidence:
         Places of the channels that are constant over the window.
     stuck : tuple of Stuck
         Outputs that stop moving within it.
-    error : ndarray, shape (ny,)
-        Rms error of the simulation over the motion; NaN for constant outputs.
-    coloured : ndarray, shape (ny,)
-        The part of it that is not white noise.
-    held_out : ndarray, shape (ny,)
-        Rms error on the part held out, over the motion of the whole window.
     expected : ndarray, shape (ny,)
-        The part of it that the uncertainty of the rest's model lets expect.
+        The part of the error on what was held out that the uncertainty of the rest's model lets
+        expect, over the motion.
     driven : ndarray, shape (ny,)
         Rms response to the inputs alone, over the motion; 0 if not known.
     poles : ndarray, shape (n,)
-    deviation : ndarray, shape (n,)
-        Standard deviations, in the same order [rad/s].
     change : Change
     where : str
-        Which window, or record, changed, and when; or which is explained least.
+        Which window, or record, changed, and when.
+    worst : str
+        Which of several records is explained least.
     by_prediction : bool
         Whether the model was found by its predictions: errors are those of predictions then.
     numbers : Verdict
@@ -50,14 +45,26 @@ class Evidence:
     fixed_inputs: tuple[int, ...]
     fixed_outputs: tuple[int, ...]
     stuck: tuple[Stuck, ...]
-    error: Array
-    coloured: Array
-    held_out: Array
     expected: Array
     driven: Array
     poles: ComplexArray
-    deviation: Array
     change: Change
     where: str
+    worst: str
     numbers: Verdict
     by_prediction: bool = False
+
+    @property
+    def error(self) -> Array:
+        """Rms error of the simulation over the motion, (ny,); NaN for constant outputs."""
+        return self.numbers.error
+
+    @property
+    def coloured(self) -> Array:
+        """The part of it that is not white noise, (ny,)."""
+        return self.numbers.coloured_error
+
+    @property
+    def held_out(self) -> Array:
+        """Rms error on the part held out, over the motion of the whole window, (ny,)."""
+        return self.numbers.held_out_error

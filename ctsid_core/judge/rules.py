@@ -71,7 +71,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
     for i in np.flatnonzero(e.coloured > _UNEXPLAINED):
         yield Status.UNEXPLAINED, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
-            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.where}; check '
+            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
             'with `ctsid plot` that these are the right signals and that nothing else drives the '
             'plant.')
     follows = e.held_out < _DISTURBED * e.driven            # what follows nothing goes by itself

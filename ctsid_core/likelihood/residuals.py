@@ -26,10 +26,10 @@ def residuals(samples: Samples, fit: Fit) -> Residuals:
         Of each record and stream.
     """
     return tuple(tuple(s.y - y for s, y in zip(r.streams, own, strict=True))
-                 for r, own in zip(samples.records, simulated(samples, fit), strict=True))
+                 for r, own in zip(samples.records, _simulated(samples, fit), strict=True))
 
 
-def simulated(samples: Samples, fit: Fit) -> Residuals:
+def _simulated(samples: Samples, fit: Fit) -> Residuals:
     """Return the simulation at the samples, over the size of the outputs, likewise."""
     m, found = fit.model, []
     samples.effort.spend(0.3 * evaluation_work(samples, len(m.poles)))
@@ -45,6 +45,20 @@ def simulated(samples: Samples, fit: Fit) -> Residuals:
             own.append(np.asarray(y.T))
         found.append(tuple(own))
     return tuple(found)
+
+
+def driven(samples: Samples, fit: Fit, errors: Residuals) -> Array:
+    """Return the rms response to the inputs alone, over the size of the outputs, (ny,)."""
+    m, found = fit.model, []
+    for k, s in enumerate(samples.records[0].streams):
+        rows = []
+        for i, (r, own) in enumerate(zip(samples.records, errors, strict=True)):
+            z = m.x0[i][:, np.newaxis] * np.exp(
+                m.poles[:, np.newaxis] * (r.streams[k].times - r.start))
+            rows.append(r.streams[k].y - own[k] - (m.c[s.channels] @ z).real.T
+                        - m.y0[i, s.channels])
+        found.append(np.std(np.concatenate(rows), axis=0))
+    return np.concatenate(found)
 
 
 def independent(errors: Residuals) -> Array:
