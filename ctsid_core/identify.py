@@ -109,4 +109,4 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
         solve_by(method, part, settings, effort)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
-    return conclude(solution, effort)
+    return conclude(solution)

@@ -19,7 +19,7 @@ from ctsid_ros.node.program import main
 _real, _alone = tracking.identify, Lock()
 
 
-def slowly(record, settings=None, *, like=None, cancelled=None):
+def slowly(record, settings=None, *, cancelled=None):
     if not _alone.acquire(blocking=False):
         print('TWO AT ONCE', flush=True)
         os._exit(1)
@@ -32,7 +32,7 @@ def slowly(record, settings=None, *, like=None, cancelled=None):
             if cancelled is not None and cancelled():
                 print('cancelled', flush=True)
                 raise Cancelled
-        return _real(record, settings, like=like, cancelled=cancelled)
+        return _real(record, settings, cancelled=cancelled)
     finally:
         _alone.release()
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at, fit_states
 from ctsid_core.likelihood.residuals import Residuals, independent, residuals, white_part
@@ -64,7 +63,7 @@ class Change:
     two: tuple[float, float] = (float('nan'), float('nan'))
 
 
-def most_likely_change(samples: Samples, fit: Fit, free: Free, effort: Effort) -> Change:
+def most_likely_change(samples: Samples, fit: Fit, free: Free) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
 
@@ -74,7 +73,6 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free, effort: Effort) -
     fit : Fit
         Of all samples.
     free : Free
-    effort : Effort
     """
     if samples.effort.over or \
             np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
@@ -84,11 +82,11 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free, effort: Effort) -
         one = replace(samples, records=samples.records[place:place + 1])
         own = replace(fit.model, x0=fit.model.x0[place:place + 1],
                       y0=fit.model.y0[place:place + 1])
-        found = max((_divided(one, own, free, place, share, effort) for share in _INSTANTS),
+        found = max((_divided(one, own, free, place, share) for share in _INSTANTS),
                     key=_gain)
         for step in _CLOSER if found.gain > 0.0 else ():
             found = max(found, *(
-                _divided(one, own, free, place, share, effort)
+                _divided(one, own, free, place, share)
                 for share in (found.share - step, found.share + step)
                 if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
         if found.left < _LEFT:
@@ -100,8 +98,8 @@ def _gain(change: Change) -> float:
     return change.gain
 
 
-def _divided(samples: Samples, model: ModalModel, free: Free, place: int, share: float,
-             effort: Effort) -> Change:
+def _divided(samples: Samples, model: ModalModel, free: Free, place: int,
+             share: float) -> Change:
     record = samples.records[0]
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []
@@ -110,12 +108,11 @@ def _divided(samples: Samples, model: ModalModel, free: Free, place: int, share:
         side = samples.between([(start, end)]).thinned(_SEARCHED)
         if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
             return Change()
-        effort.check()
         try:
             same = fit_states(side, model, free)
             starts = [fit_at(side, model.poles, model.delay, free, near)
                       for near in ((same, None) if samples.several else (None,))]
-            other = climb(side, min(starts, key=lambda fit: fit.cost), free, effort,
+            other = climb(side, min(starts, key=lambda fit: fit.cost), free,
                           steps=_STEPS, least=_LEAST_GAIN)
         except np.linalg.LinAlgError:
             return Change()

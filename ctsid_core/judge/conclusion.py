@@ -32,16 +32,16 @@ from ctsid_core.search.solution import Solution
 from ctsid_core.signals.stuck import stuck_outputs
 
 
-def conclude(solution: Solution, effort: Effort) -> Estimate:
+def conclude(solution: Solution) -> Estimate:
     """
     Return the estimate: the model of all channels, its accuracy, and the verdict.
 
     Parameters
     ----------
     solution : Solution
-    effort : Effort
     """
     part, fit, samples = solution.part, solution.fit, solution.samples
+    effort = samples.effort
     effort.keep(0.0)
     errors = residuals(samples, fit)
     m, intensity = _matrices(solution, errors)
@@ -52,10 +52,10 @@ def conclude(solution: Solution, effort: Effort) -> Estimate:
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
     share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
-    unseen = held_out(samples, fit, solution.free, share, effort, solution.refit)
+    unseen = held_out(samples, fit, solution.free, share, solution.refit)
     simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
     change = Change() if solution.refit or simulating is None else \
-        most_likely_change(*simulating, effort)
+        most_likely_change(*simulating)
     names = tuple(last.whole.input_names[j] for j in last.u)
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,

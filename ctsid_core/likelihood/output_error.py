@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import Columns, Triangle, columns_of
 from ctsid_core.likelihood.pole_steps import PoleSteps, canonical
@@ -116,7 +115,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     return _solved(samples, start, columns, free, power)
 
 
-def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: int = 100,
+def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
           rival: float = np.inf, least: float = LEAST_GAIN) -> Fit:
     """
     Take a model to the maximum of the likelihood.
@@ -126,7 +125,6 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
     samples : Samples
     start : Fit
     free : Free
-    effort : Effort
     steps : int
         At most.
     rival : float
@@ -149,7 +147,6 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         if hopeless or min(promise, gain) < least:
             break
         for _ in range(6):
-            effort.check()
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
@@ -159,7 +156,7 @@ def climb(samples: Samples, start: Fit, free: Free, effort: Effort, *, steps: in
         if moved is None:
             break
         gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, _LEAST_DAMPING)
-        if effort.over or np.all(best.power <= ROUNDING):
+        if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
 

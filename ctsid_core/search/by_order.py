@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctsid_core.effort import Effort
 from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.output_error import (
     ROUNDING,
@@ -79,7 +78,7 @@ class Tried:
         return float(np.sqrt(np.mean(self.fit.power)))
 
 
-def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort: Effort, *,
+def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                   order: int, max_order: int, known_delay: Array) -> dict[int, Tried]:
     """
     Return the best model of each order that was tried.
@@ -90,7 +89,6 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     free : Free
     subspace : callable
         From an order and dead times to the poles of HD-PBSID's models.
-    effort : Effort
     order : int
         The only one that is wanted; 0: any up to `max_order`.
     max_order : int
@@ -103,12 +101,11 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
                     fastest=free.fastest)
     found: dict[int, Tried] = {}
     for n in range(1, (order or max_order) + 1):
-        effort.check()
-        best = _best_of(n, found, thin, grid, subspace, free, effort, known_delay,
+        best = _best_of(n, found, thin, grid, subspace, free, known_delay,
                         np.inf if order or not found else _rival(found, thin, n))
         if best is not None:
             found[n] = tried(thin, best, free)
-        if effort.beyond(SEARCH) and found:
+        if samples.effort.beyond(SEARCH) and found:
             break
         if order or not found:
             continue
@@ -118,10 +115,10 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, effort:
     if thin is samples:
         return found
     chosen = order or choose(found)
-    if effort.beyond(SEARCH):
+    if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
     return {n: tried(samples, climb(samples, fit_at(
-        samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free, effort,
+        samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
         steps=_STEPS if n == chosen else 1), free) for n, one in found.items()}
 
 
@@ -216,7 +213,7 @@ def _delays(free: Free, known: Array) -> list[Array]:
 
 
 def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
-             subspace: SubspacePoles, free: Free, effort: Effort, known: Array,
+             subspace: SubspacePoles, free: Free, known: Array,
              needed: float) -> Fit | None:
     """Return the best model of one order."""
     starts = sorted(_starts(n, found, grid, subspace, free, known), key=lambda s: s[0])
@@ -226,7 +223,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         kinds[kind] = kinds.get(kind, 0) + 1
         if kinds[kind] > _LOOKED_AT:
             continue
-        if fits and effort.beyond(SEARCH):
+        if fits and samples.effort.beyond(SEARCH):
             break
         try:
             fits.append((kind, fit_at(samples, poles, delay, free)))
@@ -242,11 +239,11 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         fits += [('twin', twin)] if twin is not None else []
     best: Fit | None = None
     for start in _different(fits, 2 if n < 3 else 1):
-        reached = climb(samples, start, free, effort, steps=_STEPS, least=_LEAST_GAIN,
+        reached = climb(samples, start, free, steps=_STEPS, least=_LEAST_GAIN,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
             best = reached
-        if effort.beyond(SEARCH):
+        if samples.effort.beyond(SEARCH):
             break
     return best
 

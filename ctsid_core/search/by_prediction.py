@@ -25,7 +25,6 @@ import warnings
 import numpy as np
 from scipy.linalg import logm
 
-from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
@@ -84,7 +83,7 @@ class PredictionFit:
     orders: dict[int, Tried]
 
 
-def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: int,
+def solve_by_prediction(samples: Samples, free: Free, *, order: int,
                         max_order: int, known_delay: Array, record: Record,
                         corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """
@@ -94,7 +93,6 @@ def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: 
     ----------
     samples : Samples
     free : Free
-    effort : Effort
     order, max_order : int
     known_delay : ndarray, shape (nu,)
     record : Record
@@ -110,10 +108,10 @@ def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: 
     if not starts or order not in (0, *starts):
         return None
     thin = joint.thinned(_SEARCHED)
-    found = _orders(thin, starts, own, record, corrupt, effort, order)
+    found = _orders(thin, starts, own, record, corrupt, order)
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
     last = [_judged(joint, fit_at(joint, one.found.fit.model.poles, one.found.fit.model.delay, own,
-                                  one.found.fit), own, record, corrupt, effort) for one in likely]
+                                  one.found.fit), own, record, corrupt) for one in likely]
     known = [one for one in last if one is not None]
     if not known:
         return None
@@ -123,17 +121,15 @@ def solve_by_prediction(samples: Samples, free: Free, effort: Effort, *, order: 
 
 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record,
-            corrupt: tuple[Mask | None, ...], effort: Effort,
-            order: int) -> dict[int, PredictionFit]:
+            corrupt: tuple[Mask | None, ...], order: int) -> dict[int, PredictionFit]:
     """Return predictors of orders from below the regression's choice upwards, or of one order."""
     found: dict[int, PredictionFit] = {}
     n = best = order or max(min(starts, key=lambda n: starts[n].score) - MORE, 1)
-    while n in starts and not effort.over and (not found or n <= best + MORE):
-        effort.check()
+    while n in starts and not joint.effort.over and (not found or n <= best + MORE):
         delay = np.concatenate((starts[n].delay, np.zeros(joint.ny)))
         try:
             one = _judged(joint, fit_at(joint, starts[n].poles, delay, free, _near(
-                starts[n], joint, delay)), free, record, corrupt, effort)
+                starts[n], joint, delay)), free, record, corrupt)
         except np.linalg.LinAlgError:
             one = None
         if one is not None:
@@ -145,9 +141,9 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
 
 
 def _judged(joint: Samples, start: Fit, free: Free, record: Record,
-            corrupt: tuple[Mask | None, ...], effort: Effort) -> PredictionFit | None:
+            corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """Return the predictor of greatest likelihood near a start; None: no plant that predicts."""
-    one = tried(joint, climb(joint, start, free, effort, steps=_STEPS, least=_LEAST_GAIN), free)
+    one = tried(joint, climb(joint, start, free, steps=_STEPS, least=_LEAST_GAIN), free)
     plant = plant_of(one.fit, joint, len(joint.records) - 1)
     if plant is None:
         return None

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.effort import Effort
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -48,7 +47,7 @@ class HeldOut:
     expected: Array
 
 
-def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effort,
+def held_out(samples: Samples, fit: Fit, free: Free, share: float,
              refit: Callable[[Samples], Fit | None] | None = None) -> HeldOut:
     """
     Return the errors on the part that is held out.
@@ -66,7 +65,6 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effor
     free : Free
     share : float
         Held out; 0: nothing.
-    effort : Effort
     refit : callable, optional
         Makes the model of the first part; by default output error.
     """
@@ -76,12 +74,12 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float, effort: Effor
     samples = samples.thinned(_SEARCHED)
     try:
         if len(samples.records) >= _MANY:
-            return _by_records(samples, fit, free, share, effort)
+            return _by_records(samples, fit, free, share)
         early, late = (_parts(samples, share, held, _PARTS if refit is None else 1)
                        for held in (False, True))
         if np.min(early.counts) < 4 * fit.model.n + 4:
             return nothing
-        own = climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free, effort,
+        own = climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
                     steps=_STEPS, least=0.3) if refit is None else refit(early)
         if own is None:
             return nothing
@@ -104,7 +102,7 @@ def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
         for r in samples.records))
 
 
-def _by_records(samples: Samples, fit: Fit, free: Free, share: float, effort: Effort) -> HeldOut:
+def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut:
     count = len(samples.records)
     many = max(round(share * count), 1)
     held = {(2 * k + 1) * count // (2 * many) for k in range(many)}
@@ -112,7 +110,7 @@ def _by_records(samples: Samples, fit: Fit, free: Free, share: float, effort: Ef
         r for i, r in enumerate(samples.records) if i not in held))
     rest = replace(samples, records=tuple(
         r for i, r in enumerate(samples.records) if i in held))
-    own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free, effort,
+    own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free,
                 steps=_STEPS, least=0.3)
     return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny))
 

@@ -88,7 +88,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
     subspace = _Subspace(part, own, effort)
-    found = search_orders(samples, free, subspace.poles, effort, order=settings.order,
+    found = search_orders(samples, free, subspace.poles, order=settings.order,
                           max_order=settings.max_order, known_delay=given)
     if not found or settings.order not in (0, *found):
         return None
@@ -98,16 +98,15 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         order += 1
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
-        part, corrupt, samples, found[order], free, effort, seen)
+        part, corrupt, samples, found[order], free, seen)
     if own.feedthrough:
-        best, free = _direct(part, seen, samples, found, best, free, subspace, settings, effort)
-    best, free = _without_needless(
-        samples, _climbed(samples, best, free, effort), free, effort)
+        best, free = _direct(part, seen, samples, found, best, free, subspace, settings)
+    best, free = _without_needless(samples, _climbed(samples, best, free), free)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
-        best = _climbed(samples, best, free, effort)
-    if solved := _by_prediction(part, settings, corrupt, samples, best, free, effort):
+        best = _climbed(samples, best, free)
+    if solved := _by_prediction(part, settings, corrupt, samples, best, free):
         return solved
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
@@ -130,10 +129,10 @@ def _affordable(part: Joint, corrupt: Corrupt, settings: Settings, effort: Effor
     return most
 
 
-def _climbed(samples: Samples, one: Tried, free: Free, effort: Effort) -> Tried:
+def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     """Return a model at the maximum of the likelihood of other samples."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    return tried(samples, climb(samples, start, free, effort), free)
+    return tried(samples, climb(samples, start, free), free)
 
 
 def _left_out(found: dict[int, Tried], order: int, settings: Settings,
@@ -146,18 +145,17 @@ def _left_out(found: dict[int, Tried], order: int, settings: Settings,
 
 
 def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
-                      effort: Effort, seen: Seen) -> tuple[Samples, Tried, int]:
+                      seen: Seen) -> tuple[Samples, Tried, int]:
     """Return samples and model without what stands out in its errors, and how many do."""
     hidden = _hide_outliers(part, corrupt, samples, best.fit)
     if hidden:
         samples = seen()
-        best = _climbed(samples, best, free, effort)
+        best = _climbed(samples, best, free)
     return samples, best, hidden
 
 
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
-            free: Free, subspace: _Subspace, settings: Settings,
-            effort: Effort) -> tuple[Tried, Free]:
+            free: Free, subspace: _Subspace, settings: Settings) -> tuple[Tried, Free]:
     """Return the model with D, if that explains more than it costs."""
     model, direct = best.fit.model, replace(free, feedthrough=True)
     known = seen(_MARGIN * float(np.max(model.delay, initial=0.0)))
@@ -166,13 +164,14 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
     # A pole beyond what samples can show stands for D: then orders are searched with D.
     orders = found
-    if np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest and not effort.beyond(SEARCH) and \
-            _gains(start.fit, fit_at(known, model.poles, model.delay, direct)):
+    if np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest and \
+            not samples.effort.beyond(SEARCH) and _gains(
+                start.fit, fit_at(known, model.poles, model.delay, direct)):
         given = np.array(own_delays(part, settings).delays(samples.nu))
         orders = search_orders(
-            known, direct, subspace.poles, effort, order=settings.order,
+            known, direct, subspace.poles, order=settings.order,
             max_order=min(settings.max_order, model.n), known_delay=given) or found
-    with_D, free = _with_feedthrough(known, orders, start, free, effort, settings.order)
+    with_D, free = _with_feedthrough(known, orders, start, free, settings.order)
     if not free.feedthrough:
         return best, free
     model = with_D.fit.model
@@ -204,7 +203,7 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free) -> tuple[
 
 
 def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
-                   best: Tried, free: Free, effort: Effort) -> Solution | None:
+                   best: Tried, free: Free) -> Solution | None:
     """Return a model by its predictions where these are far better than a simulation's."""
     own, errors = own_delays(part, settings), residuals(samples, best.fit)
     power = best.fit.power.mean(axis=0)
@@ -212,11 +211,11 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
     lasting = float(np.max(best.fit.model.poles.real)) * samples.length
     needed = coloured.max() > _DISTURBED or (
         not own.feedthrough and (lasting > -1.0 or coloured.max() > _CLOSED_LOOP))
-    if not needed or effort.beyond(SEARCH):
+    if not needed or samples.effort.beyond(SEARCH):
         return None
     last, record = part.last, part.parts[part.last].record
     rows, start = tuple(corrupt[last]), replace(free, delays=own.unknown_delays(samples.nu))
-    found = solve_by_prediction(samples, start, effort, order=settings.order,
+    found = solve_by_prediction(samples, start, order=settings.order,
                                 max_order=settings.max_order,
                                 known_delay=np.array(own.delays(samples.nu)), record=record,
                                 corrupt=rows)
@@ -347,13 +346,13 @@ def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) ->
 
 
 def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, free: Free,
-                      effort: Effort, order: int) -> tuple[Tried, Free]:
+                      order: int) -> tuple[Tried, Free]:
     """Return a model with D, of the same or a smaller order, if it explains more than it costs."""
     direct, without = replace(free, feedthrough=True), best
     for n, one in sorted(found.items()):
         if order and n != order or n > without.fit.model.n:
             continue
-        if effort.over:
+        if samples.effort.over:
             break
         other = min((fit_at(samples, one.fit.model.poles, delay, direct)
                      for delay in (one.fit.model.delay, without.fit.model.delay)),
@@ -365,7 +364,7 @@ def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, fr
         fewest = max(float(np.min(one.independent)), 2.0)
         rival = needed(best, samples, more,
                        float(np.max(samples.counts)) if more > 0 else fewest)
-        with_D = tried(samples, climb(samples, other, direct, effort, rival=rival), direct)
+        with_D = tried(samples, climb(samples, other, direct, rival=rival), direct)
         if with_D.parameters <= best.parameters:
             better = criterion(with_D, best) <= 0.0
         else:
@@ -381,20 +380,19 @@ def _gains(fit: Fit, direct: Fit) -> bool:
     return bool(np.max(before - after) > 0.1 * ENOUGH ** 2 or np.max(before / after) > _CLEANER)
 
 
-def _without_needless(samples: Samples, best: Tried, free: Free,
-                      effort: Effort) -> tuple[Tried, Free]:
+def _without_needless(samples: Samples, best: Tried, free: Free) -> tuple[Tried, Free]:
     """Return the model without dead times that explain too little."""
     deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
     for j in np.flatnonzero(free.delays):
         if best.fit.model.delay[j] == 0.0:
             free = replace(free, delays=tuple(bool(f and k != j)
                                               for k, f in enumerate(free.delays)))
-        elif best.fit.model.delay[j] < _SURE * deviation[j] and not effort.over:
+        elif best.fit.model.delay[j] < _SURE * deviation[j] and not samples.effort.over:
             late = tuple(bool(f and k != j) for k, f in enumerate(free.delays))
             fewer = replace(free, delays=late)
             delay = np.where(np.arange(samples.nu) == j, 0.0, best.fit.model.delay)
             other = tried(samples, climb(samples, fit_at(
-                samples, best.fit.model.poles, delay, fewer), fewer, effort), fewer)
+                samples, best.fit.model.poles, delay, fewer), fewer), fewer)
             if criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS:
                 best, free = other, fewer
     return best, free

@@ -53,7 +53,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
                          max(own.delays(len(part.parts[0].u))), effort)
     free = replace(free_of(samples, own), delays=(False,) * samples.nu, limit=np.inf)
     orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
-    best = _likeliest(method.models(part, own, orders), samples, own, free, effort)
+    best = _likeliest(method.models(part, own, orders), samples, own, free)
     if best is None:
         return None
     fit, made, by_order = best
@@ -71,7 +71,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
         records, _ = part.early_and_late(own)
         offered = method.models(records, replace(made.settings, delay=own.delay), [fit.model.n]) \
             or method.models(records, own, [fit.model.n])
-        found = _likeliest(offered, early, own, free, effort)
+        found = _likeliest(offered, early, own, free)
         return None if found is None else found[0]
 
     used = made.settings.replace(delay=settings.delay, order=fit.model.n)
@@ -80,14 +80,14 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
                     singular_values=made.singular_values, condition=made.condition)
 
 
-def _likeliest(offered: Sequence[MethodModel], samples: Samples, own: Settings, free: Free,
-               effort: Effort) -> tuple[Fit, MethodModel, dict[int, Fit]] | None:
+def _likeliest(offered: Sequence[MethodModel], samples: Samples, own: Settings,
+               free: Free) -> tuple[Fit, MethodModel, dict[int, Fit]] | None:
     """Return the likeliest model, and the best of each order."""
     best: tuple[float, Fit, MethodModel] | None = None
     by_order: dict[int, Fit] = {}
     price = float(np.log(samples.counts.sum()))
     for one in offered:
-        effort.check()
+        samples.effort.check()
         fit = _fitted(one, samples, own, free)
         if fit is None or not np.isfinite(fit.cost):
             continue

@@ -129,7 +129,7 @@ class Tracker:
         past = self._past
         test = _fresh(past, record)
         estimate = self._reject_straddling(
-            identify(record, self.settings, like=past.model, cancelled=cancelled))
+            identify(record, self.settings, cancelled=cancelled))
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
         if estimate.model is None:
