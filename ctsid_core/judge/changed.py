@@ -74,8 +74,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free) -> Change:
         Of all samples.
     free : Free
     """
-    if samples.effort.over or \
-            np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
+    if np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
         return Change()
     best = Change()
     for place in range(len(samples.records)):
@@ -100,6 +99,8 @@ def _gain(change: Change) -> float:
 
 def _divided(samples: Samples, model: ModalModel, free: Free, place: int,
              share: float) -> Change:
+    if samples.effort.over:
+        return Change()
     record = samples.records[0]
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []

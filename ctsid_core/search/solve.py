@@ -93,9 +93,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if not found or settings.order not in (0, *found):
         return None
     order = settings.order or choose(found)
-    if not settings.order and order + 1 in found and responds_otherwise(
-            samples, found[order], found[order + 1]):
-        order += 1
+    more = not settings.order and order + 1 in found and responds_otherwise(
+        samples, found[order], found[order + 1])
+    order += more
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
         part, corrupt, samples, found[order], free, seen)
@@ -112,7 +112,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
-                    _choices(part, settings, best, free), notes, whole=whole, hidden=hidden,
+                    _choices(part, settings, best, free, more), notes, whole=whole, hidden=hidden,
                     singular_values=values, condition=condition)
 
 
@@ -191,11 +191,12 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
         order_row(one, chosen, n) for n, one in sorted(found.items()))
 
 
-def _choices(part: Joint, settings: Settings, best: Tried, free: Free) -> tuple[Choice, ...]:
+def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
+             more: bool) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
-        'samples')]
+        'samples' + ', and one more, for its response is another one' * more)]
     found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
                      f'of input {name}: the most likely, with the poles')
               for k, name in enumerate(_names(part)) if free.delays[k]]

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What decides on robots of the exam and plants like them: what matters to who simulates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ctsid_core import Grade, Record, Settings, identify
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.search.solve import free_of
+from ctsid_core.settings import LONGEST_DELAY
+from ctsid_ros.studies.robots.families import experiment
+from ctsid_ros.studies.robots.reachable import models, outputs
+from ctsid_ros.studies.robots.trials import simulated
+
+
+def test_a_state_for_which_a_dead_time_stands_in_is_found_by_the_response():
+    """One state and 0.34 s simulate a step as well as the right two, nearly; nothing else."""
+    given = experiment('motor-position', 2, 7)
+    found = identify(given.record, given.settings)
+    assert found.verdict.grade is Grade.GOOD
+    assert found.model.n == 2
+    assert found.model.delay[0] < 0.05
+    order, = (c for c in found.choices if c.name == 'order')
+    assert order.why.endswith('and one more, for its response is another one')
+
+
+@pytest.mark.parametrize(('family', 'order'), [('saturation-30', 2), ('gain-drift', 1)])
+def test_an_order_that_is_given_is_fitted_as_well_as_by_brute_force(family, order):
+    """Few samples are independent here: a dead time stays if it gains three tenths of a point."""
+    record = experiment(family, 31, 0).record
+    best = models(outputs(record)[0])[order - 1]
+    reached = 100.0 * (1.0 - np.sqrt(best.cost) / np.std(outputs(record)[0].y))
+    found = identify(record, Settings(order=order))
+    fit = simulated(found.model or found.rejected_model, record)[0]
+    print(f'{family}, order {order}: {fit:.2f} %, brute force {reached:.2f} %')
+    assert fit > reached - 0.3
+
+
+def stepped(at: float) -> Record:
+    """A lag of 0.1 s that steps once in 9 s, with 1 % of noise."""
+    t = np.arange(0.0, 9.0, 0.01)
+    u, y = (t >= at) * 1.0, np.where(t >= at, 1.0 - np.exp(-10.0 * (t - at)), 0.0)
+    return Record.from_arrays(
+        t, u, t, y + 0.01 * np.random.default_rng(0).standard_normal(len(t)), input_hold='zoh')
+
+
+@pytest.mark.parametrize(('at', 'told'), [(2.2, False), (4.0, True)])
+def test_a_part_held_out_that_the_rest_cannot_tell_is_no_test(at, told):
+    """The only step begins where the end of the first third is held out, or where it is not."""
+    found = identify(stepped(at), Settings(delay=0.0))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert bool(np.isfinite(found.held_out_fit).all()) is told
+    assert ('held out' in found.verdict.reason) is told
+
+
+@pytest.mark.parametrize(('times', 'longest'), [(1.0, 0.9), (400.0, LONGEST_DELAY)])
+def test_no_longer_dead_time_is_looked_for_than_may_be_given(times, longest):
+    """A tenth of the window; of an hour that would be more than `delay` may be."""
+    quick = stepped(4.0)
+    record = Record(*(tuple(replace(s, time=times * s.time) for s in own)
+                      for own in (quick.inputs, quick.outputs)), 0.0, times * quick.end)
+    free = free_of(samples_of([record], [[None]]), Settings())
+    assert free.longest == pytest.approx(longest, rel=2e-3)
