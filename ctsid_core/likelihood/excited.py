@@ -30,7 +30,7 @@ def input_spectra(samples: Samples,
     uniform instants, and the effective number of frequencies of each.
     """
     record = max(samples.records, key=_motion)
-    finest = min(float(np.median(np.diff(s.times))) for s in record.streams)
+    finest = min(s.period for s in record.streams)
     count = int(np.clip((record.end - record.start) / finest, 32, _POINTS))
     t = np.linspace(record.start, record.end, count)
     ends = np.cumsum([s.width for s in record.inputs])

@@ -221,8 +221,7 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
 
 def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
     """Return the errors of all outputs at uniform instants, as coarse as the slowest output."""
-    step = max(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams)
-    parts = []
+    step, parts = samples.interval, []
     for record, own in zip(samples.records, errors, strict=True):
         first = max(s.times[0] for s in record.streams)
         last = min(s.times[-1] for s in record.streams)

@@ -34,6 +34,11 @@ class Stream:
     y: Array
     channels: slice
 
+    @property
+    def period(self) -> float:
+        """Median interval between stamps [s]; infinite for fewer than two samples."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.inf
+
 
 @dataclass(frozen=True, eq=False)
 class RecordSamples:
@@ -94,6 +99,11 @@ class Samples:
             for stream in record.streams:
                 row[stream.channels] = len(stream.times)
         return found
+
+    @property
+    def interval(self) -> float:
+        """Median interval of the slowest output [s]."""
+        return max(s.period for r in self.records for s in r.streams)
 
     @property
     def length(self) -> float:

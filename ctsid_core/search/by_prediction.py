@@ -101,7 +101,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
         Rows of each of its output signals that do not count.
     """
     samples = _before_inputs(samples)
-    joint, step = with_own_past(samples), sample_interval(samples)
+    joint, step = with_own_past(samples), samples.interval
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
                   limit=-_FORGETS / samples.length)
     starts = regressed(samples, step, order or max_order, known_delay, own)
@@ -191,7 +191,7 @@ def _before_inputs(samples: Samples) -> Samples:
     In closed loop an input is computed from the sample before it and tells its noise. Where
     stamps jitter it may seem to be the earlier one, and would predict it.
     """
-    near = _JITTER * sample_interval(samples)
+    near = _JITTER * samples.interval
 
     def earlier(times: Array, inputs: tuple[Signal, ...]) -> Array:
         stamps = np.unique(np.concatenate([s.time for s in inputs]))
@@ -245,15 +245,9 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
     return plant, back @ B, back @ K
 
 
-def sample_interval(samples: Samples) -> float:
-    """Return the median interval of the slowest output [s]."""
-    return max(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams)
-
-
 def _held_interval(joint: Samples) -> float:
     """Return the median interval of the slowest output, however thin the samples are [s]."""
-    return max(float(np.median(np.diff(s.time)))
-               for r in joint.records for s in r.inputs[-len(r.streams):])
+    return max(s.period for r in joint.records for s in r.inputs[-len(r.streams):])
 
 
 def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple[int, ...],

@@ -148,8 +148,7 @@ class _Cells:
     def __init__(self, record: RecordSamples, longest: float) -> None:
         self.record = record
         first = record.start - longest
-        finest = min(float(np.median(np.diff(s.times))) if len(s.times) > 1 else np.inf
-                     for s in record.streams)
+        finest = min(s.period for s in record.streams)
         count = int(np.clip((record.end - first) / finest, 16, _CELLS))
         self._edges = np.linspace(first, record.end, count + 1)
         self._step = float(self._edges[1] - self._edges[0])

@@ -252,8 +252,7 @@ def corrupt_rows(part: Joint) -> Corrupt:
 
 def free_of(samples: Samples, own: Settings) -> Free:
     """Return what is free, and within which bounds."""
-    finest = min(float(np.median(np.diff(s.times))) for r in samples.records for s in r.streams
-                 if len(s.times) > 1)
+    finest = min(s.period for r in samples.records for s in r.streams)
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
                 min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
                 _FASTEST * np.pi / finest)
