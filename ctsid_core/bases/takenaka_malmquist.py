@@ -184,7 +184,8 @@ def _recursion(a: Array, g: Array) -> Array:
     """
     Return w of w_(k+1) = a_k w_k + g_k from zero, shape (K + 1, N, m).
 
-    In about sqrt(K) blocks side by side, whose ends are chained then, as `simulation.recursion`.
+    In about sqrt(K) blocks side by side from zero, whose ends are chained then, so that K steps
+    cost 2 sqrt(K) products of stacks.
     """
     count, size, m = g.shape
     length = int(np.sqrt(count)) + 1

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import expm
 
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
@@ -67,10 +66,7 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     """
     n, ny, effort = len(A), len(C), effort or Effort()
     total = sum(len(v) for v in parts)
-    joint = np.zeros((2 * n, 2 * n))
-    joint[:n, :n], joint[:n, n:] = A, np.eye(n)
-    grown = expm(joint * step)
-    F, G = grown[:n, :n], grown[:n, n:]
+    F, G = (x[0] for x in exponentials(A, np.array([step]), 1))
     weight = 1.0 / np.sqrt(_power(parts) + 1e-300)
     K, best = np.zeros((n, ny)), float(total * ny)
     start = best

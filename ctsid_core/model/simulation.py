@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
+from ctsid_core.linear.recursion import chain
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal
 
@@ -160,49 +161,23 @@ def _by_modes(found: Modes, B: Array, offset: Array, u: Array, h: Array,
         force = derivative[:-1] @ gain.T + (found.left @ offset if j == 0 else 0)
         drive += h[:, np.newaxis] ** (j + 1) * functions[j + 1] * force
     if x0 is not None:
-        return np.asarray((recursion(functions[0], drive, found.left @ x0) @ found.right.T).real)
+        return np.asarray((_chained(functions[0], drive, found.left @ x0) @ found.right.T).real)
     path = np.empty((len(h) + 1, len(found.values)), dtype=complex)
     grows = found.values.real > 0
     rest = np.zeros(len(found.values), dtype=complex)
-    path[:, ~grows] = recursion(functions[0][:, ~grows], drive[:, ~grows], rest[~grows])
+    path[:, ~grows] = _chained(functions[0][:, ~grows], drive[:, ~grows], rest[~grows])
     shrink = np.exp(-z[:, grows])[::-1]
-    path[::-1, grows] = recursion(shrink, -shrink * drive[::-1, grows], rest[grows])
+    path[::-1, grows] = _chained(shrink, -shrink * drive[::-1, grows], rest[grows])
     return np.asarray((path @ found.right.T).real)
 
 
-def recursion(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray:
-    """
-    Return z of z_(k+1) = a_k z_k + g_k, for many scalar recursions at once.
-
-    The sequence is cut into about sqrt(K) blocks that run side by side from zero; then the
-    blocks' ends are chained. So K steps cost 2 sqrt(K) array operations.
-
-    Parameters
-    ----------
-    a, g : ndarray, shape (K, m)
-    z0 : ndarray, shape (m,)
-
-    Returns
-    -------
-    ndarray, shape (K + 1, m)
-    """
-    count, m = a.shape
-    length = int(np.sqrt(count)) + 1
-    blocks = -(-count // length)
-    factor = np.ones((blocks * length, m), dtype=complex)
-    local = np.zeros((blocks * length, m), dtype=complex)
-    factor[:count], local[:count] = a, g
-    factor, local = factor.reshape(blocks, length, m), local.reshape(blocks, length, m)
-    for i in range(1, length):
-        local[:, i] += factor[:, i] * local[:, i - 1]
-        factor[:, i] *= factor[:, i - 1]
-    start = np.empty((blocks, 1, m), dtype=complex)
-    carry = z0
-    for b in range(blocks):
-        start[b, 0] = carry
-        carry = factor[b, -1] * carry + local[b, -1]
-    local += factor * start
-    return np.concatenate([z0[np.newaxis], local.reshape(blocks * length, m)[:count]])
+def _chained(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray:
+    """Return z of z_(k+1) = a_k z_k + g_k from z0, (K + 1, m), of a and g (K, m)."""
+    push = g.T[:, np.newaxis].copy()
+    push[:, :, :1] += (a[:1].T * z0[:, np.newaxis])[:, np.newaxis]
+    z = chain(a.T, push)[:, 0]
+    z[:, 0] = z0
+    return z.T
 
 
 def _by_matrices(A: Array, B: Array, offset: Array, u: Array, h: Array, x0: Array) -> Array:
