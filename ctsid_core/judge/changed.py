@@ -2,11 +2,13 @@
 """
 Did the plant change? What one model misses that two explain, over the motion.
 
-A record is divided at a few instants; each side gets a model of its own, of the same order. The
-states and the trim at the start of a side are free in both, so that disturbances are no change of
-the plant. Two models are always a little better, of drag, friction or gusts as well, but of a
-plant that changes they leave noise only: how much independent evidence there is for two is
-counted in *their* errors, and nearly all that one model leaves, noise apart, has to be gone.
+A record is divided at a few instants; each side gets a model of its own, of the same order or of
+half of it: further states of one model can imitate a plant that changes, and then two models with
+no more parameters explain more. The states and the trim at the start of a side are free in both,
+so that disturbances are no change of the plant. Two models are always a little better, of drag,
+friction or gusts as well, but of a plant that changes they leave noise only: how much independent
+evidence there is for two is counted in *their* errors, and nearly all that one model leaves, noise
+apart, has to be gone.
 """
 
 from __future__ import annotations
@@ -16,13 +18,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at, fit_states
+from ctsid_core.likelihood.mode_columns import Triangle, columns_of
+from ctsid_core.likelihood.output_error import (
+    Fit,
+    Free,
+    climb,
+    fit_at,
+    fit_linear,
+    fit_states,
+)
 from ctsid_core.likelihood.residuals import Residuals, independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 
-_INSTANTS = (0.2, 0.35, 0.5, 0.65, 0.8)     # parts of a record at which it is divided
-_CLOSER = (0.07, 0.025, 0.01)               # steps from the best of them, one after another
+_INSTANTS = tuple(np.linspace(0.12, 0.88, 9).tolist())      # parts at which it is divided
+_LIKELY = 2           # of these, by what two models of the same poles gain, that are looked at
+_CLOSER = (0.04, 0.02, 0.01)               # steps from the best of them, one after another
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5
@@ -63,7 +74,8 @@ class Change:
     two: tuple[float, float] = (float('nan'), float('nan'))
 
 
-def most_likely_change(samples: Samples, fit: Fit, free: Free) -> Change:
+def most_likely_change(samples: Samples, fit: Fit, free: Free,
+                       simpler: Fit | None = None) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
 
@@ -73,23 +85,28 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free) -> Change:
     fit : Fit
         Of all samples.
     free : Free
+    simpler : Fit, optional
+        The best one of half its order.
     """
-    if np.max(_coloured(residuals(samples, fit))) < (0.01 * NOTED) ** 2:
-        return Change()
     best = Change()
-    for place in range(len(samples.records)):
-        one = replace(samples, records=samples.records[place:place + 1])
-        own = replace(fit.model, x0=fit.model.x0[place:place + 1],
-                      y0=fit.model.y0[place:place + 1])
-        found = max((_divided(one, own, free, place, share) for share in _INSTANTS),
-                    key=_gain)
-        for step in _CLOSER if found.gain > 0.0 else ():
-            found = max(found, *(
-                _divided(one, own, free, place, share)
-                for share in (found.share - step, found.share + step)
-                if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
-        if found.left < _LEFT:
-            best = max(best, found, key=_gain)
+    for small in (fit, simpler):
+        if small is None or np.max(_coloured(residuals(samples, small))) < (0.01 * NOTED) ** 2:
+            continue
+        for place in range(len(samples.records)):
+            one = replace(samples, records=samples.records[place:place + 1])
+            models = [replace(x.model, x0=x.model.x0[place:place + 1],
+                              y0=x.model.y0[place:place + 1]) for x in (small, fit)]
+            gains = _linear_gains(one, models[0], free)
+            likely = [share for _, share in sorted(zip(gains, _INSTANTS, strict=True))[-_LIKELY:]]
+            found = max((_divided(one, *models, free, place, share) for share in likely),
+                        key=_gain)
+            for step in _CLOSER if found.gain > 0.0 else ():
+                found = max(found, *(
+                    _divided(one, *models, free, place, share)
+                    for share in (found.share - step, found.share + step)
+                    if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
+            if found.left < _LEFT:
+                best = max(best, found, key=lambda change: change.cost)
     return best
 
 
@@ -97,14 +114,43 @@ def _gain(change: Change) -> float:
     return change.gain
 
 
-def _divided(samples: Samples, model: ModalModel, free: Free, place: int,
+def _linear_gains(samples: Samples, model: ModalModel, free: Free) -> list[float]:
+    """Return by how much two models of the same poles are likelier than one, at each instant."""
+    samples = samples.thinned(_SEARCHED)
+    record, found = samples.records[0], []
+    whole, = columns_of(samples, model.poles, model.delay, turned=False)
+    for share in _INSTANTS:
+        at, gain = record.start + share * (record.end - record.start), 0.0
+        for after in (False, True):
+            side = replace(whole, triangles=tuple(
+                _rows(t, (s.times > at) == after)
+                for t, s in zip(whole.triangles, record.streams, strict=True)))
+            if min(t.count for t in side.triangles) < _FEWEST * (3 * model.n + 2):
+                gain = -np.inf
+                break
+            same, other = (fit(samples, model, free, (side,)) for fit in (fit_states, fit_linear))
+            gain += sum(t.count * float(np.sum(np.log(same.power / other.power)[0, t.channels]))
+                        for t in side.triangles)
+        found.append(gain)
+    return found
+
+
+def _rows(t: Triangle, kept: Mask) -> Triangle:
+    """Return some of the rows of columns that are not turned."""
+    return replace(t, z=t.z[kept], dz=t.dz[kept], u=t.u[kept], rates=t.rates[kept],
+                   one=t.one[kept], y=t.y[kept], count=int(np.sum(kept)))
+
+
+def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free, place: int,
              share: float) -> Change:
+    """Return what two models of a model's order miss, if they are likelier than the whole's."""
     if samples.effort.over:
         return Change()
     record = samples.records[0]
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []
     two: list[tuple[Array, ...]] = []
+    larger: list[tuple[Array, ...]] = []
     for start, end in ((record.start, at), (at, record.end)):
         side = samples.between([(start, end)]).thinned(_SEARCHED)
         if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
@@ -118,20 +164,24 @@ def _divided(samples: Samples, model: ModalModel, free: Free, place: int,
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)
+        larger += one[-1:] if whole is model else residuals(side, fit_states(side, whole, free))
         two += residuals(side, min(same, other, key=lambda fit: fit.cost))
     parts = np.array([share, 1.0 - share])
-    before, after = (np.array([_power((side,)) for side in both]) for both in (one, two))
-    power, rest = parts @ before, parts @ after
+    before, after, rival = (np.array([_power((side,)) for side in both])
+                            for both in (one, two, larger))
+    power, rest = parts @ rival, parts @ after
     counts = samples.counts[0]
     n_eff = counts * independent(tuple(two)) / [
         sum(len(e) for e in own) for own in zip(*two, strict=True) for _ in range(own[0].shape[1])]
-    count = model.n * (samples.nu + samples.ny) + sum(free.delays) + 1
+    count, of_whole = (m.n * (samples.nu + samples.ny) + sum(free.delays) + 1
+                       for m in (model, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
-    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - count * float(
+    price = max(2 * count - of_whole, 1)            # fewer numbers are no evidence of a change
+    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - price * float(
         np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0:
         return Change()
-    where = int(np.argmax(power - rest))
+    where = int(np.argmax(parts @ before - rest))
     left = _coloured(tuple(two))[where] / max(float(_coloured(tuple(one))[where]), 1e-300)
     missed = np.sqrt(np.maximum(before - after, 0.0))
     return Change(place, share, 100.0 * float(np.max(missed)), gain, float(left), *(

@@ -33,7 +33,6 @@ LEAST_GAIN = 1e-4     # -2 log likelihood: a hundredth of a standard deviation
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 _DAMPING = 1e-4       # of the first step
-_PATIENCE = 4         # steps before a climb is given up beside a better one: for saddles
 _LEAST_DAMPING = 1e-9
 
 
@@ -128,7 +127,8 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
     steps : int
         At most.
     rival : float
-        Cost of another model: given up when five more steps like the last would not reach it.
+        Cost of another model: given up when neither five more steps like the last nor five times
+        what the next one promises would reach it.
     least : float
         Gain of -2 log likelihood that another step has to promise, and the last one to have
         brought.
@@ -143,11 +143,13 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
         promise = float(gradient @ np.linalg.solve(
             curvature + _LEAST_DAMPING * np.eye(len(scale)), gradient))
         moved = None
-        hopeless = taken >= _PATIENCE and best.cost - 5.0 * gain > rival
+        hopeless = best.cost - 5.0 * max(promise, gain if taken else 0.0) > rival
         if hopeless or min(promise, gain) < least:
             break
         for _ in range(6):
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
+            if float(gradient @ step) < least:
+                break
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
@@ -496,9 +498,20 @@ def _normalised(model: ModalModel) -> ModalModel:
                    c=model.c * size)
 
 
-def fit_states(samples: Samples, model: ModalModel, free: Free) -> Fit:
-    """Return a model as it is, with the initial states and the trim that suit the samples best."""
-    columns = columns_of(samples, model.poles, model.delay)
+def fit_states(samples: Samples, model: ModalModel, free: Free,
+               columns: tuple[Columns, ...] | None = None) -> Fit:
+    """
+    Return a model as it is, with the initial states and the trim that suit the samples best.
+
+    Parameters
+    ----------
+    samples : Samples
+    model : ModalModel
+    free : Free
+    columns : tuple of Columns, optional
+        Of its poles and dead times, if they are known.
+    """
+    columns = columns or columns_of(samples, model.poles, model.delay)
     power = np.ones((len(columns), samples.ny))
     if len(model.x0) != len(columns):
         model = replace(model, x0=np.zeros((len(columns), len(model.poles)), dtype=complex),
@@ -507,6 +520,12 @@ def fit_states(samples: Samples, model: ModalModel, free: Free) -> Fit:
         model = _solve_states(samples, model, columns, free, power)
         power = _powers(samples, model, columns)
     return Fit(model, columns, power, _cost(samples, power))
+
+
+def fit_linear(samples: Samples, model: ModalModel, free: Free,
+               columns: tuple[Columns, ...]) -> Fit:
+    """Return a model of the same poles and dead times, everything else at its best."""
+    return _solved(samples, model, columns, free, np.ones((len(columns), samples.ny)))
 
 
 def _solve_states(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,

@@ -238,7 +238,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
             twin = None
         fits += [('twin', twin)] if twin is not None else []
     best: Fit | None = None
-    for start in _different(fits, 2 if n < 3 else 1):
+    for start in _different(fits, 1):
         reached = climb(samples, start, free, steps=_STEPS, least=_LEAST_GAIN,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:

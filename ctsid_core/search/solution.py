@@ -53,6 +53,8 @@ class Solution:
     simulating : tuple of Samples, Fit and Free, or None
         Of the best model that simulates, if it is another one of a stable plant: there shows
         whether the plant changes.
+    simpler : Fit or None
+        The best one of half its order that simulates.
     singular_values : ndarray
         Of a subspace method; their drop shows the order.
     condition : float
@@ -74,6 +76,7 @@ class Solution:
     whole: Samples | None = None
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     simulating: tuple[Samples, Fit, Free] | None = None
+    simpler: Fit | None = None
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
 

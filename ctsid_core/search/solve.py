@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
@@ -106,14 +107,16 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0:
         samples = seen(late)
         best = _climbed(samples, best, free)
+    half = found.get(best.fit.model.n // 2)
+    simpler = _climbed(samples, half, free).fit if half else None
     if solved := _by_prediction(part, settings, corrupt, samples, best, free):
-        return solved
+        return replace(solved, simpler=simpler)
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free, more), notes, whole=whole, hidden=hidden,
-                    singular_values=values, condition=condition)
+                    simpler=simpler, singular_values=values, condition=condition)
 
 
 def _affordable(part: Joint, corrupt: Corrupt, settings: Settings, effort: Effort) -> int:
@@ -382,20 +385,28 @@ def _gains(fit: Fit, direct: Fit) -> bool:
 
 def _without_needless(samples: Samples, best: Tried, free: Free) -> tuple[Tried, Free]:
     """Return the model without dead times that explain too little."""
+    model = best.fit.model
     deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
-    for j in np.flatnonzero(free.delays):
-        if best.fit.model.delay[j] == 0.0:
-            free = replace(free, delays=tuple(bool(f and k != j)
-                                              for k, f in enumerate(free.delays)))
-        elif best.fit.model.delay[j] < _SURE * deviation[j] and not samples.effort.over:
-            late = tuple(bool(f and k != j) for k, f in enumerate(free.delays))
-            fewer = replace(free, delays=late)
-            delay = np.where(np.arange(samples.nu) == j, 0.0, best.fit.model.delay)
-            other = tried(samples, climb(samples, fit_at(
-                samples, best.fit.model.poles, delay, fewer), fewer), fewer)
-            if criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS:
-                best, free = other, fewer
+    unsure = np.flatnonzero(free.delays & (model.delay < _SURE * deviation))
+    none = np.flatnonzero(free.delays & (model.delay == 0.0))
+    free = _fixed(free, none)
+    # All at once, and if that is too many, one by one.
+    for places in ([unsure] if len(unsure) > 1 else []) + [unsure[k:k + 1]
+                                                           for k in range(len(unsure))]:
+        if samples.effort.over or not np.any(np.array(free.delays)[places]):
+            continue
+        fewer, delay = _fixed(free, places), best.fit.model.delay.copy()
+        delay[places] = 0.0
+        other = tried(samples, climb(samples, fit_at(
+            samples, best.fit.model.poles, delay, fewer), fewer), fewer)
+        if criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS:
+            best, free = other, fewer
     return best, free
+
+
+def _fixed(free: Free, places: NDArray[np.intp]) -> Free:
+    """Return what is free, without the dead times of some inputs."""
+    return replace(free, delays=tuple(f and k not in places for k, f in enumerate(free.delays)))
 
 
 def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
