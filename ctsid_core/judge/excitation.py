@@ -18,6 +18,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
+_ALONE = 1e-10        # of an input's power that others do not explain: less is none
 
 
 def excitations(samples: Samples, delay: Array, covariance: Covariance | None, moving: StateSpace,
@@ -56,7 +57,8 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
         part = np.cumsum(seen) / total
         low, high = (float(omega[min(int(np.searchsorted(part, share)), len(omega) - 1)])
                      for share in (_TAIL, 1.0 - _TAIL))
-        unsure = float(np.sqrt((weight[:, j, np.newaxis] * variance[:, :, j]).sum() / total))
+        unsure = float(np.sqrt((weight[:, j, np.newaxis] * variance[:, :, j]).sum() / total)) \
+            if own[j] > _ALONE else np.inf
         found.append(Excitation(name, low, high, float(frequencies[j]), float(own[j]), unsure))
     by_output = np.full(samples.ny, np.inf)
     if changes is not None:

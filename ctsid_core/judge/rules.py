@@ -23,16 +23,17 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
-_DEVIATION = 0.12       # standard deviation of the response to an input, over the response
+_DEVIATION = 0.15       # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _ONE_SINE = 3.0         # effective number of frequencies of an input
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
 _LEAST = 0.05           # ... or this part of the motion; no test if ...
 _EXPECTED = 2.0         # ... so many deviations that the rest of the data leaves are more
-_DISTURBED = 0.5        # error that is not white noise, over the motion: nothing to act on ...
+_DRIVEN = 0.5           # held-out error over the response to inputs: less, and it follows them
+_DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
-_CURVED = 2.0           # points of fit that a curve after the model gains
+_CURVED = 4.0           # points of fit that a curve after the model gains
 _CHANGED = 4.0          # points of motion that one model misses and two explain
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
@@ -74,7 +75,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
             'with `ctsid plot` that these are the right signals and that nothing else drives the '
             'plant.')
-    follows = e.held_out < _DISTURBED * e.driven            # what follows nothing goes by itself
+    follows = e.held_out < _DRIVEN * e.driven            # what follows nothing goes by itself
     for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
