@@ -24,15 +24,15 @@ from ctsid_core.likelihood.output_error import (
     Free,
     climb,
     fit_at,
-    fit_linear,
     fit_states,
+    promised,
 )
 from ctsid_core.likelihood.residuals import Residuals, independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, Mask
 
 _INSTANTS = tuple(np.linspace(0.12, 0.88, 9).tolist())      # parts at which it is divided
-_LIKELY = 2           # of these, by what two models of the same poles gain, that are looked at
+_LIKELY = 2           # of these that are looked at
 _CLOSER = (0.04, 0.02, 0.01)               # steps from the best of them, one after another
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
@@ -89,50 +89,56 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         The best one of half its order.
     """
     best = Change()
-    for small in (fit, simpler):
-        if small is None or np.max(_coloured(residuals(samples, small))) < (0.01 * NOTED) ** 2:
-            continue
+    if np.max(fit.power) < (0.01 * NOTED) ** 2:
+        return best
+    for small in (fit,) if simpler is None else (fit, simpler):
         for place in range(len(samples.records)):
-            one = replace(samples, records=samples.records[place:place + 1])
-            models = [replace(x.model, x0=x.model.x0[place:place + 1],
-                              y0=x.model.y0[place:place + 1]) for x in (small, fit)]
-            gains = _linear_gains(one, models[0], free)
-            likely = [share for _, share in sorted(zip(gains, _INSTANTS, strict=True))[-_LIKELY:]]
-            found = max((_divided(one, *models, free, place, share) for share in likely),
-                        key=_gain)
-            for step in _CLOSER if found.gain > 0.0 else ():
-                found = max(found, *(
-                    _divided(one, *models, free, place, share)
-                    for share in (found.share - step, found.share + step)
-                    if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
-            if found.left < _LEFT:
-                best = max(best, found, key=lambda change: change.cost)
+            best = max(best, _of_record(samples, small.model, fit.model, free, place),
+                       key=lambda change: change.cost)
     return best
+
+
+def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
+               place: int) -> Change:
+    """Return the change within one record, if models of a model's order explain it."""
+    one = replace(samples, records=samples.records[place:place + 1])
+    model, whole = (replace(m, x0=m.x0[place:place + 1], y0=m.y0[place:place + 1])
+                    for m in (model, whole))
+    found = max((_divided(one, model, whole, free, place, share)
+                 for share in _likely(one, model, free)), key=_gain, default=Change())
+    for step in _CLOSER if found.gain > 0.0 else ():
+        found = max(found, *(_divided(one, model, whole, free, place, share)
+                             for share in (found.share - step, found.share + step)
+                             if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
+    return found if found.left < _LEFT else Change()
 
 
 def _gain(change: Change) -> float:
     return change.gain
 
 
-def _linear_gains(samples: Samples, model: ModalModel, free: Free) -> list[float]:
-    """Return by how much two models of the same poles are likelier than one, at each instant."""
+def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
+    """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(_SEARCHED)
     record, found = samples.records[0], []
     whole, = columns_of(samples, model.poles, model.delay, turned=False)
+    price = _numbers(samples, model, free) * float(np.log(np.max(samples.counts)))
     for share in _INSTANTS:
-        at, gain = record.start + share * (record.end - record.start), 0.0
+        at, promise = record.start + share * (record.end - record.start), 0.0
         for after in (False, True):
             side = replace(whole, triangles=tuple(
                 _rows(t, (s.times > at) == after)
                 for t, s in zip(whole.triangles, record.streams, strict=True)))
-            if min(t.count for t in side.triangles) < _FEWEST * (3 * model.n + 2):
-                gain = -np.inf
-                break
-            same, other = (fit(samples, model, free, (side,)) for fit in (fit_states, fit_linear))
-            gain += sum(t.count * float(np.sum(np.log(same.power / other.power)[0, t.channels]))
-                        for t in side.triangles)
-        found.append(gain)
-    return found
+            if min(t.count for t in side.triangles) >= _FEWEST * (3 * model.n + 2):
+                promise += promised(samples, fit_states(samples, model, free, (side,)), free)
+        if promise > price:
+            found.append((promise, share))
+    return [share for _, share in sorted(found)[-_LIKELY:]]
+
+
+def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
+    """Return how many numbers another model of a side costs, its instant among them."""
+    return model.n * (samples.nu + samples.ny) + sum(free.delays) + 1
 
 
 def _rows(t: Triangle, kept: Mask) -> Triangle:
@@ -173,8 +179,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
     counts = samples.counts[0]
     n_eff = counts * independent(tuple(two)) / [
         sum(len(e) for e in own) for own in zip(*two, strict=True) for _ in range(own[0].shape[1])]
-    count, of_whole = (m.n * (samples.nu + samples.ny) + sum(free.delays) + 1
-                       for m in (model, whole))
+    count, of_whole = (_numbers(samples, m, free) for m in (model, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
     price = max(2 * count - of_whole, 1)            # fewer numbers are no evidence of a change
     gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - price * float(

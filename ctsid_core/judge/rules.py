@@ -23,7 +23,7 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
-_DEVIATION = 0.15       # standard deviation of the response to an input, over the response
+_DEVIATION = 0.12       # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _ONE_SINE = 3.0         # effective number of frequencies of an input
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing

@@ -135,13 +135,8 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
     """
     best, damping, gain = start, _DAMPING, np.inf
     for taken in range(steps):
-        rows, error, places = jacobian(samples, best, free)
-        gradient, curvature = rows.T @ error, rows.T @ rows
-        scale = np.sqrt(np.diag(curvature))
-        scale[~(scale > 1e-150)] = 1.0
-        gradient, curvature = gradient / scale, curvature / np.outer(scale, scale)
-        promise = float(gradient @ np.linalg.solve(
-            curvature + _LEAST_DAMPING * np.eye(len(scale)), gradient))
+        gradient, curvature, scale, places = _slopes(samples, best, free)
+        promise = _promise(gradient, curvature)
         moved = None
         hopeless = best.cost - 5.0 * max(promise, gain if taken else 0.0) > rival
         if hopeless or min(promise, gain) < least:
@@ -161,6 +156,25 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
+
+
+def promised(samples: Samples, fit: Fit, free: Free) -> float:
+    """Return what a Gauss-Newton step promises to gain: of a model's best, a score statistic."""
+    return _promise(*_slopes(samples, fit, free)[:2])
+
+
+def _promise(gradient: Array, curvature: Array) -> float:
+    return float(gradient @ np.linalg.solve(
+        curvature + _LEAST_DAMPING * np.eye(len(gradient)), gradient))
+
+
+def _slopes(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Array, Places]:
+    """Return gradient and curvature over the size of each direction, the sizes, and places."""
+    rows, error, places = jacobian(samples, fit, free)
+    gradient, curvature = rows.T @ error, rows.T @ rows
+    scale = np.sqrt(np.diag(curvature))
+    scale[~(scale > 1e-150)] = 1.0
+    return gradient / scale, curvature / np.outer(scale, scale), scale, places
 
 
 def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free) -> Fit | None:
@@ -520,12 +534,6 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
         model = _solve_states(samples, model, columns, free, power)
         power = _powers(samples, model, columns)
     return Fit(model, columns, power, _cost(samples, power))
-
-
-def fit_linear(samples: Samples, model: ModalModel, free: Free,
-               columns: tuple[Columns, ...]) -> Fit:
-    """Return a model of the same poles and dead times, everything else at its best."""
-    return _solved(samples, model, columns, free, np.ones((len(columns), samples.ny)))
 
 
 def _solve_states(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
