@@ -75,7 +75,7 @@ class Change:
 
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
-                       simpler: Fit | None = None) -> Change:
+                       simpler: ModalModel | None = None) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
 
@@ -85,15 +85,15 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     fit : Fit
         Of all samples.
     free : Free
-    simpler : Fit, optional
+    simpler : ModalModel, optional
         The best one of half its order.
     """
     best = Change()
     if np.max(fit.power) < (0.01 * NOTED) ** 2:
         return best
-    for small in (fit,) if simpler is None else (fit, simpler):
+    for model in (fit.model,) if simpler is None else (fit.model, simpler):
         for place in range(len(samples.records)):
-            best = max(best, _of_record(samples, small.model, fit.model, free, place),
+            best = max(best, _of_record(samples, model, fit.model, free, place),
                        key=lambda change: change.cost)
     return best
 

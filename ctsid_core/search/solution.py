@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ctsid_core.bases.records import Joint
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Fit, Free
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices
@@ -53,7 +54,7 @@ class Solution:
     simulating : tuple of Samples, Fit and Free, or None
         Of the best model that simulates, if it is another one of a stable plant: there shows
         whether the plant changes.
-    simpler : Fit or None
+    simpler : ModalModel or None
         The best one of half its order that simulates.
     singular_values : ndarray
         Of a subspace method; their drop shows the order.
@@ -76,7 +77,7 @@ class Solution:
     whole: Samples | None = None
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     simulating: tuple[Samples, Fit, Free] | None = None
-    simpler: Fit | None = None
+    simpler: ModalModel | None = None
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
 
