@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ctsid_core import Grade, Record, Settings, identify
+from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.solve import free_of
 from ctsid_core.settings import LONGEST_DELAY
@@ -38,6 +38,26 @@ def test_an_order_that_is_given_is_fitted_as_well_as_by_brute_force(family, orde
     fit = simulated(found.model or found.rejected_model, record)[0]
     print(f'{family}, order {order}: {fit:.2f} %, brute force {reached:.2f} %')
     assert fit > reached - 0.3
+
+
+@pytest.mark.parametrize('number', [('no-gain-jump', 3, 4), ('no-pole-jump', 2, 7)])
+def test_a_plant_that_jumps_is_told_from_one_with_more_states(number):
+    """Eight states imitate the one jump; noise of a quarter of the motion hides the other."""
+    given = experiment(*number)
+    found = identify(given.record, given.settings)
+    assert found.status is Status.CHANGED
+    assert 0.08 < found.statistics['change_share'] < 0.92
+
+
+def test_inputs_that_are_the_same_are_never_good():
+    """Only their sum is measured, and any share of it fits as well."""
+    given = experiment('motor-speed', 2, 0).record
+    one, = given.inputs
+    twice = replace(one, values=np.repeat(one.values, 2, axis=1))
+    record = replace(given, inputs=(twice,))
+    found = identify(record)
+    assert found.verdict.grade is Grade.WEAK
+    assert 'move it independently of the other inputs' in found.verdict.reason
 
 
 def stepped(at: float) -> Record:
