@@ -43,7 +43,8 @@ _OUTPUT_FIELDS = (r'angular_velocity|gyro', r'twist|velocity|linear$|angular$', 
                   r'position', r'acceleration', r'')
 _INPUT_FIELDS = (r'torque|moment|effort', r'force|thrust', r'angular|linear|twist|velocity',
                  r'axes|channels|data|control|position', r'')
-_MEASURED_INPUT = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
+_MEASURED_INPUT = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control|'
+                             r'^u(_|\d|\[|$)|[ROPY]Out$')
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
           ('force', 'N'), (r'angular\.', 'rad/s'), (r'linear\.', 'm/s'), ('euler', 'rad'),
           (r'position\.[xyz]$', 'm'), (r'^velocity\[', 'rad/s'), (r'^position\[', 'rad'),
@@ -191,7 +192,8 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
     last = re.sub(r'\W+', '_', topic.info.name.strip('/').rpartition('/')[2]) or 'channel'
     words = re.findall(r'[A-Za-z_]\w*|\d+', text.replace('euler', ''))
     plain = words[-1] if 'euler' in text else '_'.join(words[-2:])
-    if plain.startswith('data') or len(plain) < 3:
+    short = len(plain) < 3 and not topic.info.type.startswith('table/')
+    if plain.startswith('data') or short:
         plain = f'{last}_{words[-1]}'
     name = re.sub(r'\W', '_', plain)
     name = f'_{name}' if name[0].isdigit() else name

@@ -57,7 +57,11 @@ def add_bag(parser: argparse.ArgumentParser,
             several: str = 'several are the parts of one recording') -> None:
     """Add the bag, and what several of them mean."""
     parser.add_argument('bag', nargs='+', metavar='BAG',
-                        help=f'rosbag2 folder, .mcap, .db3 or ROS 1 .bag file; {several}')
+                        help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag file, PX4 .ulg, '
+                        f'ArduPilot .bin, .csv, .parquet, or a URL of one; {several}')
+    parser.add_argument('--time', action='append', default=[], metavar='COLUMN', help='column of '
+                        'a table that is the time, such as t or t:ms; once for each [default: '
+                        'by name, unit and values]')
 
 
 def span(text: str) -> Interval:

@@ -32,7 +32,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.survey import survey
 
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         found = survey(bag)
     if args.json:
         tell(_document(found, args.bag))

@@ -35,7 +35,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.survey import survey
 
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         guessed = guess(survey(bag))
     name = 'params.yaml' if args.output == '-' else args.output
     text = _head(guessed, args.bag, name) + dump_config(guessed.config)
