@@ -33,6 +33,8 @@ _LOGICAL = {'true': 1.0, 'false': 0.0}
 _DATE = re.compile(r'\d{4}-\d\d-\d\d([T ]\d\d:\d\d.*)?')
 _DECIMAL_COMMA = re.compile(r'[+-]?\d*,\d+([eE][+-]?\d+)?')
 _DECIMAL_POINT = re.compile(r'[+-]?\d*\.\d+([eE][+-]?\d+)?')
+_CONTROL = re.compile(r'[\x00-\x08\x0e-\x1f]')
+_ODD = 0.05  # of the characters of a text that is damaged; of binary data more are
 _EXACT = 2.0**53  # whole numbers above are not exact as floats: nanoseconds
 
 
@@ -99,7 +101,10 @@ def _form(path: Path) -> _Form | None:
         start = file.read(_START)
         whole = not file.read(1)
     encoding = _encoding(start)
-    lines = start.decode(encoding, errors='replace').splitlines()
+    text = start.decode(encoding, errors='replace')
+    if len(_CONTROL.findall(text)) > _ODD * len(text):
+        return None
+    lines = text.splitlines()
     lines = lines if whole else lines[:-1]
     skipped = next((i for i, line in enumerate(lines)
                     if line.strip() and not line.lstrip().startswith(_COMMENT)), len(lines))

@@ -159,9 +159,7 @@ def _read_columns(path: Path, start: bytes, time: tuple[str, ...], state: tuple[
         return ardupilot_file.scan_ardupilot(path)
     if start.startswith(parquet_file.MAGIC):
         return parquet_file.scan_parquet(path, time)
-    if not start.startswith(tuple(LOOKS)) and _look(start).startswith('text'):
-        return csv_file.scan_csv(path, time)
-    return None
+    return None if start.startswith(tuple(LOOKS)) else csv_file.scan_csv(path, time)
 
 
 def _metadata(folder: Path) -> tuple[list[str], int | None, list[str]]:

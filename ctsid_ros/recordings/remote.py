@@ -53,16 +53,20 @@ def local(path: str | os.PathLike[str], note: Callable[[str], None] = lambda _: 
         _copy(system, entries, inner, target)
     except BagError:
         raise
+    except FileNotFoundError:
+        raise BagError(f'{shown} cannot be read: there is no such file') from None
     except Exception as error:  # each kind of storage has its own, and says what to install
-        raise BagError(f'{shown} cannot be read: {str(error) or type(error).__name__}') from None
+        why = str(error).replace(url, shown) or type(error).__name__
+        raise BagError(f'{shown} cannot be read: {why}') from None
     note(f'{shown} was read into {target}')
     return target
 
 
 def _entries(system: Any, inner: str) -> list[tuple[str, str]]:
     """Return name and state of a file, or of those in a folder."""
-    if not system.isdir(inner):
-        return [(inner, _state(system.info(inner)))]
+    about = system.info(inner)  # `isdir` of https would read all of it
+    if about['type'] != 'directory':
+        return [(inner, _state(about))]
     found = [info for info in system.ls(inner, detail=True) if info['type'] == 'file']
     if not found:
         raise BagError(f'{inner}: there is no file in this folder')

@@ -22,7 +22,9 @@ from ctsid_ros.recordings.recording import Recording
 from ctsid_ros.recordings.series import Series, plain_name, recording
 from ctsid_ros.recordings.table_times import Column, Time, find_times, read_time, split_unit
 
-_ALIKE = 0.9  # of the rows that either of two columns fills, both do: sampled together
+# Of the rows that either of two columns fills both do: sampled together, but for lost samples. A
+# sensor of half the rate fills half.
+_ALIKE = 2 / 3
 _UNIT = re.compile(r'(.*\S)\s*[\[(<]\s*([^\d\])>][^\])>]*)[\])>]')
 
 
