@@ -101,9 +101,24 @@ class Bag:
         BagError
             If a topic or field is not in the bag, or it cannot be read on.
         """
-        return self._blocks({topic: unpacking(self.extractor(topic, [
-            self.bind(topic, path) for path in paths]).columns)
-            for topic, paths in fields.items()})
+        return self.decoded({topic: self.extractor(topic, [
+            self.bind(topic, path) for path in paths]).columns for topic, paths in fields.items()})
+
+    def decoded(self, decoders: Mapping[str, Decode]) -> Iterator[Block]:
+        """
+        Iterate over the messages of some topics as columns of what decoders make of them.
+
+        Parameters
+        ----------
+        decoders : mapping of str to Decode
+            By topic.
+
+        Raises
+        ------
+        BagError
+            If a topic is not in the bag, or it cannot be read on.
+        """
+        return self._blocks({topic: unpacking(decode) for topic, decode in decoders.items()})
 
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
