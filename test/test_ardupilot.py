@@ -14,6 +14,7 @@ from recording_files import dataflash, dataflash_format, flight, write_ardupilot
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 
+pytest.importorskip('pymavlink')
 T_U, U, T_Y, Y = flight(5.0)
 
 

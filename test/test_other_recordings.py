@@ -6,10 +6,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from bag_fixtures import START, refused, write_mcap
+from bag_fixtures import flight as messages
 from marks import slow
 import numpy as np
-import pyarrow
-from pyarrow import parquet
 import pytest
 from recording_files import flight, write_ardupilot, write_csv, write_ulog
 
@@ -26,6 +26,8 @@ SECONDS = 6.0
 def write(path: Path, seed: int = 0) -> Path:
     """The same experiment in each format, by its suffix."""
     t_u, u, t_y, y = data = flight(SECONDS, seed=seed)
+    if path.suffix in LIBRARIES:
+        pytest.importorskip(LIBRARIES[path.suffix])
     if path.suffix == '.ulg':
         return write_ulog(path, *data)
     if path.suffix == '.bin':
@@ -33,6 +35,8 @@ def write(path: Path, seed: int = 0) -> Path:
     if path.suffix == '.csv':
         return write_csv(path, {'t_cmd [ms]': t_u * 1e3, 'cmd [N m]': u, 't_y [ms]': t_y * 1e3,
                                 'rate.x': y})
+    pyarrow = pytest.importorskip('pyarrow')
+    parquet = pytest.importorskip('pyarrow.parquet')
     fill = [None] * (len(t_y) - len(t_u))
     parquet.write_table(pyarrow.table({
         't_cmd': [*t_u, *fill], 'cmd': [*u, *fill], 't_y': t_y, 'rate': [{'x': v} for v in y]}),
@@ -40,6 +44,7 @@ def write(path: Path, seed: int = 0) -> Path:
     return path
 
 
+LIBRARIES = {'.ulg': 'pyulog', '.bin': 'pymavlink'}
 CHANNELS = {  # topic and field of the command and of what it does
     '.ulg': ('vehicle_torque_setpoint', 'xyz[0]', 'vehicle_angular_velocity', 'xyz[0]'),
     '.bin': ('RCOU', 'C1', 'IMU', 'GyrX'), '.csv': ('a/t_cmd', 'cmd', 'a/t_y', 'rate.x'),
@@ -117,23 +122,20 @@ def test_files_with_clocks_of_their_own_are_recordings_by_their_columns(tmp_path
     assert recordings(dated) == [(dated[0],), (dated[1],)]
 
 
-def test_a_folder_of_a_bag_has_no_tables(tmp_path):
-    """Those beside a bag are results of it, such as estimates.csv."""
-    from bag_fixtures import flight as messages
-    from bag_fixtures import write_mcap
-
-    write_mcap(tmp_path / 'a.mcap', messages())
-    write_csv(tmp_path / 'estimates.csv', {'t': [0, 1], 'u': [0, 1]})
-    with open_bag(tmp_path) as bag:
+def test_a_folder_of_bags_has_no_tables(tmp_path):
+    """Those beside bags are results of them, such as estimates.csv."""
+    (tmp_path / 'monday').mkdir()
+    write_mcap(tmp_path / 'monday' / 'a.mcap', messages())
+    for folder in (tmp_path, tmp_path / 'monday'):
+        write_csv(folder / 'estimates.csv', {'t': [0, 1], 'u': [0, 1]})
+    assert 'there are bags in its subfolders monday' in refused(tmp_path)
+    with open_bag(tmp_path / 'monday') as bag:
         assert 'estimates' not in bag.topics
         assert bag.notes == ()
 
 
 def test_a_table_beside_a_bag(tmp_path):
     """Given by name it is read with it, by its dates."""
-    from bag_fixtures import START, write_mcap
-    from bag_fixtures import flight as messages
-
     bag_file = write_mcap(tmp_path / 'a.mcap', messages())
     table = write_csv(tmp_path / 'load.csv', {'stamp': START + np.arange(20) * 10**7,
                                               'force': np.arange(20)})

@@ -9,13 +9,13 @@ import sys
 import threading
 
 from bag_fixtures import flight, refused, rows, write_mcap, write_rosbag2
-import fsspec
 import pytest
 
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.grouping import recordings
 from ctsid_ros.replay.results import bag_name
 
+fsspec = pytest.importorskip('fsspec')
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
@@ -50,6 +50,7 @@ def server(tmp_path):
 
 
 def test_a_file_from_a_server(server, cache):
+    pytest.importorskip('aiohttp')
     folder, asked, address = server
     path = write_mcap(folder / 'flight.mcap', flight())
     url = f'{address}/flight.mcap?key=secret'

@@ -7,8 +7,6 @@ import sys
 
 from bag_fixtures import notes, numbers, refused
 import numpy as np
-import pyarrow
-from pyarrow import parquet
 import pytest
 from recording_files import write_csv
 
@@ -209,16 +207,24 @@ def test_a_table_alone_answers_to_other_names(tmp_path):
         bag.topic('monday')
 
 
+@pytest.fixture(scope='module')
+def arrow():
+    return pytest.importorskip('pyarrow')
+
+
 def write_parquet(path, columns, **more):
+    import pyarrow
+    from pyarrow import parquet
+
     parquet.write_table(pyarrow.table(columns), path, **more)
     return path
 
 
-def test_parquet(tmp_path):
-    dates = pyarrow.array([1_700_000_000_000_000 + 10_000 * i for i in range(20)],
-                          pyarrow.timestamp('us', tz='UTC'))
+def test_parquet(tmp_path, arrow):
+    dates = arrow.array([1_700_000_000_000_000 + 10_000 * i for i in range(20)],
+                        arrow.timestamp('us', tz='UTC'))
     path = write_parquet(tmp_path / 'a.parquet', {
-        'when': dates, 'u': T.astype(np.float32), 'n': pyarrow.array([None, *range(19)]),
+        'when': dates, 'u': T.astype(np.float32), 'n': arrow.array([None, *range(19)]),
         'on': [True, False] * 10, 'rate': [{'x': i, 'y': 2.5} for i in range(20)],
         'q': [[0.0, float(i)] for i in range(20)], 'word': ['a'] * 20})
     with open_bag(path) as bag:
@@ -231,14 +237,15 @@ def test_parquet(tmp_path):
                                   1_700_000_000 * 10**9 + np.arange(20) * 10_000_000)
 
 
-def test_parquet_with_times_of_its_own(tmp_path):
+def test_parquet_with_times_of_its_own(tmp_path, arrow):
     path = write_parquet(tmp_path / 'a.parquet', {
-        't_u': pyarrow.array([0.0, 0.1, 0.15, None]), 'u': pyarrow.array([1.0, 2.0, 3.0, None]),
+        't_u': arrow.array([0.0, 0.1, 0.15, None]), 'u': arrow.array([1.0, 2.0, 3.0, None]),
         't_y': [0.0, 0.05, 0.1, 0.15], 'y': [4.0, 3.0, 2.0, 1.0]})
     assert numbers(path, 'a/t_u', 'u') == [(1.0,), (2.0,), (3.0,)]
     assert stamps(path, 'a/t_y')[-1] == 150_000_000
 
 
+@pytest.mark.usefixtures('arrow')
 def test_damaged_parquet(tmp_path):
     table = {'t': np.arange(4000) * 0.01, 'u': np.random.default_rng(0).normal(size=4000)}
     path = write_parquet(tmp_path / 'a.parquet', table, row_group_size=1000,
@@ -256,6 +263,7 @@ def test_damaged_parquet(tmp_path):
         assert bag.topics['hole'].count in (2000, 3000)
 
 
+@pytest.mark.usefixtures('arrow')
 def test_parquet_without_its_library(tmp_path, monkeypatch):
     path = write_parquet(tmp_path / 'a.parquet', {'t': T, 'u': T})
     monkeypatch.setitem(sys.modules, 'pyarrow', None)

@@ -15,6 +15,7 @@ from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 
+pytest.importorskip('pyulog')
 T_U, U, T_Y, Y = flight(5.0)
 
 

@@ -103,10 +103,16 @@ def find_files(path: Path) -> BagFiles:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the files of a folder that are bags; without any, those of other recordings."""
+    """
+    Return the files of a folder that are bags; if there is no bag, those of other recordings.
+
+    In a folder of folders with bags there is none: tables beside them are notes or results.
+    """
     files = [path for path in sorted(folder.iterdir()) if path.is_file()]
-    return [path for path in files if path.name.endswith(SUFFIXES)] or [
-        path for path in files if path.name.lower().endswith(OTHER_SUFFIXES)]
+    bags = [path for path in files if path.name.endswith(SUFFIXES)]
+    if bags or any(path.name.endswith(SUFFIXES) for path in folder.glob('*/*')):
+        return bags
+    return [path for path in files if path.name.lower().endswith(OTHER_SUFFIXES)]
 
 
 def scan_file(path: Path, resources: ExitStack, time: Sequence[str] = ()) -> Recording:
