@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 
-from bag_fixtures import notes, numbers, refused
+from bag_fixtures import flight, notes, numbers, refused, write_mcap
 import numpy as np
 import pytest
 from recording_files import write_csv
@@ -75,6 +75,18 @@ def test_nanoseconds_are_exact(tmp_path):
     np.testing.assert_array_equal(stamps(path), times)
 
 
+def test_seconds_and_nanoseconds_side_by_side(tmp_path):
+    times = 1_700_000_000_900_000_001 + np.arange(20) * 10_000_000
+    path = write_csv(tmp_path / 'a.csv', {
+        'seq': range(20), 'header.stamp.secs': times // 10**9, 'header.stamp.nsecs': times % 10**9,
+        'u': T})
+    np.testing.assert_array_equal(stamps(path), times)
+    bare = write_csv(tmp_path / 'b.csv', {'sec': times // 10**9, 'nanosec': times % 10**9, 'u': T})
+    np.testing.assert_array_equal(stamps(bare), times)
+    with open_bag(bare) as bag:
+        assert [str(field) for field in bag.scalar_fields('b')] == ['u']
+
+
 def test_dates(tmp_path):
     rows = [f'2024-05-01 10:00:00.{i:02d}' for i in range(20)]
     path = write_csv(tmp_path / 'a.csv', {'when': rows, 'u': T})
@@ -90,6 +102,9 @@ def test_the_user_says_which_column_is_the_time(tmp_path):
     np.testing.assert_allclose(stamps(path, time=['frame:us']), T * 1e6, atol=1)
     with pytest.raises(BagError, match='no column is called frames; nearest: frame'):
         open_bag(path, ['frames'])
+    write_mcap(tmp_path / 'a.mcap', flight(2))
+    with pytest.raises(BagError, match='t would be the time of a table .*leave --time out'):
+        open_bag(tmp_path / 'a.mcap', ['t'])
     bare = write_csv(tmp_path / 'b.csv', {'u': [1, 3, 2], 'y': [2, 5, 1]})
     assert 'no column is known to be the time' in refused(bare)
     assert '--time COLUMN; there are: u, y' in refused(bare)
@@ -131,9 +146,10 @@ def test_columns_that_are_filled_in_other_rows_are_sampled_at_other_times(tmp_pa
     '\ufefft,u\n0,1\n0.1,2\n', '"t","u"\r\n"0","1"\r\n"0.1","2"\r\n', 't;u\n0;1\n0,1;2\n',
     't\tu\n0\t1\n0.1\t2\n', '# made by hand\n\nt, u\n0, 1\n0.1, 2\n', 't,u,\n0,1,\n0.1,2,\n',
     '# t,u\n0,1\n0.1,2\n', 't [s],u [N m]\n0,1\n0.1,2', 't,u\n0,1,\n0.1,2,\n',
-    't;u\n"0";"1,0"\n"0,1";"2,0"\n', '\n\nt,u\n0,1\n0.1,2\n'],
+    't;u\n"0";"1,0"\n"0,1";"2,0"\n', '\n\nt,u\n0,1\n0.1,2\n',
+    'sep=;\nt;u\n0,0;1\n0,1;2\n'],
     ids=['bom', 'quoted', 'decimal comma', 'tab', 'comment', 'trailing', 'comment header',
-         'units', 'trailing in rows', 'all quoted', 'blank lines'])
+         'units', 'trailing in rows', 'all quoted', 'blank lines', 'excel'])
 @pytest.mark.parametrize('encoding', ['utf-8', 'utf-16'])
 def test_ways_to_write_a_table(tmp_path, text, encoding):
     path = text_file(tmp_path, text.lstrip('\ufeff') if encoding == 'utf-16' else text,

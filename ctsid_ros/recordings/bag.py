@@ -313,6 +313,9 @@ def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
                                'and mode with `ls -ld`') from error
             except OSError as error:
                 raise BagError(f'{given}: {error.strerror or error}') from error
+        if time and not any(recording.alone for recording in recordings.values()):
+            raise BagError(f'{" and ".join(time)} would be the time of a table (CSV, Parquet), '
+                           'but there is none; leave --time out')
         return Bag(tuple(recordings.values()), notes, resources.pop_all())
 
 

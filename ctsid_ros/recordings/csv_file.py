@@ -27,7 +27,7 @@ _START = 1 << 16  # bytes that tell how a file is written
 _SHOWN = 50  # lines of them
 _ROWS = 1 << 15  # that are converted at once: their texts take much memory
 _SEPARATORS = '\t;,|'  # where two fit, the comma is a decimal one
-_COMMENT = ('#', '%')
+_COMMENT = ('#', '%', 'sep=')  # the last one is Excel's
 _NOTHING = {'', 'nan', 'null', 'none', 'na', 'n/a', '-'}
 _LOGICAL = {'true': 1.0, 'false': 0.0}
 _DATE = re.compile(r'\d{4}-\d\d-\d\d([T ]\d\d:\d\d.*)?')

@@ -142,6 +142,7 @@ def _acts(topic: TopicSurvey) -> float:
     name, kind = topic.info.name, topic.info.type
     score = 3.0 * bool(_INPUT_NAME.search(name)) + 2.0 * bool(_INPUT_TYPE.match(kind))
     score -= 1.0 * bool(_OUTPUT_NAME.search(name)) + 1.5 * bool(_OUTPUT_TYPE.match(kind))
+    score += 0.5 * ('torque' in name)  # that acts on the body itself
     return score + 1e-3 * min(len(topic.moving), 8) - 1e-9 * len(name)
 
 
@@ -152,7 +153,8 @@ def _measures(topic: TopicSurvey, acting: TopicSurvey) -> float:
     likely = 'Odometry' if 'Twist' in acting.info.type or 'Ackermann' in acting.info.type \
         else 'Joint' if 'Joint' in acting.info.type else 'Imu'
     # A rate rather than nothing in particular; the common name space counts a little.
-    score += 1.0 * (likely in kind) + 0.5 * any('velocity' in f.field for f in topic.moving)
+    score += 1.0 * (likely in kind or 'AngularVelocity' in kind)
+    score += 0.5 * any('velocity' in f.field for f in topic.moving)
     same = topic.info.name.split('/')[1] == acting.info.name.split('/')[1] \
         if topic.info.name.count('/') > 1 and acting.info.name.count('/') > 1 else False
     return score + 0.25 * same + min(topic.rate, 1e3) * 1e-5 if topic.rate > 0 else score - 1.0

@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.recording import Recording
 from ctsid_ros.recordings.series import Series, plain_name, recording
-from ctsid_ros.recordings.table_times import Column, Time, find_times, read_time, split_unit
+from ctsid_ros.recordings.table_times import (
+    Column,
+    Time,
+    find_times,
+    joined_seconds,
+    read_time,
+    split_unit,
+)
 
 # Of the rows that either of two columns fills both do: sampled together, but for lost samples. A
 # sensor of half the rate fills half.
@@ -59,6 +66,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
         If no column is a time, or none is left beside it.
     """
     stem = plain_name(path.name.partition('.')[0])
+    columns = joined_seconds(columns)
     empty = [column.name for column in columns if not column.known.any()]
     columns = [column for column in columns if column.name not in empty]
     said = list(notes)

@@ -31,6 +31,8 @@ _WORDS = {**dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 's'),
 _NAME = re.compile(
     r'_*(t|times?|time_?stamps?|timestamps?|stamps?|secs?|seconds|date|datetime)([^a-z].*)?'
     r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec))?|time(us|ms|ns)')
+_SECONDS = re.compile(r'(?<![a-z])(secs?|seconds)$', re.IGNORECASE)
+_NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNORECASE)
 _CENTURY = (946_684_800, 4_102_444_800)  # 2000 to 2100 [s]
 _SLOWEST = 2.0  # interval of samples; twice as long is rather told in the next smaller unit [s]
 _ORDERED = 0.98  # of the steps of a time column go forward: a clock may have been set
@@ -100,6 +102,33 @@ class Time:
     log_ns: Stamps
     is_date: bool
     note: str
+
+
+def joined_seconds(columns: Sequence[Column]) -> list[Column]:
+    """Make one time of neighbours that hold its seconds and nanoseconds, as stamps of ROS do."""
+    found: list[Column] = []
+    for column in columns:
+        if found and _are_pair(found[-1], column):
+            seconds = found.pop()
+            known = seconds.known & column.known
+            whole, rest = (np.where(known, c.values, 0).astype(np.int64)
+                           for c in (seconds, column))
+            times = whole * 10**9 + rest
+            name = _SECONDS.sub('', seconds.name).strip('._ ') or 'stamp'
+            found.append(Column(name, 'ns', times if known.all() else
+                                np.where(known, times, np.nan)))
+        else:
+            found.append(column)
+    return found
+
+
+def _are_pair(seconds: Column, rest: Column) -> bool:
+    if seconds.is_date or rest.is_date or not (_SECONDS.search(seconds.name)
+                                               and _NANOSECONDS.search(rest.name)):
+        return False
+    values = rest.values[rest.known]
+    return _SECONDS.sub('', seconds.name) == _NANOSECONDS.sub('', rest.name) \
+        and len(values) > 0 and bool(np.min(values) >= 0 and np.max(values) < 1e9)
 
 
 def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> list[int]:

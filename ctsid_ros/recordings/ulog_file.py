@@ -9,6 +9,7 @@ is measured also when it was sampled (`timestamp_sample`, the header stamp here)
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 import io
 from pathlib import Path
@@ -16,6 +17,7 @@ import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_ros.errors import BagError, lacks_extra
 from ctsid_ros.recordings.recording import Recording
@@ -25,6 +27,7 @@ MAGIC = b'ULog\x01\x12\x35'
 _TIMES = ('timestamp', 'timestamp_sample')
 # What acts does so from its publishing on; `timestamp_sample` is that of the gyro it answers to.
 _COMMAND = re.compile('setpoint|actuator|command|control')
+_ATTITUDE = re.compile(r'(^|\.)q(_d)?\[3\]$')
 
 
 def scan_ulog(path: Path) -> Recording:
@@ -90,10 +93,20 @@ def _series(data: Any, path: Path, notes: list[str]) -> Series | None:
     topic = data.name + (f'.{data.multi_id}' if data.multi_id else '')
     log_ns, sound = sound_times(time, 1000)
     notes += left_out(path, topic, sound)
-    columns = {name: column[sound] for name, column in columns.items()}
+    columns |= _quaternions(columns)
+    if not sound.all():
+        columns = {name: column[sound] for name, column in columns.items()}
     header_ns = None
     if 'timestamp_sample' in data.data and not _COMMAND.search(data.name):
         sampled, known = sound_times(data.data['timestamp_sample'][sound], 1000)
         header_ns = np.where(known, sampled, 0)
     name = ''.join(word.capitalize() for word in re.split(r'\W|_', data.name)) or 'Message'
     return Series(topic, 'ulog', name, log_ns[sound], columns, header_ns)
+
+
+def _quaternions(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the attitudes of PX4, arrays w, x, y, z, as quaternions that have angles."""
+    names = [name[:-3] for name in columns if _ATTITUDE.search(name)]
+    return {f'{name}_xyzw.{part}': columns[f'{name}[{i}]'] for name in names
+            if f'{name}[4]' not in columns
+            for part, i in (('x', 1), ('y', 2), ('z', 3), ('w', 0))}
