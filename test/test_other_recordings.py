@@ -33,7 +33,7 @@ def write(path: Path, seed: int = 0) -> Path:
     if path.suffix == '.bin':
         return write_ardupilot(path, *data)
     if path.suffix == '.csv':
-        return write_csv(path, {'t_cmd [ms]': t_u * 1e3, 'cmd [N m]': u, 't_y [ms]': t_y * 1e3,
+        return write_csv(path, {'tick_u': t_u * 1e3, 'cmd [N m]': u, 'tick_y': t_y * 1e3,
                                 'rate.x': y})
     pyarrow = pytest.importorskip('pyarrow')
     parquet = pytest.importorskip('pyarrow.parquet')
@@ -47,8 +47,10 @@ def write(path: Path, seed: int = 0) -> Path:
 LIBRARIES = {'.ulg': 'pyulog', '.bin': 'pymavlink'}
 CHANNELS = {  # topic and field of the command and of what it does
     '.ulg': ('vehicle_torque_setpoint', 'xyz[0]', 'vehicle_angular_velocity', 'xyz[0]'),
-    '.bin': ('RCOU', 'C1', 'IMU', 'GyrX'), '.csv': ('a/t_cmd', 'cmd', 'a/t_y', 'rate.x'),
+    '.bin': ('RCOU', 'C1', 'IMU', 'GyrX'), '.csv': ('a/tick_u', 'cmd', 'a/tick_y', 'rate.x'),
     '.parquet': ('a/t_cmd', 'cmd', 'a/t_y', 'rate.x')}
+
+TIME = {'.csv': ['tick_u:ms', 'tick_y:ms']}  # of which neither name nor unit tells
 
 
 @pytest.mark.parametrize('suffix', CHANNELS)
@@ -57,7 +59,7 @@ def test_a_record_has_the_samples_of_the_file(tmp_path, suffix):
     act, acting, measure, measured = CHANNELS[suffix]
     config = Config((Channel('u', 'input', act, '', acting),
                      Channel('y', 'output', measure, '', measured)))
-    with open_bag(write(tmp_path / f'a{suffix}')) as bag:
+    with open_bag(write(tmp_path / f'a{suffix}'), TIME.get(suffix, ())) as bag:
         assert bag.notes == ()
         read = read_record(bag, config)
     assert read.complaints == ()
@@ -88,19 +90,20 @@ def ctsid(capsys, monkeypatch, tmp_path):
 def test_from_file_to_report(ctsid, tmp_path, suffix):
     """As a new user does, by the lines of README.md, nothing set by hand."""
     first, second = write(tmp_path / f'a{suffix}'), write(tmp_path / f'b{suffix}', seed=1)
-    topics = {t['name'] for t in json.loads(ctsid('info', first, '--json'))['topics']}
+    time = [word for name in TIME.get(suffix, ()) for word in ('--time', name)]
+    topics = {t['name'] for t in json.loads(ctsid('info', first, '--json', *time))['topics']}
     assert {CHANNELS[suffix][0], CHANNELS[suffix][2]} <= topics
-    ctsid('init', first, '-o', 'params.yaml')
-    assert 'Results: one/' in ctsid('identify', first, '--params', 'params.yaml', '--out', 'one')
+    ctsid('init', first, '-o', 'params.yaml', *time)
+    params = ('--params', 'params.yaml', *time)
+    assert 'Results: one/' in ctsid('identify', first, *params, '--out', 'one')
     estimate = load_estimate('one/model.json')
     assert abs(estimate.model.poles[0] + 3.0) < 5 * estimate.pole_std[0]
     assert Path('one/report.html').exists()
     # The other file is another recording of the same columns: with the same channels and model.
-    both = json.loads(ctsid('identify', first, second, '--params', 'params.yaml', '--out', 'two',
-                            '--json'))
+    both = json.loads(ctsid('identify', first, second, *params, '--out', 'two', '--json'))
     assert len(both['records']) == 2
     assert abs(load_estimate('two/model.json').model.poles[0] + 3.0) < 0.05
-    assert 'b' + suffix in ctsid('simulate', 'one/model.json', second)
+    assert 'b' + suffix in ctsid('simulate', 'one/model.json', second, *time)
 
 
 def test_files_with_clocks_of_their_own_are_recordings_by_their_columns(tmp_path):

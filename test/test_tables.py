@@ -179,7 +179,7 @@ def test_rows_and_cells_that_are_no_numbers(tmp_path):
     assert 'a.csv: 3 rows left out (the first is line 4: 2 cells instead of 4)' in said
     assert "cells that are no numbers were left out: 1 in u ('bad')" in said
     assert 'a.csv: left out, for they hold text: mode' in said
-    assert 'a.csv: 1 rows left out, for their time (t) is empty' in said
+    assert 'a.csv: rows left out, for their time (t) is empty: 1' in said
     assert len(said.splitlines()) == 4
     np.testing.assert_array_equal(
         numbers(path, 'a', 'u', 'y'),
@@ -190,7 +190,7 @@ def test_times_that_go_back_are_put_in_order(tmp_path):
     times = [0.0, 0.1, 0.3, 0.2, *(0.4 + 0.1 * i for i in range(100))]
     path = write_csv(tmp_path / 'a.csv', {'t': times, 'u': range(104)})
     assert [int(u) for (u,) in numbers(path, 'a', 'u')][:5] == [0, 1, 3, 2, 4]
-    assert 't goes back 1 times: the rows were put in the order of time' in notes(path)
+    assert 'places where t goes back: 1; the rows were put in the order of time' in notes(path)
 
 
 def test_names_that_are_no_fields(tmp_path):

@@ -10,6 +10,7 @@ times: a topic of their own.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+import itertools
 from pathlib import Path
 import re
 from typing import Any
@@ -96,10 +97,10 @@ def _remarks(path: Path, column: Column, time: Time, several: bool) -> Iterator[
     if time.note:
         yield f'{path.name}: {time.note}'
     if lost and not several:
-        yield f'{path.name}: {lost} rows left out, for their time ({time.name}) is empty'
+        yield f'{path.name}: rows left out, for their time ({time.name}) is empty: {lost}'
     if back:
-        yield (f'{path.name}: {time.name} goes back {back} times: the rows were put in the order '
-               'of time')
+        yield (f'{path.name}: places where {time.name} goes back: {back}; the rows were put in '
+               'the order of time')
 
 
 def _sampled_together(topic: str, time: Time, columns: Sequence[Column]) -> Iterator[Series]:
@@ -128,14 +129,11 @@ def _sampled_together(topic: str, time: Time, columns: Sequence[Column]) -> Iter
 
 def _common(names: Sequence[str], groups: Sequence[tuple[Any, Sequence[Column]]]) -> str:
     """Return the path that the names of a group share and no other group's; else the first."""
-    parts = [re.split(r'[.\[]', name)[:-1] for name in names]
-    shared = [same[0] for same in zip(*parts, strict=False)]
-    while shared and any(part != shared[len(shared) - 1] for part in
-                         (p[len(shared) - 1] if len(p) >= len(shared) else '' for p in parts)):
-        shared.pop()
-    prefix = '.'.join(shared)
-    having = [g for g in groups if any(c.name.startswith((f'{prefix}.', f'{prefix}['))
-                                       for c in g[1])]
+    inner = [re.split(r'[.\[]', name)[:-1] for name in names]
+    prefix = '.'.join(itertools.takewhile(bool, (
+        same[0] if len(set(same)) == 1 else '' for same in zip(*inner, strict=False))))
+    having = [members for _, members in groups if any(
+        column.name.startswith((f'{prefix}.', f'{prefix}[')) for column in members)]
     return re.sub(r'\s+', '_', prefix if prefix and len(having) == 1 else names[0])
 
 
