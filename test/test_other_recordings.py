@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import shlex
 
 from bag_fixtures import START, refused, write_mcap
 from bag_fixtures import flight as messages
@@ -94,6 +95,8 @@ def test_from_file_to_report(ctsid, tmp_path, suffix):
     topics = {t['name'] for t in json.loads(ctsid('info', first, '--json', *time))['topics']}
     assert {CHANNELS[suffix][0], CHANNELS[suffix][2]} <= topics
     ctsid('init', first, '-o', 'params.yaml', *time)
+    again = shlex.join(['ctsid', 'identify', str(first), *time, '--params', 'params.yaml'])
+    assert f'#   {again}\n' in Path('params.yaml').read_text()
     params = ('--params', 'params.yaml', *time)
     assert 'Results: one/' in ctsid('identify', first, *params, '--out', 'one')
     estimate = load_estimate('one/model.json')

@@ -64,6 +64,11 @@ def add_bag(parser: argparse.ArgumentParser,
                         'by name, unit and values]')
 
 
+def bag_words(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the bags and their times as another command line needs them."""
+    return (*args.bag, *(word for column in args.time for word in ('--time', column)))
+
+
 def span(text: str) -> Interval:
     """Parse START:END [s]."""
     start, colon, end = text.partition(':')
@@ -162,7 +167,7 @@ def run_of(args: argparse.Namespace, model: str = '',
     """Return what a report says of its making: the command line, bags, parameters, model."""
     from ctsid_ros.report.headline import Run
 
-    return Run(args.command_line, tuple(args.bag), args.params, model, span)
+    return Run(args.command_line, bag_words(args), args.params, model, span)
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:
