@@ -7,8 +7,13 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
-TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'colcon-core',
-        'colcon-ros', 'setuptools>=70.1']  # builds wheels without the package `wheel`
+# Recordings other than bags, each by its library.
+FILES = {'px4': ['pyulog'], 'ardupilot': ['pymavlink'], 'parquet': ['pyarrow'],
+         'remote': ['fsspec[http]']}
+EVERY_FILE = [library for libraries in FILES.values() for library in libraries]
+TEST = [*EVERY_FILE, 'pytest>=8', 'pytest-xdist', 'hypothesis', 'mpmath', 'control',
+        'jsonschema', 'colcon-core', 'colcon-ros',
+        'setuptools>=70.1']  # builds wheels without the package `wheel`
 
 setup(
     name=PACKAGE,
@@ -33,6 +38,8 @@ setup(
                       'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly'],
     extras_require={
         'ros': ROS,
+        **FILES,
+        'files': EVERY_FILE,
         'test': TEST,
         'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
         'dev': [*TEST, 'ruff', 'mypy'],

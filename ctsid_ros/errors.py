@@ -21,3 +21,10 @@ def lacks_bag_package(error: ImportError, what: str) -> str:
         return ''
     return (f'{what} needs the Python package {package}, which is not installed here: pip install '
             f'{" ".join(BAG_PACKAGES)}')
+
+
+def lacks_extra(error: ImportError, what: str, extra: str) -> str:
+    """Return what to install where an optional library is missing."""
+    package = (error.name or str(error)).partition('.')[0]
+    return (f'{what}, ctsid needs the Python package {package}, which is not installed here: pip '
+            f'install {package} (it is the extra `{extra}` of ctsid)')

@@ -476,7 +476,7 @@ def test_recordings_apart_in_time_are_several_records(ctsid, shared, days):
     code, out, err = ctsid('identify', *days[::-1], '--params', shared / 'params.yaml', '--out',
                            'res', '--truth', shared / 'truth.json', '--quiet')
     assert code == 0, err
-    assert 'these are 2 recordings, apart in time' in err
+    assert 'these are 2 recordings of their own' in err
     assert 'Model of 2 records' in out
     assert sorted(p.name for p in Path('res').iterdir()) == FILES
     estimate = load_estimate('res/model.json')

@@ -136,7 +136,7 @@ class Extractor:
         """Read those of the rows that have this layout; return the others."""
         if not len(left) or not layout.table.fits:
             return left
-        rows, matches = layout.table.rows(_chosen(parts, left))
+        rows, matches = layout.table.rows(chosen(parts, left))
         if not matches.any():
             return left
         if matches.all():
@@ -195,14 +195,23 @@ def _raw(parts: Sequence[Located], row: int) -> memoryview:
     raise IndexError(row)
 
 
-def _chosen(parts: Sequence[Located], rows: Index) -> Sequence[Located]:
-    """Return some of the messages; rows ascend."""
+def chosen(parts: Sequence[Located], rows: Index) -> Sequence[Located]:
+    """
+    Return some of the messages.
+
+    Parameters
+    ----------
+    parts : sequence of Located
+    rows : ndarray of int
+        Which of all, ascending.
+    """
     if len(rows) == sum(len(part.offsets) for part in parts):
         return parts
-    chosen, start = [], 0
+    some, start = [], 0
     for part in parts:
         low, high = np.searchsorted(rows, (start, start + len(part.offsets)))
         own = rows[low:high] - start
         start += len(part.offsets)
-        chosen.append(part._replace(offsets=part.offsets[own], lengths=part.lengths[own]))
-    return chosen
+        some.append(part._replace(offsets=part.offsets[own], lengths=part.lengths[own],
+                                  log_ns=part.log_ns[own], publish_ns=part.publish_ns[own]))
+    return some

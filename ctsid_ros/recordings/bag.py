@@ -2,6 +2,8 @@
 """
 Bags: rosbag2 in MCAP or SQLite, ROS 1; one file, a folder, or several that belong together.
 
+Other recordings (ULog, ArduPilot, tables) are read as if they were bags.
+
     with open_bag('flight') as bag:
         for block in bag.blocks({'/imu': [parse_field('angular_velocity.x')]}):
             (imu,) = block.columns
@@ -32,6 +34,7 @@ from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.files import find_files, scan_file
 from ctsid_ros.recordings.packed import raw, unpacking
 from ctsid_ros.recordings.recording import Recording, Wanted, merge_in_time
+from ctsid_ros.recordings.remote import local
 from ctsid_ros.recordings.topics import TopicInfo, join_topics
 
 __all__ = ['Bag', 'BagMessage', 'DecodeError', 'TopicInfo', 'open_bag']
@@ -55,6 +58,8 @@ class Bag:
     topics : mapping of str to TopicInfo
     start_ns, end_ns : int
         First and last log time of all messages; 0 if there are none.
+    own_clock : bool
+        Whether these count from a start of their own, as autopilots do.
     """
 
     def __init__(self, recordings: Sequence[Recording], notes: Iterable[str],
@@ -68,6 +73,7 @@ class Bag:
         filled = [recording for recording in self._recordings if recording.count]
         self.start_ns = min((recording.start_ns for recording in filled), default=0)
         self.end_ns = max((recording.end_ns for recording in filled), default=0)
+        self.own_clock = bool(filled) and all(recording.own_clock for recording in filled)
         if not filled:
             self._note('there is no message in the bag')
 
@@ -95,9 +101,24 @@ class Bag:
         BagError
             If a topic or field is not in the bag, or it cannot be read on.
         """
-        return self._blocks({topic: unpacking(self.extractor(topic, [
-            self.bind(topic, path) for path in paths]).columns)
-            for topic, paths in fields.items()})
+        return self.decoded({topic: self.extractor(topic, [
+            self.bind(topic, path) for path in paths]).columns for topic, paths in fields.items()})
+
+    def decoded(self, decoders: Mapping[str, Decode]) -> Iterator[Block]:
+        """
+        Iterate over the messages of some topics as columns of what decoders make of them.
+
+        Parameters
+        ----------
+        decoders : mapping of str to Decode
+            By topic.
+
+        Raises
+        ------
+        BagError
+            If a topic is not in the bag, or it cannot be read on.
+        """
+        return self._blocks({topic: unpacking(decode) for topic, decode in decoders.items()})
 
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
@@ -133,9 +154,18 @@ class Bag:
         BagError
             If it is not in the bag; the message names the nearest.
         """
-        if name not in self.topics:
+        found = name if name in self.topics else self._by_part(name)
+        if found not in self.topics:
             raise BagError(f'no topic {name!r} in the bag' + nearest(name, sorted(self.topics)))
-        return self.topics[name]
+        if found != name:
+            self._note(f'topic {name} is read from {found}, the only table')
+        return self.topics[found]
+
+    def _by_part(self, name: str) -> str:
+        """Return the topic of a table that is alone here, called by the name of another one."""
+        alone = self._recordings[0].alone if len(self._recordings) == 1 else ''
+        _, slash, part = name.partition('/')
+        return f'{alone}{slash}{part}' if alone else name
 
     def message_type(self, topic: str) -> MessageType:
         """
@@ -149,7 +179,7 @@ class Bag:
         problem = self.topic(topic).problem
         if problem:
             raise BagError(f'topic {topic} cannot be decoded: {problem}')
-        return self._types[topic]
+        return self._types[self.topic(topic).name]
 
     def extractor(self, topic: str, fields: Sequence[FieldPath]) -> Extractor:
         """
@@ -247,15 +277,20 @@ def _rows(block: Block) -> Iterator[BagMessage]:
         yield BagMessage(block.columns[number].topic, *next(rows[number]))
 
 
-def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> Bag:
+def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+             time: Sequence[str] = ()) -> Bag:
     """
-    Open a bag.
+    Open a bag, or another recording.
 
     Parameters
     ----------
     path : path or several
         A file (.mcap, .db3, .bag, packed with zstd or not), a folder with such files
         (metadata.yaml is not needed), or several of both, to be read as one bag merged by time.
+        Other recordings: PX4 ULog, ArduPilot .bin, CSV, Parquet (docs/recordings.md); a URL.
+    time : sequence of str, optional
+        Names of the columns of a table that are times, with a unit where they do not tell it
+        (`t`, `t:ms`).
 
     Raises
     ------
@@ -268,9 +303,9 @@ def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) ->
     notes: list[str] = []
     recordings: dict[Path, Recording] = {}
     with ExitStack() as resources:
-        for given in map(Path, paths):
+        for given in paths:
             try:
-                _open_one(given.expanduser(), recordings, notes, resources)
+                _open_one(local(given, notes.append), recordings, notes, resources, time)
             except BagError:
                 raise
             except PermissionError as error:
@@ -278,11 +313,14 @@ def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) ->
                                'and mode with `ls -ld`') from error
             except OSError as error:
                 raise BagError(f'{given}: {error.strerror or error}') from error
+        if time and not any(recording.alone for recording in recordings.values()):
+            raise BagError(f'{" and ".join(time)} would be the time of a table (CSV, Parquet), '
+                           'but there is none; leave --time out')
         return Bag(tuple(recordings.values()), notes, resources.pop_all())
 
 
 def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],
-              resources: ExitStack) -> None:
+              resources: ExitStack, time: Sequence[str]) -> None:
     """Add the recordings of one path; in a folder, single unusable files are noted."""
     found = find_files(path)
     notes += found.notes
@@ -290,7 +328,7 @@ def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],
     count = 0
     for file in found.files:
         try:
-            recording = recordings[file.resolve()] = scan_file(file, resources)
+            recording = recordings[file.resolve()] = scan_file(file, resources, time)
             notes += recording.notes
             count += recording.count
         except BagError as error:

@@ -43,6 +43,8 @@ def message_type(connection: Connection) -> MessageType:
     DefinitionError
         If they are neither CDR nor ROS 1, or the definition is missing or cannot be parsed.
     """
+    if connection.message_type:
+        return connection.message_type
     if connection.encoding not in STORES:
         raise DefinitionError(f'its messages are encoded as {connection.encoding!r}; ctsid reads '
                               'cdr and ros1')

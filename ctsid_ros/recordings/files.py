@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 import difflib
+from functools import lru_cache
 from pathlib import Path
 import shutil
 import tempfile
@@ -15,21 +16,30 @@ import yaml
 import zstandard
 
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings import mcap_file, ros1_file, sqlite_file
+from ctsid_ros.recordings import (
+    ardupilot_file,
+    csv_file,
+    mcap_file,
+    parquet_file,
+    ros1_file,
+    sqlite_file,
+    ulog_file,
+)
 from ctsid_ros.recordings.packed import ZSTD_MAGIC
 from ctsid_ros.recordings.recording import Recording
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.bag', '.bag.active')
+# Of files that no bag has; in a folder of a bag they are something else, such as results.
+OTHER_SUFFIXES = ('.ulg', '.bin', '.csv', '.tsv', '.parquet')
 Scan = Callable[[Path, ExitStack], Recording]
 SCANS: dict[bytes, Scan] = {mcap_file.MAGIC: mcap_file.scan_mcap,
                             sqlite_file.MAGIC: sqlite_file.scan_sqlite,
                             ros1_file.MAGIC: ros1_file.scan_ros1}
-LOOKS = {b'ULog': 'a PX4 ULog', b'\x1f\x8b': 'a gzip archive (unpack it first)',
+LOOKS = {b'\x1f\x8b': 'a gzip archive (unpack it first)',
          b'PK\3\4': 'a zip archive (unpack it first)', b'BZh': 'a bzip2 archive (unpack it first)',
          b'\xfd7zXZ': 'an xz archive (unpack it first)', b'\x89HDF': 'an HDF5 file',
          b'MATLAB': 'a MATLAB file', b'\x93NUMPY': 'a NumPy array', b'\x7fELF': 'a program',
          b'\x89PNG': 'a picture', b'\xff\xd8\xff': 'a picture', b'%PDF': 'a PDF',
-         b'\xa3\x95': 'an ArduPilot log', b'PAR1': 'a Parquet file',
          b'rosbag2_bagfile_information': 'the metadata.yaml of a bag (give its folder)'}
 
 
@@ -70,8 +80,7 @@ def find_files(path: Path) -> BagFiles:
         raise BagError(f'{path}: no such file or folder' + _near(path))
     if not path.is_dir():
         raise BagError(f'{path} is neither a file nor a folder')
-    present = {p.name: p for p in sorted(path.iterdir())
-               if p.name.endswith(SUFFIXES) and p.is_file()}
+    present = {p.name: p for p in files_in(path)}
     # `ros2 bag play` leaves the unpacked file beside the packed one: the same messages twice.
     files = {name: p for name, p in present.items()
              if name.removesuffix('.zstd') == name or name.removesuffix('.zstd') not in present}
@@ -86,15 +95,37 @@ def find_files(path: Path) -> BagFiles:
         notes.append(f'{path.name}: read as well, though metadata.yaml does not list them: '
                      + ', '.join(more))
     if not files:
-        raise BagError(f'{path}: no bag file ({", ".join(SUFFIXES)}) in this folder'
+        raise BagError(f'{path}: no bag file ({", ".join((*SUFFIXES, *OTHER_SUFFIXES))}) in this '
+                       'folder'
                        + _inner(path))
     return BagFiles(tuple(files.values()), tuple(notes), None if more or absent else stated,
                     tuple(path for name, path in files.items() if name not in more))
 
 
-def scan_file(path: Path, resources: ExitStack) -> Recording:
+def files_in(folder: Path) -> list[Path]:
+    """
+    Return the files of a folder that are bags; if there is no bag, those of other recordings.
+
+    In a folder of folders with bags there is none: tables beside them are notes or results.
+    """
+    files = [path for path in sorted(folder.iterdir()) if path.is_file()]
+    bags = [path for path in files if path.name.endswith(SUFFIXES)]
+    if bags or any(path.name.endswith(SUFFIXES) for path in folder.glob('*/*')):
+        return bags
+    return [path for path in files if path.name.lower().endswith(OTHER_SUFFIXES)]
+
+
+def scan_file(path: Path, resources: ExitStack, time: Sequence[str] = ()) -> Recording:
     """
     Read what a bag file of any kind contains.
+
+    Parameters
+    ----------
+    path : Path
+    resources : ExitStack
+        What is to be closed in the end.
+    time : sequence of str
+        Names of the columns of a table that are times.
 
     Raises
     ------
@@ -110,14 +141,31 @@ def scan_file(path: Path, resources: ExitStack) -> Recording:
     if start.startswith(ZSTD_MAGIC):
         unpacked = _unpack(path, resources)
         try:
-            return scan_file(unpacked, resources)
+            return scan_file(unpacked, resources, time)
         except BagError as error:
             raise BagError(str(error).replace(str(unpacked), f'{path} (unpacked)')) from None
     for magic, scan in SCANS.items():
         if start.startswith(magic):
             return scan(path, resources)
-    raise BagError(f'{path} is not a bag: it looks like {_look(start)}; ctsid reads rosbag2 '
-                   '(.mcap, .db3) and ROS 1 (.bag)')
+    state = path.stat()
+    found = _read_columns(path, start, tuple(time), (state.st_mtime_ns, state.st_size))
+    if found is None:
+        raise BagError(f'{path} is not a bag: it looks like {_look(start)}; ctsid reads rosbag2 '
+                       '(.mcap, .db3), ROS 1 (.bag), PX4 ULog, ArduPilot .bin, CSV and Parquet')
+    return found
+
+
+@lru_cache(maxsize=2)  # they are read whole, and opened again for the record after the channels
+def _read_columns(path: Path, start: bytes, time: tuple[str, ...], state: tuple[int, int]
+                  ) -> Recording | None:
+    """Read a file that is made of columns; None if it is none."""
+    if start.startswith(ulog_file.MAGIC):
+        return ulog_file.scan_ulog(path)
+    if start.startswith(ardupilot_file.MAGIC):
+        return ardupilot_file.scan_ardupilot(path)
+    if start.startswith(parquet_file.MAGIC):
+        return parquet_file.scan_parquet(path, time)
+    return None if start.startswith(tuple(LOOKS)) else csv_file.scan_csv(path, time)
 
 
 def _metadata(folder: Path) -> tuple[list[str], int | None, list[str]]:
@@ -162,7 +210,7 @@ def _near(path: Path) -> str:
 
 
 def _inner(folder: Path) -> str:
-    inner = sorted({p.parent.name for p in folder.glob('*/*') if p.name.endswith(SUFFIXES)})
+    inner = sorted({p.name for p in folder.iterdir() if p.is_dir() and files_in(p)})
     return f'; there are bags in its subfolders {", ".join(inner[:5])}' if inner else ''
 
 

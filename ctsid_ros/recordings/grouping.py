@@ -6,6 +6,9 @@ The files that a metadata.yaml lists are parts of one. For others, and in a fold
 tells. A recorder that splits its bag begins the next part with the next message, and two
 recorders of different topics run at the same time. Bags that overlap, or follow each other within
 a second, are one recording; between recordings somebody has stopped and started the recorder.
+
+Autopilots and many tables count from a start of their own, so that time tells nothing: files with
+the same columns are recordings of their own, files with others belong together.
 """
 
 from __future__ import annotations
@@ -16,7 +19,8 @@ from pathlib import Path
 
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.files import SUFFIXES, find_files
+from ctsid_ros.recordings.files import files_in, find_files
+from ctsid_ros.recordings.remote import local
 
 _NEAR = 10**9  # from the end of a part to the start of the next, or of their overlap, at most [ns]
 
@@ -30,10 +34,13 @@ class _Span:
     start_ns: int
     end_ns: int
     topics: frozenset[str]
+    own_clock: bool = False
+    types: frozenset[str] = frozenset()  # of those with a clock of their own
 
 
 def recordings(paths: Sequence[str], topics: Collection[str] = (),
-               note: Callable[[str], None] = lambda _: None) -> list[tuple[str, ...]]:
+               note: Callable[[str], None] = lambda _: None,
+               time: Sequence[str] = ()) -> list[tuple[str, ...]]:
     """
     Group bags by recording, in the order of time.
 
@@ -45,6 +52,8 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
         That matter; all if empty.
     note : callable, optional
         Takes what is left out: files of a folder that cannot be read.
+    time : sequence of str, optional
+        See `open_bag`.
 
     Returns
     -------
@@ -57,23 +66,39 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
     BagError
         If one is no bag, or two hold the same topics at the same time.
     """
-    bags = [(path, files) for path in paths for files in _bags(Path(path).expanduser())]
+    bags = [(path, files) for path in paths for files in _bags(local(path, note))]
     if len(bags) < 2:
         return [tuple(paths)]
-    spans = _spans(bags, note)
+    spans = _spans(bags, note, time)
     groups: list[list[_Span]] = []
-    for span in sorted(spans, key=lambda s: s.start_ns):
-        if groups and (not span.end_ns or span.start_ns <= max(
+    for span in spans:
+        if span.own_clock:
+            _add_by_columns(groups, span, frozenset(topics))
+    alone = len(groups)
+    for span in sorted((s for s in spans if not s.own_clock), key=lambda s: s.start_ns):
+        if groups[alone:] and (not span.end_ns or span.start_ns <= max(
                 s.end_ns for s in groups[-1]) + _NEAR):
             for other in groups[-1]:
                 if other.given != span.given:
                     _check_apart(other, span, topics)
             groups[-1].append(span)
-        elif groups and not groups[-1][-1].end_ns:  # an empty bag has no time
+        elif groups[alone:] and not groups[-1][-1].end_ns:  # an empty bag has no time
             groups[-1].append(span)
         else:
             groups.append([span])
     return [_parts(sorted(group, key=spans.index), [s.given for s in spans]) for group in groups]
+
+
+def _add_by_columns(groups: list[list[_Span]], span: _Span, topics: frozenset[str]) -> None:
+    """Add a file to the last recording if no file there has its columns, or both are asked for."""
+    last = groups[-1] if groups else []
+    again = any(span.types & other.types for other in last)
+    asked = all(one.topics & topics for one in (span, *last)) \
+        and not any(span.topics & other.topics for other in last)
+    if last and (asked or not again):
+        last.append(span)
+    else:
+        groups.append([span])
 
 
 def _bags(path: Path) -> list[tuple[str, ...]]:
@@ -94,14 +119,14 @@ def _bags(path: Path) -> list[tuple[str, ...]]:
 
 
 def _has_files(folder: Path) -> bool:
-    return any(file.name.endswith(SUFFIXES) for file in folder.iterdir())
+    return bool(files_in(folder))
 
 
 def _parts(group: Sequence[_Span], given: Sequence[str]) -> tuple[str, ...]:
     """Return the files of a recording; a path in their place where it stands for no other."""
     own = [span.given for span in group]
     whole = {path for path in own if own.count(path) == given.count(path)
-             and not _is_outer(Path(path).expanduser())}
+             and not _is_outer(local(path))}
     return tuple(dict.fromkeys(part for span in group for part in (
         [span.given] if span.given in whole else span.files)))
 
@@ -111,16 +136,16 @@ def _is_outer(path: Path) -> bool:
     return path.is_dir() and not _has_files(path)
 
 
-def _spans(bags: Sequence[tuple[str, tuple[str, ...]]], note: Callable[[str], None]
-           ) -> list[_Span]:
+def _spans(bags: Sequence[tuple[str, tuple[str, ...]]], note: Callable[[str], None],
+           time: Sequence[str]) -> list[_Span]:
     """Look at all bags; of a folder, single files may be unusable."""
     spans: list[_Span] = []
     faults: list[BagError] = []
     for path, files in bags:
         try:
-            spans.append(_span(path, files))
+            spans.append(_span(path, files, time))
         except BagError as error:
-            if (path,) == files:
+            if (str(local(path)),) == files:
                 raise
             faults.append(error)
     if not spans:
@@ -130,10 +155,12 @@ def _spans(bags: Sequence[tuple[str, tuple[str, ...]]], note: Callable[[str], No
     return spans
 
 
-def _span(path: str, files: tuple[str, ...]) -> _Span:
-    with open_bag(files) as bag:
+def _span(path: str, files: tuple[str, ...], time: Sequence[str]) -> _Span:
+    with open_bag(files, time) as bag:
         filled = frozenset(name for name, topic in bag.topics.items() if topic.count)
-        return _Span(path, files, bag.start_ns, bag.end_ns, filled)
+        types = frozenset(repr(bag.message_type(name)) for name in filled) if bag.own_clock \
+            else frozenset()
+        return _Span(path, files, bag.start_ns, bag.end_ns, filled, bag.own_clock, types)
 
 
 def _check_apart(one: _Span, other: _Span, topics: Collection[str]) -> None:

@@ -43,7 +43,8 @@ _OUTPUT_FIELDS = (r'angular_velocity|gyro', r'twist|velocity|linear$|angular$', 
                   r'position', r'acceleration', r'')
 _INPUT_FIELDS = (r'torque|moment|effort', r'force|thrust', r'angular|linear|twist|velocity',
                  r'axes|channels|data|control|position', r'')
-_MEASURED_INPUT = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
+_MEASURED_INPUT = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control|'
+                             r'^u(_|\d|\[|$)|[ROPY]Out$')
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
           ('force', 'N'), (r'angular\.', 'rad/s'), (r'linear\.', 'm/s'), ('euler', 'rad'),
           (r'position\.[xyz]$', 'm'), (r'^velocity\[', 'rad/s'), (r'^position\[', 'rad'),
@@ -141,6 +142,7 @@ def _acts(topic: TopicSurvey) -> float:
     name, kind = topic.info.name, topic.info.type
     score = 3.0 * bool(_INPUT_NAME.search(name)) + 2.0 * bool(_INPUT_TYPE.match(kind))
     score -= 1.0 * bool(_OUTPUT_NAME.search(name)) + 1.5 * bool(_OUTPUT_TYPE.match(kind))
+    score += 0.5 * ('torque' in name)  # that acts on the body itself
     return score + 1e-3 * min(len(topic.moving), 8) - 1e-9 * len(name)
 
 
@@ -151,7 +153,8 @@ def _measures(topic: TopicSurvey, acting: TopicSurvey) -> float:
     likely = 'Odometry' if 'Twist' in acting.info.type or 'Ackermann' in acting.info.type \
         else 'Joint' if 'Joint' in acting.info.type else 'Imu'
     # A rate rather than nothing in particular; the common name space counts a little.
-    score += 1.0 * (likely in kind) + 0.5 * any('velocity' in f.field for f in topic.moving)
+    score += 1.0 * (likely in kind or 'AngularVelocity' in kind)
+    score += 0.5 * any('velocity' in f.field for f in topic.moving)
     same = topic.info.name.split('/')[1] == acting.info.name.split('/')[1] \
         if topic.info.name.count('/') > 1 and acting.info.name.count('/') > 1 else False
     return score + 0.25 * same + min(topic.rate, 1e3) * 1e-5 if topic.rate > 0 else score - 1.0
@@ -191,7 +194,8 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
     last = re.sub(r'\W+', '_', topic.info.name.strip('/').rpartition('/')[2]) or 'channel'
     words = re.findall(r'[A-Za-z_]\w*|\d+', text.replace('euler', ''))
     plain = words[-1] if 'euler' in text else '_'.join(words[-2:])
-    if plain.startswith('data') or len(plain) < 3:
+    short = len(plain) < 3 and not topic.info.type.startswith('table/')
+    if plain.startswith('data') or short:
         plain = f'{last}_{words[-1]}'
     name = re.sub(r'\W', '_', plain)
     name = f'_{name}' if name[0].isdigit() else name

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctsid_ros.decoding.block import Block, Decode, Located
+from ctsid_ros.decoding.message_types import MessageType
 
 Note = Callable[[str], None]
 
@@ -34,6 +35,8 @@ class Connection:
     definition : str
     count : int
         Number of messages.
+    message_type : MessageType, optional
+        Where it is known without a definition.
     """
 
     id: int
@@ -43,6 +46,7 @@ class Connection:
     format: str
     definition: str
     count: int
+    message_type: MessageType | None = None
 
 
 class Wanted(NamedTuple):
@@ -80,6 +84,12 @@ class Recording:
         (what is wanted, where to note damage) -> messages in the order of log time.
     notes : tuple of str
         What was damaged and recovered.
+    alone : str, optional
+        What its topics begin with if it is a table, whose topics any other name of it may stand
+        for where it is the only file.
+    own_clock : bool, optional
+        Whether its times count from a start of its own, so that they do not tell which other
+        files belong to it.
     """
 
     connections: tuple[Connection, ...]
@@ -87,6 +97,8 @@ class Recording:
     end_ns: int
     blocks: Callable[[Wanted, Note], Iterator[Block]]
     notes: tuple[str, ...] = ()
+    alone: str = ''
+    own_clock: bool = False
 
     @property
     def count(self) -> int:

@@ -9,17 +9,19 @@ Pictures, clouds and the like are counted, not read.
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ctsid_ros.decoding.field_path import FieldPath
+from ctsid_core.linear.types import Array
+from ctsid_ros.decoding.block import Columns, Decoded, Located, Stamps
+from ctsid_ros.decoding.cdr import Extractor, chosen
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.bag import Bag, DecodeError, TopicInfo
+from ctsid_ros.recordings.bag import Bag, TopicInfo
 from ctsid_ros.recordings.survey_stats import FieldStats, StampStats, field_stats, stamp_stats
 
 MOST = 2_000_000
@@ -111,14 +113,40 @@ class _Watch:
     """What is gathered of one topic."""
 
     info: TopicInfo
-    paths: Sequence[FieldPath]
+    stamp_of: Extractor
+    scalars_of: Extractor
     every: int  # one run of messages of so many is decoded
-    seen: int = 0
+    seen: int = 0  # by the decoder: up to a batch ahead of what is gathered
+    decoded: int = 0
     undecodable: int = 0
-    log: array[int] = field(default_factory=lambda: array('q'))
-    publish: array[int] = field(default_factory=lambda: array('q'))
-    header: array[int] = field(default_factory=lambda: array('q'))
-    values: list[tuple[float, ...]] = field(default_factory=list)
+    log: list[Stamps] = field(default_factory=list)
+    publish: list[Stamps] = field(default_factory=list)
+    header: list[Stamps] = field(default_factory=list)
+    chosen: list[Array] = field(default_factory=list)  # scalars, in the order of the decoder
+    places: list[NDArray[np.intp]] = field(default_factory=list)  # theirs, in the order of time
+
+    def decode(self, parts: Sequence[Located]) -> Decoded:
+        """Read the stamps of all messages and the scalars of some; values are their places."""
+        found = self.stamp_of.columns(parts)
+        count = len(found.sound)
+        some = (np.arange(self.seen, self.seen + count) // RUN) % self.every == 0
+        self.seen += count
+        places, sound = np.full(count, -1), found.sound.copy()
+        _, values, whole = self.scalars_of.columns(chosen(parts, np.flatnonzero(some)))
+        sound[some] &= whole
+        places[some & sound] = np.arange(self.decoded, self.decoded + (some & sound).sum())
+        self.chosen.append(values[sound[some]])
+        self.decoded += len(self.chosen[-1])
+        return Decoded(found.header_ns, places, sound)
+
+    def take(self, rows: Columns) -> None:
+        """Gather messages in the order of time."""
+        self.log.append(rows.log_ns)
+        self.publish.append(rows.publish_ns)
+        if rows.header_ns is not None:
+            self.header.append(rows.header_ns[rows.sound])
+        self.places.append(rows.values[rows.values >= 0])
+        self.undecodable += int(np.count_nonzero(~rows.sound))
 
 
 def survey(bag: Bag, most: int = MOST) -> Survey:
@@ -139,25 +167,18 @@ def survey(bag: Bag, most: int = MOST) -> Survey:
     notes: list[str] = []
     watches, skipped = _watches(bag)
     last_ns = bag.end_ns
-    stamp_of = {name: bag.extractor(name, []) for name in watches}
-    scalars_of = {name: bag.extractor(name, watch.paths) for name, watch in watches.items()}
-    messages = bag.messages(watches) if watches else ()
-    for seen, (topic, log_ns, publish_ns, raw) in enumerate(messages):
-        if seen == most:
-            last_ns = log_ns
+    left = most
+    blocks = bag.decoded({name: watch.decode for name, watch in watches.items()}) \
+        if watches else iter(())
+    for block in blocks:
+        inside, rest = block.split(left)
+        for rows in inside.columns:
+            watches[rows.topic].take(rows)
+        left -= len(inside)
+        if len(rest):
+            last_ns = int(rest.log_ns[0])
             notes.append(f'only the first {most} messages were looked at')
             break
-        watch = watches[topic]
-        watch.log.append(log_ns)
-        watch.publish.append(publish_ns)
-        decode = (watch.seen // RUN) % watch.every == 0
-        watch.seen += 1
-        try:
-            watch.header.append(stamp_of[topic](raw)[0] or 0)
-            if decode:
-                watch.values.append(scalars_of[topic](raw)[1])
-        except DecodeError:
-            watch.undecodable += 1
     found = [*(_finish(watch, bag.start_ns) for watch in watches.values()), *skipped]
     return Survey((bag.end_ns - bag.start_ns) * 1e-9, bag.start_ns,
                   sum(info.count for info in bag.topics.values()),
@@ -182,31 +203,32 @@ def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
             continue
         try:
             paths = [p for p in bag.scalar_fields(name) if not _NOT_A_SIGNAL.search(str(p))]
+            stamp_of, scalars_of = bag.extractor(name, []), bag.extractor(name, paths)
         except BagError as error:
             skipped.append(TopicSurvey(info, note=str(error)))
             continue
-        watches[name] = _Watch(info, paths, max(-(-info.count // DECODED), 1))
+        watches[name] = _Watch(info, stamp_of, scalars_of, max(-(-info.count // DECODED), 1))
     return watches, skipped
 
 
 def _finish(watch: _Watch, start_ns: int) -> TopicSurvey:
-    log = np.array(watch.log, dtype=np.int64)
-    if not len(log):
+    if not sum(map(len, watch.log)):
         return TopicSurvey(watch.info, note='no message among those looked at')
-    header = np.array(watch.header, dtype=np.int64)
+    log, publish = np.concatenate(watch.log), np.concatenate(watch.publish)
     first, last = (log[[0, -1]] - start_ns) * 1e-9
-    stamps = [stamp_stats('header', header)] if watch.info.has_header else []
+    stamps = []
+    late = math.nan
+    if watch.info.has_header:
+        header = np.concatenate(watch.header)
+        stamps = [stamp_stats('header', header)]
+        if stamps[0].usable and len(header) == len(log):
+            late = float(np.median(log - header)) * 1e-9
     stamps.append(stamp_stats('log', log))
-    publish = np.array(watch.publish, dtype=np.int64)
     if (publish != log).any():
         stamps.append(stamp_stats('publish', publish))
-    late = math.nan
-    if watch.info.has_header and stamps[0].usable and len(header) == len(log):
-        late = float(np.median(log - header)) * 1e-9
-    rows = np.array(watch.values, dtype=float).reshape(
-        len(watch.values), len(watch.values[0]) if watch.values else 0)
-    fields = tuple(field_stats(path, rows[:, i], RUN) for i, path in enumerate(watch.paths)
-                   if i < rows.shape[1])
+    rows = np.concatenate(watch.chosen)[np.concatenate(watch.places)]
+    fields = tuple(field_stats(path, rows[:, i], RUN)
+                   for i, path in enumerate(watch.scalars_of.fields) if len(rows))
     rate = (len(log) - 1) / (last - first) if last > first else math.nan
     return TopicSurvey(watch.info, float(first), float(last), float(rate), tuple(stamps), late,
                        fields, watch.undecodable)

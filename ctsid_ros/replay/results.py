@@ -22,7 +22,8 @@ MODEL, SERIES, TABLE = 'model.json', 'estimates.npz', 'estimates.csv'
 REPORT, PAGE = 'report.md', 'report.html'
 TOPICS_BAG = 'estimates.mcap'  # what the node would have published
 _HASHED = 2**28  # bytes: larger bags are named, but not hashed
-_SUFFIXES = re.compile(r'(\.(mcap|db3|bag|zstd|active))+$')
+_SUFFIXES = re.compile(r'(\.(mcap|db3|bag|zstd|active|ulg|bin|csv|tsv|parquet))+$',
+                       re.IGNORECASE)
 
 
 def make_folder(out: str | None, bags: Sequence[str], method: str, *, force: bool) -> Path:
@@ -121,14 +122,14 @@ def write_report(folder: Path, contents: Mapping[str, str]) -> None:
 
 def bag_name(bags: Sequence[str]) -> str:
     """Return a short name of a bag for people: that of its file or folder."""
-    name = Path(bags[0]).expanduser().resolve().name
+    name = Path(bags[0].partition('?')[0]).expanduser().resolve().name
     return _SUFFIXES.sub('', name) or name or 'bag'
 
 
 def origin(config: Config, bags: Sequence[str], interval: Mapping[str, object],
            records: Sequence[Mapping[str, object]] = ()) -> dict[str, object]:
     """Return what a model file keeps of where the model comes from; of several records, each."""
-    return {'ctsid': package_version(), 'bag': [Path(b).name for b in bags],
+    return {'ctsid': package_version(), 'bag': [Path(b.partition('?')[0]).name for b in bags],
             'sha256': _hash(bags), 'interval': dict(interval),
             **({'records': [dict(r) for r in records]} if records else {}),
             'channels': described(config)}
@@ -159,7 +160,9 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
 
 def _hash(bags: Sequence[str]) -> str | None:
     """Return the SHA-256 of all files of a bag in the order of their names, if it is small."""
-    files = [f for bag in map(Path, bags) for f in
+    from ctsid_ros.recordings.remote import local
+
+    files = [f for bag in map(local, bags) for f in
              (sorted(p for p in bag.iterdir() if p.is_file()) if bag.is_dir() else [bag])]
     if sum(f.stat().st_size for f in files) > _HASHED:
         return None

@@ -26,6 +26,7 @@ class Run:
     line : str
         The command line.
     bags : tuple of str
+        As a command line names them, with the times of tables.
     params : str or None
         The parameter file.
     model : str

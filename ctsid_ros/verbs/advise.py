@@ -65,7 +65,7 @@ def command(args: argparse.Namespace) -> int:
         rejection_section,
     )
 
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)

@@ -57,7 +57,16 @@ def add_bag(parser: argparse.ArgumentParser,
             several: str = 'several are the parts of one recording') -> None:
     """Add the bag, and what several of them mean."""
     parser.add_argument('bag', nargs='+', metavar='BAG',
-                        help=f'rosbag2 folder, .mcap, .db3 or ROS 1 .bag file; {several}')
+                        help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag file, PX4 .ulg, '
+                        f'ArduPilot .bin, .csv, .parquet, or a URL of one; {several}')
+    parser.add_argument('--time', action='append', default=[], metavar='COLUMN', help='column of '
+                        'a table that is the time, such as t or t:ms; once for each [default: '
+                        'by name, unit and values]')
+
+
+def bag_words(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the bags and their times as another command line needs them."""
+    return (*args.bag, *(word for column in args.time for word in ('--time', column)))
 
 
 def span(text: str) -> Interval:
@@ -158,7 +167,7 @@ def run_of(args: argparse.Namespace, model: str = '',
     """Return what a report says of its making: the command line, bags, parameters, model."""
     from ctsid_ros.report.headline import Run
 
-    return Run(args.command_line, tuple(args.bag), args.params, model, span)
+    return Run(args.command_line, bag_words(args), args.params, model, span)
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:

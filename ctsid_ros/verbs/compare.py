@@ -87,7 +87,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.recordings.playback import read_record
     from ctsid_ros.report.sections import complaint_section
 
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         config = config_for(args, bag)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)

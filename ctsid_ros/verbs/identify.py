@@ -185,15 +185,15 @@ def command(args: argparse.Namespace) -> int:
 
     truth = read_truth(args)
     intervals = _intervals(args)
-    groups = recordings(args.bag, _topics(args), say)
-    with open_bag(groups[0]) as bag:
+    groups = recordings(args.bag, _topics(args), say, args.time)
+    with open_bag(groups[0], args.time) as bag:
         config = config_for(args, bag)
     if len(groups) > 1:
-        say(f'these are {len(groups)} recordings, apart in time: one model of all, with a trim of '
+        say(f'these are {len(groups)} recordings of their own: one model of all, with a trim of '
             'each: ' + '; '.join(named(group) for group in groups))
     with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
         with progress('reading', quiet=args.quiet) as advance:
-            sources = [_read(group, config, interval, args.test_from, advance)
+            sources = [_read(group, args.time, config, interval, args.test_from, advance)
                        for group in groups for interval in intervals]
         with working(_task(sources), quiet=args.quiet):
             outcome = _identify(tuple(sources), args.test_from)
@@ -234,12 +234,12 @@ def _topics(args: argparse.Namespace) -> set[str]:
     return {c.topic for c in read_params(args.params).channels} if args.params else set()
 
 
-def _read(bags: tuple[str, ...], config: Config, interval: Interval, split: float | None,
-          advance: Advance) -> Source:
+def _read(bags: tuple[str, ...], time: Sequence[str], config: Config, interval: Interval,
+          split: float | None, advance: Advance) -> Source:
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
 
-    with open_bag(bags) as bag:
+    with open_bag(bags, time) as bag:
         if split is not None and split >= (bag.end_ns - bag.start_ns) * 1e-9 > 0.0:
             split = None  # all of a recording so short is learnt from
         try:

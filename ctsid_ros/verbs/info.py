@@ -4,13 +4,22 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from ctsid_ros.report.document import Bullets, Section, to_text
 from ctsid_ros.report.tables import Table, number
-from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_style, date, named, tell
+from ctsid_ros.verbs.arguments import (
+    ACCEPTED,
+    add_bag,
+    add_style,
+    bag_words,
+    date,
+    named,
+    tell,
+)
 
 if TYPE_CHECKING:
     from ctsid_ros.recordings.survey import Survey, TopicSurvey
@@ -32,12 +41,12 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.survey import survey
 
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         found = survey(bag)
     if args.json:
         tell(_document(found, args.bag))
     else:
-        print(to_text(list(_sections(found, args.bag))))
+        print(to_text(list(_sections(found, args.bag, bag_words(args)))))
     return ACCEPTED
 
 
@@ -52,7 +61,7 @@ def _document(found: Survey, bags: list[str]) -> dict[str, Any]:
             'notes': list(found.notes)}
 
 
-def _sections(found: Survey, bags: list[str]) -> Iterable[Section]:
+def _sections(found: Survey, bags: list[str], words: Sequence[str]) -> Iterable[Section]:
     begun = date(found.start_ns)
     yield Section(f'{named(bags)}: {found.duration:.1f} s, {found.messages} messages'
                   + (f', recorded {begun}' if begun else ''), (_topics(found.topics),))
@@ -79,7 +88,7 @@ def _sections(found: Survey, bags: list[str]) -> Iterable[Section]:
             for t in found.topics if t.undecodable]
     notes = (*still, *torn, *found.notes)
     yield Section('Notes', (Bullets(notes),) if notes else ())
-    yield Section('', (f'Next: ctsid init {bags[0]} -o params.yaml',) if moving else ())
+    yield Section('', (f'Next: ctsid init {shlex.join(words)} -o params.yaml',) if moving else ())
 
 
 def _topics(topics: Iterable[TopicSurvey]) -> Table:

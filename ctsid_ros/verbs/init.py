@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 import shlex
 import textwrap
 from typing import TYPE_CHECKING
 
 from ctsid_ros.report.tables import number
 from ctsid_ros.report.words import cell, printable
-from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, say
+from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, bag_words, say
 
 if TYPE_CHECKING:
     from ctsid_ros.recordings.guess import Guess
@@ -35,10 +36,10 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.survey import survey
 
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         guessed = guess(survey(bag))
     name = 'params.yaml' if args.output == '-' else args.output
-    text = _head(guessed, args.bag, name) + dump_config(guessed.config)
+    text = _head(guessed, bag_words(args), name) + dump_config(guessed.config)
     if args.output == '-':
         print(text, end='')
         return ACCEPTED
@@ -47,19 +48,19 @@ def command(args: argparse.Namespace) -> int:
     write_file(args.output, text.encode(), force=args.force)
     for reason in guessed.reasons:
         say(reason)
-    say(f'wrote {args.output}; look it over, then run:\n  {_next(args.bag, name)}')
+    say(f'wrote {args.output}; look it over, then run:\n  {_next(bag_words(args), name)}')
     return ACCEPTED
 
 
-def _next(bags: list[str], name: str) -> str:
-    return f'ctsid identify {shlex.join(bags)} --params {shlex.quote(name)}'
+def _next(words: Sequence[str], name: str) -> str:
+    return f'ctsid identify {shlex.join(words)} --params {shlex.quote(name)}'
 
 
-def _head(guessed: Guess, bags: list[str], name: str) -> str:
+def _head(guessed: Guess, words: Sequence[str], name: str) -> str:
     """Return comments: what was guessed and why, and what else moves."""
     lines = _comment('A first guess, to be corrected: which channels act on the robot (inputs) '
                      'and which are measured (outputs). Try it:')
-    lines += ['#', f'#   {_next(bags, name)}', '#']
+    lines += ['#', f'#   {_next(words, name)}', '#']
     for reason in guessed.reasons:
         lines += _comment(f'- {reason[0].upper()}{reason[1:]}.')
     others = guessed.others[:_MOST_OTHERS]

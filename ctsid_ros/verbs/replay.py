@@ -81,7 +81,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.replay.replay import Replay
 
     truth = read_truth(args)
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         config = config_for(args, bag)
         with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
             run = Replay(bag, config, interval_of(args))

@@ -85,7 +85,7 @@ def command(args: argparse.Namespace) -> int:
     config = read_params(args.params) if args.params else config_of(
         load_metadata(args.model), estimate.settings, args.model)
     _check(model, config, args.model)
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.time) as bag:
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
         outcome = _compare(model, data, args, bag)

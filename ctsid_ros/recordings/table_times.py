@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which columns of a table are times, and what they count.
+
+Told by the user (`--time t`, `--time t:ms`), by names and units (`t [s]`, `time_ms`), else by the
+values: a date lies between 2000 and 2100 in one unit only, and what robots record comes every few
+microseconds to every few seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_ros.decoding.block import Stamps
+from ctsid_ros.decoding.field_path import nearest
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.series import BOOT_NS
+
+UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+_WORDS = {**dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 's'),
+          **dict.fromkeys(('ms', 'msec', 'msecs', 'millis', 'millisecond', 'milliseconds'), 'ms'),
+          **dict.fromkeys(('us', 'µs', 'μs', 'usec', 'usecs', 'micros', 'microsecond',
+                           'microseconds'), 'us'),
+          **dict.fromkeys(('ns', 'nsec', 'nsecs', 'nanos', 'nanosecond', 'nanoseconds'), 'ns')}
+_NAME = re.compile(
+    r'_*(t|times?|time_?stamps?|timestamps?|stamps?|secs?|seconds|date|datetime)([^a-z].*)?'
+    r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec))?|time(us|ms|ns)')
+_SECONDS = re.compile(r'(?<![a-z])(secs?|seconds)$', re.IGNORECASE)
+_NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNORECASE)
+_CENTURY = (946_684_800, 4_102_444_800)  # 2000 to 2100 [s]
+_SLOWEST = 2.0  # interval of samples; twice as long is rather told in the next smaller unit [s]
+_ORDERED = 0.98  # of the steps of a time column go forward: a clock may have been set
+
+
+@dataclass(frozen=True)
+class Column:
+    """
+    A column of a table.
+
+    Parameters
+    ----------
+    name : str
+        Without its unit.
+    unit : str
+        As the header has it; may be empty.
+    values : ndarray, shape (N,)
+        Numbers, NaN where a cell is empty; or `datetime64[ns]`.
+    """
+
+    name: str
+    unit: str
+    values: NDArray[Any]
+
+    @property
+    def is_date(self) -> bool:
+        """Whether it holds dates."""
+        return self.values.dtype.kind == 'M'
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which of its cells are filled."""
+        if self.is_date:
+            return ~np.isnat(self.values)
+        return np.isfinite(self.values)
+
+    @property
+    def increases(self) -> bool:
+        """Whether it could be a time: it goes on, but for a few steps."""
+        steps = np.diff(self.values[self.known].astype(
+            np.int64 if self.is_date else np.float64, copy=False))
+        return bool((steps > 0).any()) and bool(np.mean(steps >= 0) >= _ORDERED)
+
+    @property
+    def named_time(self) -> bool:
+        """Whether it is called like a time."""
+        return self.is_date or bool(_NAME.fullmatch(self.name.lower()))
+
+
+@dataclass(frozen=True)
+class Time:
+    """
+    A column of times.
+
+    Parameters
+    ----------
+    name : str
+    log_ns : ndarray of int64, shape (N,)
+        Zero where it is not known.
+    is_date : bool
+        Whether it tells the date, or counts from a start of its own.
+    note : str
+        What was guessed.
+    """
+
+    name: str
+    log_ns: Stamps
+    is_date: bool
+    note: str
+
+
+def joined_seconds(columns: Sequence[Column]) -> list[Column]:
+    """Make one time of neighbours that hold its seconds and nanoseconds, as stamps of ROS do."""
+    found: list[Column] = []
+    for column in columns:
+        if found and _are_pair(found[-1], column):
+            seconds = found.pop()
+            known = seconds.known & column.known
+            whole, rest = (np.where(known, c.values, 0).astype(np.int64)
+                           for c in (seconds, column))
+            times = whole * 10**9 + rest
+            name = _SECONDS.sub('', seconds.name).strip('._ ') or 'stamp'
+            found.append(Column(name, 'ns', times if known.all() else
+                                np.where(known, times, np.nan)))
+        else:
+            found.append(column)
+    return found
+
+
+def _are_pair(seconds: Column, rest: Column) -> bool:
+    if seconds.is_date or rest.is_date or not (_SECONDS.search(seconds.name)
+                                               and _NANOSECONDS.search(rest.name)):
+        return False
+    values = rest.values[rest.known]
+    return _SECONDS.sub('', seconds.name) == _NANOSECONDS.sub('', rest.name) \
+        and len(values) > 0 and bool(np.min(values) >= 0 and np.max(values) < 1e9)
+
+
+def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> list[int]:
+    """
+    Return which of the columns are times: the wanted ones, or those that look so.
+
+    Raises
+    ------
+    BagError
+        If there is none.
+    """
+    names = [column.name for column in columns]
+    if wanted:
+        chosen = [split_unit(text, names)[0] for text in wanted]
+        found = [names.index(name) for name in dict.fromkeys(chosen) if name in names]
+        if not found:
+            raise BagError(f'{path}: no column is called {" or ".join(chosen)}'
+                           + nearest(chosen[0], names))
+        return sorted(found)
+    likely = [i for i, column in enumerate(columns) if column.named_time and column.increases]
+    # Several times: each is followed by columns of its own.
+    if len(likely) > 1 and all(b - a > 1 for a, b in zip(likely, [*likely[1:], len(columns)],
+                                                         strict=True)) \
+            and _overlap([columns[i] for i in likely]):
+        return likely
+    if likely:
+        return likely[:1]
+    rising = [i for i, column in enumerate(columns) if column.increases
+              and column.known.all() and (np.diff(column.values) > 0).all()]
+    if rising and rising[0] == 0:
+        return rising[:1]
+    raise BagError(f'{path}: no column is known to be the time: none is called t or time and '
+                   'increases; say which one by --time COLUMN' + nearest('time', names))
+
+
+def _overlap(columns: Sequence[Column]) -> bool:
+    """Whether times are of one clock."""
+    spans = [(log_ns[0], log_ns[-1]) for column in columns
+             for log_ns in (np.sort(read_time(column, '').log_ns[column.known]),)]
+    return bool(max(first for first, _ in spans) < min(last for _, last in spans))
+
+
+def split_unit(text: str, names: Sequence[str] = ()) -> tuple[str, str]:
+    """Return 't', 'ms' of 't:ms'; without a unit if it is a name as it stands."""
+    name, _, unit = text.rpartition(':')
+    return (name, unit) if name and unit in UNITS and text not in names else (text, '')
+
+
+def read_time(column: Column, told: str) -> Time:
+    """
+    Return a column as times.
+
+    Parameters
+    ----------
+    column : Column
+    told : str
+        The unit, if the user says it.
+    """
+    known = column.known
+    if column.is_date:
+        log_ns = np.where(known, column.values.astype(np.int64), 0)
+        return Time(column.name, log_ns, True, '')
+    word = column.unit.lower() or _suffix(column.name)
+    unit, note = told or _WORDS.get(word, ''), ''
+    if not unit:
+        unit, note = _guess(column)
+    values = np.where(known, column.values, 0)
+    log_ns = values.astype(np.int64) * UNITS[unit] if values.dtype.kind in 'iu' \
+        else np.rint(values * float(UNITS[unit])).astype(np.int64)
+    middle = float(np.median(log_ns[known])) * 1e-9 if known.any() else 0.0
+    is_date = _CENTURY[0] < middle < _CENTURY[1]
+    return Time(column.name, np.where(known, log_ns + BOOT_NS * (not is_date), 0), is_date, note)
+
+
+def _suffix(name: str) -> str:
+    found = re.search(r'(?:^|[^a-z])([a-zµμ]+)$', name.lower())
+    return 'us' if name == 'TimeUS' else found[1] if found else ''
+
+
+def _guess(column: Column) -> tuple[str, str]:
+    """Return the unit that the values tell, and a note on how."""
+    values = column.values[column.known].astype(np.float64)
+    steps = np.diff(values)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    middle = float(np.median(values)) if len(values) else 0.0
+    dated = [unit for unit, ns in UNITS.items()
+             if _CENTURY[0] < middle * ns * 1e-9 < _CENTURY[1] and 1e-7 < step * ns * 1e-9 < 1e4]
+    if dated:
+        return dated[0], ''
+    slowest = {unit: _SLOWEST * UNITS['s'] / ns for unit, ns in UNITS.items()}
+    unit = next((unit for unit in UNITS if step < slowest[unit]), 'ns')
+    if unit == 's' and step != 1.0:
+        return unit, ''
+    return unit, (f'the times of column {column.name} are taken as {unit}, for they step by '
+                  f'{step:g}; if they are not, say --time {column.name}:s (or ms, us, ns)')

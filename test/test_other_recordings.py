@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From recordings that are no bags to records and models, by the same verbs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import shlex
+
+from bag_fixtures import START, refused, write_mcap
+from bag_fixtures import flight as messages
+from marks import slow
+import numpy as np
+import pytest
+from recording_files import flight, write_ardupilot, write_csv, write_ulog
+
+from ctsid_core.model.storage import load_estimate
+from ctsid_ros.cli import main
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.grouping import recordings
+from ctsid_ros.recordings.playback import read_record
+
+SECONDS = 6.0
+
+
+def write(path: Path, seed: int = 0) -> Path:
+    """The same experiment in each format, by its suffix."""
+    t_u, u, t_y, y = data = flight(SECONDS, seed=seed)
+    if path.suffix in LIBRARIES:
+        pytest.importorskip(LIBRARIES[path.suffix])
+    if path.suffix == '.ulg':
+        return write_ulog(path, *data)
+    if path.suffix == '.bin':
+        return write_ardupilot(path, *data)
+    if path.suffix == '.csv':
+        return write_csv(path, {'tick_u': t_u * 1e3, 'cmd [N m]': u, 'tick_y': t_y * 1e3,
+                                'rate.x': y})
+    pyarrow = pytest.importorskip('pyarrow')
+    parquet = pytest.importorskip('pyarrow.parquet')
+    fill = [None] * (len(t_y) - len(t_u))
+    parquet.write_table(pyarrow.table({
+        't_cmd': [*t_u, *fill], 'cmd': [*u, *fill], 't_y': t_y, 'rate': [{'x': v} for v in y]}),
+        path)
+    return path
+
+
+LIBRARIES = {'.ulg': 'pyulog', '.bin': 'pymavlink'}
+CHANNELS = {  # topic and field of the command and of what it does
+    '.ulg': ('vehicle_torque_setpoint', 'xyz[0]', 'vehicle_angular_velocity', 'xyz[0]'),
+    '.bin': ('RCOU', 'C1', 'IMU', 'GyrX'), '.csv': ('a/tick_u', 'cmd', 'a/tick_y', 'rate.x'),
+    '.parquet': ('a/t_cmd', 'cmd', 'a/t_y', 'rate.x')}
+
+TIME = {'.csv': ['tick_u:ms', 'tick_y:ms']}  # of which neither name nor unit tells
+
+
+@pytest.mark.parametrize('suffix', CHANNELS)
+def test_a_record_has_the_samples_of_the_file(tmp_path, suffix):
+    t_u, u, t_y, y = flight(SECONDS)
+    act, acting, measure, measured = CHANNELS[suffix]
+    config = Config((Channel('u', 'input', act, '', acting),
+                     Channel('y', 'output', measure, '', measured)))
+    with open_bag(write(tmp_path / f'a{suffix}'), TIME.get(suffix, ())) as bag:
+        assert bag.notes == ()
+        read = read_record(bag, config)
+    assert read.complaints == ()
+    shift = (read.record.epoch_ns - 10**15 * (read.record.epoch_ns > 10**14)) * 1e-9
+    for signal, times, values in ((read.record.inputs[0], t_u, u),
+                                  (read.record.outputs[0], t_y, y)):
+        rows = np.searchsorted(times, signal.time + shift - 1e-5)
+        np.testing.assert_allclose(signal.time + shift, times[rows], atol=1e-6)
+        np.testing.assert_allclose(signal.values[:, 0], values[rows], rtol=1e-6)
+        assert len(rows) > 0.98 * len(times)
+
+
+@pytest.fixture
+def ctsid(capsys, monkeypatch, tmp_path):
+    """Run a command line in an empty folder; return what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: object) -> str:
+        code = main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        assert code == 0, err
+        return out
+
+    return run
+
+
+@pytest.mark.parametrize('suffix', ['.csv', *slow('.ulg', '.bin', '.parquet')])
+def test_from_file_to_report(ctsid, tmp_path, suffix):
+    """As a new user does, by the lines of README.md, nothing set by hand."""
+    first, second = write(tmp_path / f'a{suffix}'), write(tmp_path / f'b{suffix}', seed=1)
+    time = [word for name in TIME.get(suffix, ()) for word in ('--time', name)]
+    topics = {t['name'] for t in json.loads(ctsid('info', first, '--json', *time))['topics']}
+    assert {CHANNELS[suffix][0], CHANNELS[suffix][2]} <= topics
+    ctsid('init', first, '-o', 'params.yaml', *time)
+    again = shlex.join(['ctsid', 'identify', str(first), *time, '--params', 'params.yaml'])
+    assert f'#   {again}\n' in Path('params.yaml').read_text()
+    params = ('--params', 'params.yaml', *time)
+    assert 'Results: one/' in ctsid('identify', first, *params, '--out', 'one')
+    estimate = load_estimate('one/model.json')
+    assert abs(estimate.model.poles[0] + 3.0) < 5 * estimate.pole_std[0]
+    assert Path('one/report.html').exists()
+    # The other file is another recording of the same columns: with the same channels and model.
+    both = json.loads(ctsid('identify', first, second, *params, '--out', 'two', '--json'))
+    assert len(both['records']) == 2
+    assert abs(load_estimate('two/model.json').model.poles[0] + 3.0) < 0.05
+    assert 'b' + suffix in ctsid('simulate', 'one/model.json', second, *time)
+
+
+def test_files_with_clocks_of_their_own_are_recordings_by_their_columns(tmp_path):
+    ulogs = [str(write(tmp_path / name)) for name in ('1.ulg', '2.ulg')]
+    assert recordings(ulogs) == [(ulogs[0],), (ulogs[1],)]
+    assert recordings(ulogs, ['vehicle_torque_setpoint']) == [(ulogs[0],), (ulogs[1],)]
+    t = np.arange(10) * 0.1
+    run = tmp_path / 'run'
+    run.mkdir()
+    write_csv(run / 'cmd.csv', {'t': t, 'u': t})
+    write_csv(run / 'imu.csv', {'t': t, 'x': t, 'y': t})
+    assert recordings([str(run)]) == [(str(run),)]
+    write_csv(run / 'gyro.csv', {'t': t, 'x': t, 'y': t})  # again, or of another sensor?
+    files = [str(run / name) for name in ('cmd.csv', 'gyro.csv', 'imu.csv')]
+    assert recordings([str(run)]) == [tuple(files[:2]), (files[2],)]
+    assert recordings([str(run)], ['gyro', 'imu', 'cmd']) == [(str(run),)]
+    dated = [str(write_csv(tmp_path / f'{day}.csv', {'time': t + 1.7e9 + 86_400 * day, 'u': t}))
+             for day in range(2)]
+    assert recordings(dated) == [(dated[0],), (dated[1],)]
+
+
+def test_a_folder_of_bags_has_no_tables(tmp_path):
+    """Those beside bags are results of them, such as estimates.csv."""
+    (tmp_path / 'monday').mkdir()
+    write_mcap(tmp_path / 'monday' / 'a.mcap', messages())
+    for folder in (tmp_path, tmp_path / 'monday'):
+        write_csv(folder / 'estimates.csv', {'t': [0, 1], 'u': [0, 1]})
+    assert 'there are bags in its subfolders monday' in refused(tmp_path)
+    with open_bag(tmp_path / 'monday') as bag:
+        assert 'estimates' not in bag.topics
+        assert bag.notes == ()
+
+
+def test_a_table_beside_a_bag(tmp_path):
+    """Given by name it is read with it, by its dates."""
+    bag_file = write_mcap(tmp_path / 'a.mcap', messages())
+    table = write_csv(tmp_path / 'load.csv', {'stamp': START + np.arange(20) * 10**7,
+                                              'force': np.arange(20)})
+    with open_bag([bag_file, table]) as bag:
+        assert {'load', '/imu'} <= set(bag.topics)
+        times = np.concatenate([block.log_ns for block in bag.blocks({'load': [], '/imu': []})])
+    assert (np.diff(times) >= 0).all()
+    assert len(times) == 20 + 40
