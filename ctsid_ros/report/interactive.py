@@ -79,6 +79,8 @@ def _across(panel: Axes, number: str, *, last: bool) -> dict[str, Any]:
     if panel.x_limits:
         low, high = panel.x_limits
         axis['range'] = [math.log10(low), math.log10(high)] if panel.x_log else [low, high]
+    if panel.x_step:
+        axis |= {'dtick': panel.x_step, 'tick0': 0}
     return axis
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -94,6 +94,42 @@ def output_figures(model: StateSpace, record: Record, parts: Sequence[Part], off
                   *inputs)
         words = '; '.join(f'{p.what}: fit {percent(p.fit[i])} %' for p in parts
                           if i < len(p.fit)) + '.'
+        figures.append(Figure(Drawing(panels, link='time', wide=True), words, name))
+    return figures
+
+
+def compared_figures(record: Record, parts: Mapping[str, Part], offset: float) -> list[Figure]:
+    """
+    Draw what several models make of the outputs of a record, in the same axes.
+
+    Parameters
+    ----------
+    record : Record
+    parts : mapping
+        By the names of the models: all of the record, with as many outputs as it has.
+    offset : float
+        Added to its times [s].
+    """
+    inputs = input_axes(record, offset, record.input_names, record.input_units)
+    figures = []
+    for i in range(min(len(record.output_names), MOST_OUTPUTS)):
+        name = label(record.output_names[i], record.output_units[i])
+        spans = [Span(a + offset, b + offset, RED, 'gap')
+                 for a, b in gaps_of(_signal_of(record.outputs, i))]
+        curves: list[Curve] = []
+        residuals: list[Curve] = []
+        for color, (model, part) in enumerate(parts.items(), 1):
+            times, y, y_hat = _joined([part], i, offset)
+            low, high = _limits(y)
+            shown = np.clip(y_hat, low - (high - low), high + (high - low))
+            if not curves:
+                curves = [Curve(times, y, 'measured', 0, opacity=0.6, width=3.0)]
+            curves.append(Curve(times, shown, model, color, width=1.2))
+            residuals.append(Curve(times, y - shown, model, color, width=1.0))
+        panels = (Axes(residuals, f'residual of {name}', spans=spans, levels=(0.0,), height=90.0),
+                  Axes(curves, name, spans=spans, height=220.0, y_limits=(low, high)), *inputs)
+        words = '; '.join(f'{model}: fit {percent(part.fit[i])} %'
+                          for model, part in parts.items()) + '.'
         figures.append(Figure(Drawing(panels, link='time', wide=True), words, name))
     return figures
 
@@ -196,6 +232,26 @@ def corrupt_outputs(record: Record, settings: Settings) -> Mapping[int, tuple[Ar
                 rows = np.isin(own.time, signal.time[bad])
                 found[i] = own.time[rows], own.values[rows, k]
     return found
+
+
+def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
+    """
+    Return a record without the samples that identification would not use, and how many these are.
+
+    One spike of a sensor would else decide on the fit of a model that is right.
+    """
+    found = corrupt_outputs(record, settings)
+    places = channel_slices(record.outputs)
+    outputs, notes = [], []
+    for signal, place in zip(record.outputs, places, strict=True):
+        times = [found[i][0] for i in range(place.start, place.stop) if i in found]
+        bad = np.isin(signal.time, np.concatenate(times or [np.empty(0)]))
+        outputs.append(replace(signal, time=signal.time[~bad], values=signal.values[~bad])
+                       if bad.any() else signal)
+        if bad.any():
+            notes.append(f'{np.sum(bad)} corrupt samples of {", ".join(signal.names)} are left '
+                         'out of the fits')
+    return (replace(record, outputs=tuple(outputs)) if notes else record), tuple(notes)
 
 
 def sampling_figures(record: Record, offset: float) -> list[Figure]:
