@@ -46,7 +46,7 @@ USERS = {
     'control': ['ctsid_core.model.statespace'],
     'lz4': ['ctsid_ros.recordings.*'],
     'mcap': ['ctsid_ros.recordings.*'],
-    'rich': ['ctsid_ros.progress'],
+    'rich': ['ctsid_ros.progress', 'ctsid_ros.report.watching', 'ctsid_ros.verbs.watch'],
     'rosbags': ['ctsid_ros.recordings.*'],
     'jinja2': ['ctsid_ros.report.page'],
     'markupsafe': ['ctsid_ros.report.page'],
