@@ -8,7 +8,7 @@ the palette below, so that a page can follow light and dark.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, field, replace
 import math
 from typing import Literal
@@ -47,7 +47,7 @@ class Curve:
     bars : bool
         Draw a bar at each x instead of the band.
     width : float
-        Of the line.
+        Of the line; crosses grow with it.
     texts : sequence of str
         What is said of each point where a pointer is on it; numbers if empty.
     """
@@ -146,6 +146,11 @@ class Drawing:
         entries = {c.label: (c.label, c.color, c.kind)
                    for panel in self.panels for c in panel.curves if c.label}
         return list(entries.values())
+
+
+def over(number: int, every: Sized) -> float:
+    """Return the width of a curve, counted from 1, of which the next ones may lie on top."""
+    return 1.5 + 1.8 * (len(every) - number)
 
 
 def thinned(curve: Curve, most: int) -> Curve:

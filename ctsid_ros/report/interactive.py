@@ -166,8 +166,9 @@ def _traces(curve: Curve) -> list[dict[str, Any]]:
     elif curve.kind in ('dots', 'cloud'):
         own |= {'mode': 'markers', 'marker': {'color': color, 'size': 4}}
     elif curve.kind == 'cross':
-        own |= {'mode': 'markers', 'marker': {'color': color, 'size': 10, 'symbol': 'x-thin',
-                                              'line': {'color': color, 'width': 2}}}
+        own |= {'mode': 'markers', 'marker': {
+            'color': color, 'size': 7 + 2 * curve.width, 'symbol': 'x-thin',
+            'line': {'color': color, 'width': 2}}}
     elif curve.kind == 'stems':
         own = {key: own[key] for key in ('x', 'y', 'name', 'meta', 'opacity')} | {
             'type': 'bar', 'marker': {'color': color}}

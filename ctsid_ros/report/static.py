@@ -176,7 +176,8 @@ def _curve(own: Any, curve: Curve) -> None:
     line: dict[str, Any] = {'linewidth': curve.width, 'alpha': curve.opacity, 'color': color,
                             'label': label}
     if curve.kind == 'cross':
-        own.plot(curve.x, y, 'x', markersize=8, markeredgewidth=2, color=color, label=label)
+        own.plot(curve.x, y, 'x', markersize=5 + 2 * curve.width, markeredgewidth=2, color=color,
+                 label=label)
     elif curve.kind in ('cloud', 'dots'):
         own.plot(curve.x, y, 'o', markersize=2.5, markeredgewidth=0, color=color,
                  alpha=curve.opacity, label=label)

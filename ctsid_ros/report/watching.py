@@ -209,8 +209,8 @@ def _window(watched: Watched) -> Text | None:
     """Return how full the next window is, and the computing time against its budget."""
     from rich.text import Text
 
-    ingest, own = (watched.health[part].values if part in watched.health else {}
-                   for part in (INGEST, IDENTIFICATION))
+    ingest, own = ({key: cell(str(value)) for key, value in watched.health[part].values.items()}
+                   if part in watched.health else {} for part in (INGEST, IDENTIFICATION))
     if not own:
         return None
     text = Text()
@@ -218,7 +218,7 @@ def _window(watched: Watched) -> Text | None:
     if math.isfinite(filled):
         text.append(f'window    {_bar(filled / 100.0)} {filled:3.0f} % full')
     text.append(f'   {own.get("windows", 0)} windows, {own.get("skipped windows", 0)} skipped',
-                style='yellow' if str(own.get('skipped windows', '0')) != '0' else '')
+                style='yellow' if own.get('skipped windows', '0') != '0' else '')
     budget = _number(own.get('budget [s]'))
     used = _number(own.get('computing time [s]'))
     if math.isfinite(used) and budget > 0.0:

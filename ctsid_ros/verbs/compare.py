@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
+import shlex
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -96,6 +97,8 @@ class Compared:
         On the data.
     orders : mapping of int to Order
         Of the first method; empty if none were tried.
+    files : mapping of str to str
+        Of stored models, by their names.
     """
 
     found: Sequence[Contender]
@@ -104,6 +107,7 @@ class Compared:
     offset: float = 0.0
     notes: tuple[str, ...] = ()
     orders: Mapping[int, Order] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
 def command(args: argparse.Namespace) -> int:
@@ -130,7 +134,7 @@ def of_models(paths: Sequence[str], bags: Sequence[str], args: argparse.Namespac
     (_, first), *_ = models.items()
     found = [Contender(name, e, None if e is first else replace(
         agreement(first, e, e.settings.method), method=name)) for name, e in models.items()]
-    compared = Compared(found, 'model')
+    compared = Compared(found, 'model', files=dict(zip(models, files, strict=True)))
     if bags:
         config = read_params(args.params) if args.params else _config(
             [load_metadata(f) for f in files], first, files[0])
@@ -162,16 +166,17 @@ def _config(metadata: Sequence[Mapping[str, object]], first: Estimate, path: str
 def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argparse.Namespace
              ) -> Compared:
     """Return models with what each makes of a bag: trims are fitted to it."""
+    from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.model.validation import prediction, simulation
     from ctsid_core.search.by_prediction import AHEAD, HORIZONS
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.report.headline import by_predictions
-    from ctsid_ros.report.outputs import Part, without_corrupt
+    from ctsid_ros.report.outputs import Part
 
     with open_bag(bags) as bag:
         data, offset, notes = _read(bag, config, args)
     record, spikes = without_corrupt(data.record, config.settings)
-    predicted = any(by_predictions(c.estimate) for c in compared.found)
+    predicted = any(c.estimate.ok and by_predictions(c.estimate) for c in compared.found)
     found = []
     for c in compared.found:
         assert c.model is not None
@@ -181,7 +186,7 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
         drawn = ahead if predicted else simulated
         found.append(replace(c, simulated=simulated.fit, ahead=ahead.fit,
                              part=Part('These data', drawn, drawn.fit, how)))
-    return Compared(found, compared.kind, data, offset, (*notes, *spikes))
+    return replace(compared, found=found, data=data, offset=offset, notes=(*notes, *spikes))
 
 
 def _read(bag: Any, config: Config, args: argparse.Namespace
@@ -345,12 +350,14 @@ def _write(out: Path, compared: Compared, args: argparse.Namespace, title: str) 
         if compared.kind == 'method':
             files |= {f'{c.name}.json': to_json(c.estimate, told) for c in found if c.model}
             kept = f'{lead.name}.json' if lead.model else ''
-    first, numbers = _headline(compared, run), _numbers(compared)
+    first, (table, *numbers) = _headline(compared, run), _numbers(compared)
+    choice = [s for s in numbers if s.title in ('Which order', 'One order')]
+    rest = [s for s in numbers if s not in choice]
     last = [*more, repeat_section(run, told, kept)]
     orders = order_series(compared.orders, lead.model.n if lead.model else 0)
     write_results(out, {
-        **files, REPORT: to_markdown(title, [*numbers, *last], first),
-        PAGE: to_html(title, [numbers[0], *drawn, *numbers[1:], *last], first, orders)})
+        **files, REPORT: to_markdown(title, [table, *numbers, *last], first),
+        PAGE: to_html(title, [table, *choice, *drawn, *rest, *last], first, orders)})
 
 
 def _headline(compared: Compared, run: Run) -> Headline:
@@ -390,7 +397,8 @@ def _headline_of_models(compared: Compared, run: Run) -> Headline:
              + f'. {lead.name}: {lead.estimate.verdict.reason}')
     facts += [(f'fit on these data [%], {c.name}', fit_words(c.simulated))
               for c in on_data if c.simulated is not None]
-    return Headline(lead.estimate.verdict.grade.name, words, run.command('compare'), tuple(facts))
+    return Headline(lead.estimate.verdict.grade.name, words, shlex.join(
+        ('ctsid', 'simulate', compared.files[lead.name], *run.bags)), tuple(facts))
 
 
 def _words(c: Contender) -> str:

@@ -75,11 +75,11 @@ class _Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
+    from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.model.storage import load_estimate, load_metadata
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
     from ctsid_ros.replay.results import config_of
-    from ctsid_ros.report.outputs import without_corrupt
 
     estimate = load_estimate(args.model)
     model = model_of(estimate, args.model, 'simulate', rejected=args.rejected)
