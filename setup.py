@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
-TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'colcon-core',
+TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'playwright', 'colcon-core',
         'colcon-ros', 'setuptools>=70.1']  # builds wheels without the package `wheel`
 
 setup(
