@@ -7,8 +7,9 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
-TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'playwright', 'colcon-core',
-        'colcon-ros', 'setuptools>=70.1']  # builds wheels without the package `wheel`
+TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'playwright',
+        'colcon-core', 'colcon-ros',
+        'setuptools>=70.1']  # builds wheels without the package `wheel`
 
 setup(
     name=PACKAGE,
