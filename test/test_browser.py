@@ -190,5 +190,6 @@ def test_a_click_chooses_the_order_or_the_window(browser, folder, name, first, t
         page.locator('#explorer button').first.click()
         assert title.inner_text() != before
         assert page.locator('#explorer .plot').count() >= 3
+        drawn(page, '#explorer .plot')
         assert page.locator('#explorer .verdict').inner_text().split('.')[0] in (
             'GOOD', 'WEAK', 'REJECT')
