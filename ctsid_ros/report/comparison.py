@@ -253,13 +253,13 @@ def _fit_figure(orders: Mapping[int, Order], chosen: int) -> Figure:
     x = np.array([*orders], dtype=float)
     names = next((m.output_names for o in orders.values()
                   if (m := o.estimate.model or o.estimate.rejected_model)), ())
-    curves = []
+    curves, apart = [], MOST_MODELS // 2 if len(names) <= MOST_MODELS // 2 else 0    # colours
     for i, name in enumerate(names[:MOST_MODELS]):
         own, held = (np.array([v[i] if i < len(v) else math.nan for v in values]) for values in (
             [o.fit for o in orders.values()], [o.held_out_fit for o in orders.values()]))
         whose = f', {name}' if len(names) > 1 else ''
         curves += [Curve(x, own, f'own{whose}', i + 1, 'both'),
-                   Curve(x, held, f'held out{whose}', i + 1, 'dashed')]
+                   Curve(x, held, f'held out{whose}', i + 1 + apart, 'dashed')]
     known = np.concatenate([c.y[np.isfinite(c.y)] for c in curves] or [np.empty(0)])
     low = float(np.clip(np.min(known, initial=100.0), 0.0, 100.0))
     room = 0.1 * (100.0 - low) or 1.0
