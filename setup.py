@@ -12,7 +12,7 @@ FILES = {'px4': ['pyulog'], 'ardupilot': ['pymavlink'], 'parquet': ['pyarrow'],
          'remote': ['fsspec[http]']}
 EVERY_FILE = [library for libraries in FILES.values() for library in libraries]
 TEST = [*EVERY_FILE, 'pytest>=8', 'pytest-xdist', 'hypothesis', 'mpmath', 'control',
-        'jsonschema', 'colcon-core', 'colcon-ros',
+        'jsonschema', 'playwright', 'colcon-core', 'colcon-ros',
         'setuptools>=70.1']  # builds wheels without the package `wheel`
 
 setup(

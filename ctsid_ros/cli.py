@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
 VERBS = ('info', 'init', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study', 'show',
-         'export', 'plot', 'params')  # modules of ctsid_ros.verbs
+         'export', 'plot', 'watch', 'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
   ctsid info BAG                              what is in it
   ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
@@ -34,8 +34,9 @@ _EPILOG = """first steps:
   ctsid simulate MODEL OTHER_BAG              how well a model simulates another bag
   ctsid export MODEL --to c --rate 200 -o F.c the model as C, .mat, Simulink, YAML, ...
   ctsid advise BAG --params params.yaml       which excitation a better model needs
-  ctsid compare BAG --params params.yaml      the models of all methods, side by side
+  ctsid compare BAG --params params.yaml      all methods and orders; or models: A B BAG
   ctsid plot MODEL... -o models.pdf           models in one figure
+  ctsid watch                                 what a running node hears and finds, live
   ctsid study hd-vs-ct                        the published Monte Carlo study, repeated
 
 exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted

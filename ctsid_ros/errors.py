@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be wrong with a recording."""
+"""What can be wrong with a recording, or with a node that is watched."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from ctsid_core.errors import CtsidError
 
 class BagError(CtsidError, OSError):
     """A bag that cannot be read, or that lacks what was asked of it."""
+
+
+class LiveError(CtsidError):
+    """A running node that cannot be watched."""
 
 
 # Of no ROS release and needed for bags only, so that a node runs without them.

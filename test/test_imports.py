@@ -50,7 +50,7 @@ USERS = {
     'pymavlink': ['ctsid_ros.recordings.ardupilot_file'],
     'pyarrow': ['ctsid_ros.recordings.parquet_file'],
     'fsspec': ['ctsid_ros.recordings.remote'],
-    'rich': ['ctsid_ros.progress'],
+    'rich': ['ctsid_ros.progress', 'ctsid_ros.report.watching', 'ctsid_ros.verbs.watch'],
     'rosbags': ['ctsid_ros.recordings.*'],
     'jinja2': ['ctsid_ros.report.page'],
     'markupsafe': ['ctsid_ros.report.page'],

@@ -262,7 +262,7 @@ def test_compare_and_simulate_write_pages_too(folder, monkeypatch, capsys):
                  '--quiet']) in (0, 3)
     page = Path('compared/report.html').read_text(encoding='utf-8')
     for method in ('hd-pbsid', 'ct-pbsid', 'gobf'):
-        assert f'Measured and simulated, {method}' in page
+        assert f'{method}: fit ' in page
     assert '3 methods on bag' in page
     assert '\x1b' not in capsys.readouterr().out
 

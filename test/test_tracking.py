@@ -11,6 +11,7 @@ from plants import PLANTS, Plant, flown, plant, running
 import pytest
 from scipy.linalg import expm
 
+from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.errors import DataError
 from ctsid_core.identify import identify
 from ctsid_core.model.estimate import Estimate, Status
@@ -341,3 +342,18 @@ def test_an_unstable_plant_is_tracked():
         np.testing.assert_allclose(t.eigenvalues, [2, -3], atol=0.2)
     A = np.array([t.estimate.model.A for t in found])
     assert np.ptp(A, axis=0).max() < 0.2
+
+
+def test_spikes_in_new_data_do_not_speak_against_a_model():
+    first, second = windows(pair(), count=2)
+    output, = second.outputs
+    values = output.values.copy()
+    values[[420, 460]] += 20.0 * np.ptp(values)
+    spiky = replace(second, outputs=(replace(output, values=values),))
+    clean, spoilt = run([first, second])[1], run([first, spiky])[1]
+    assert spoilt.fresh_fit == pytest.approx(clean.fresh_fit, abs=1.0)
+    assert spoilt.estimate.verdict.grade == clean.estimate.verdict.grade
+    less, notes = without_corrupt(spiky, SETTINGS)
+    assert len(less.outputs[0].time) == len(output.time) - 2
+    assert notes == ('2 corrupt samples of y1 are left out of the fits',)
+    assert without_corrupt(second, SETTINGS) == (second, ())

@@ -18,7 +18,7 @@ from ctsid_core.signals.outliers import (
     no_spikes,
     report,
 )
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
@@ -130,6 +130,42 @@ def usable(record: Record, settings: Settings,
     outputs, y_level = _centred(outputs, settings.trim)
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
                   u_level, y_level, tuple(notes), corrupt_u, corrupt_y)
+
+
+def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
+    """Return the times of the corrupt samples of each output that has any [s]."""
+    if not record.outputs or not record.inputs:
+        return {}
+    part = usable(record, settings)
+    if not isinstance(part, Usable):
+        return {}
+    found: dict[int, Array] = {}
+    places = iter(part.y)
+    for signal, spiky in zip(part.record.outputs, part.corrupt_y, strict=True):
+        for column in range(signal.width):
+            i, bad = next(places), spiky.mask[:, column]
+            if bad.any():
+                found[i] = signal.time[bad]
+    return found
+
+
+def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
+    """
+    Return a record without the corrupt samples of its outputs, and a sentence on how many.
+
+    For tests of a model on data: one spike of a sensor would else decide on the fit of a model
+    that is right. Identification finds them by itself.
+    """
+    found, outputs, notes = corrupt_outputs(record, settings), [], []
+    for signal, place in zip(record.outputs, channel_slices(record.outputs), strict=True):
+        times = [found[i] for i in range(place.start, place.stop) if i in found]
+        bad = np.isin(signal.time, np.concatenate(times or [np.empty(0)]))
+        outputs.append(replace(signal, time=signal.time[~bad], values=signal.values[~bad])
+                       if bad.any() else signal)
+        if bad.any():
+            names = ', '.join(record.output_names[place])
+            notes.append(f'{np.sum(bad)} corrupt samples of {names} are left out of the fits')
+    return (replace(record, outputs=tuple(outputs)) if notes else record), tuple(notes)
 
 
 def _held_at(record: Record, signals: list[Signal],

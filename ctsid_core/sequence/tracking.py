@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.identify import identify
 from ctsid_core.judge.rules import in_sequence, rejected_over_change
 from ctsid_core.linear.types import Array, ComplexArray
@@ -127,7 +128,7 @@ class Tracker:
             If `cancelled` said so.
         """
         past = self._past
-        test = _fresh(past, record)
+        test = _fresh(past, record, self.settings)
         estimate = self._reject_straddling(
             identify(record, self.settings, cancelled=cancelled))
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
@@ -228,14 +229,14 @@ class _Test:
     end_ns: int = 0
 
 
-def _fresh(past: _Past, record: Record) -> _Test:
+def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
     """Test the last model on the part of a record that is later than its own window."""
     start_ns, end_ns = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
     none = _Test(np.full(record.ny, np.nan), np.full(record.ny, np.nan))
     if past.model is None or past.end_ns >= end_ns:
         return none
     try:
-        found = simulation(past.model, record)
+        found = simulation(past.model, without_corrupt(record, settings)[0])
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP

@@ -142,6 +142,13 @@ class SlidingWindow:
         """The largest stamp of the present stream [ns]; 0 if there is none yet."""
         return self._newest
 
+    @property
+    def filled(self) -> float:
+        """How much of the next window there is, 0 to 1; 0 while a group has had no sample."""
+        start = self._start()
+        return 0.0 if start is None else min(max(
+            (self._newest - start) / self._length, 0.0), 1.0)
+
     def push(self, group: str, stamp_ns: int, values: Sequence[float]) -> bool:
         """
         Take one sample of a group.

@@ -164,6 +164,11 @@ class Feed:
         """The largest stamp of the present stream [ns]; 0 if there is none yet."""
         return 0 if self._ingest is None else self._ingest.newest_ns
 
+    @property
+    def filled(self) -> float:
+        """How much of the next window there is, 0 to 1."""
+        return 0.0 if self._ingest is None else self._ingest.filled
+
     def counts(self) -> IngestCounts | None:
         """Return what became of the samples; None while the lengths of arrays are awaited."""
         return None if self._ingest is None else self._ingest.counts()

@@ -120,6 +120,11 @@ class Ingest:
         """The largest stamp of the present stream [ns]; 0 if there is none yet."""
         return self._window.newest_ns
 
+    @property
+    def filled(self) -> float:
+        """How much of the next window there is, 0 to 1."""
+        return self._window.filled
+
     def push(self, topic: str, log_ns: int, publish_ns: int, header_ns: int | None,
              values: Sequence[float]) -> None:
         """

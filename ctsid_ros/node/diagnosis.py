@@ -89,7 +89,7 @@ class IngestDiagnosis:
                        f'{topic} lost': state.numbers.lost}
         totals = feed.totals()
         recent = self._recent.added(now_ns, totals)
-        values |= {'largest batch': feed.largest_batch,
+        values |= {'window filled [%]': 100.0 * feed.filled, 'largest batch': feed.largest_batch,
                    **_sample_values(totals, recent, self._config)}
         own = [f'a fault of ctsid, please report it: {failure}'] if failure else []
         troubles = [*own, *faults, *silent]
@@ -131,7 +131,8 @@ def diagnose_identification(progress: Progress) -> Health:
     """Return how the identification is."""
     values: dict[str, object] = {
         'windows': progress.windows, 'skipped windows': progress.skipped,
-        'faults': progress.failures, **_under_way_values(progress.under_way)}
+        'faults': progress.failures, 'budget [s]': progress.budget,
+        **_under_way_values(progress.under_way)}
     last, slow = progress.last, _slow(progress)
     if last is None:
         return _without_result(progress, slow, values)

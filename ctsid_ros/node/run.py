@@ -17,6 +17,7 @@ from rclpy.node import Node
 from ctsid_core.errors import StorageError
 from ctsid_core.model.storage import save_model
 from ctsid_core.signals.record import Record
+from ctsid_ros.config.channels import Config
 from ctsid_ros.errors import lacks_bag_package
 from ctsid_ros.ingest.feed import Feed
 from ctsid_ros.ingest.sim_clock import SimClock
@@ -26,6 +27,7 @@ from ctsid_ros.node.diagnosis import IngestDiagnosis, diagnose_identification
 from ctsid_ros.node.intake import Intake
 from ctsid_ros.node.plan import Plan
 from ctsid_ros.node.session import Identified, Session
+from ctsid_ros.report.tables import join
 
 if TYPE_CHECKING:
     from ctsid_ros.decoding.message_types import MessageType
@@ -163,8 +165,22 @@ def begin(node: Node, plan: Plan, publish: Callable[[Identified], None],
         intake = Intake(node, feed, plan.classes, settings,
                         lambda record: _submit(record, session, feed), clock)
         undo.pop_all()
+    log.info(_opening(plan.config, node.resolve_topic_name))
     return Run(node.get_fully_qualified_name(), feed, intake, session,
                IngestDiagnosis(plan.config, time.time_ns()), recorder)
+
+
+def _opening(config: Config, resolved: Callable[[str], str]) -> str:
+    """Return what the node listens to, and when the first model is due."""
+    topics: dict[str, list[str]] = {}
+    for channel in config.channels:
+        topics.setdefault(f'{resolved(channel.topic)} ({channel.type})', []).append(
+            f'{channel.role} {channel.name} = {channel.field}')
+    settings = config.settings
+    first = settings.window_length + settings.window_max_delay
+    return (f'listening to {"; ".join(f"{t}: {join(c)}" for t, c in topics.items())}. The first '
+            f'model is due {first:g} s after the first samples of all of them (`window.length` '
+            f'and `window.max_delay`), the next ones every {settings.window_stride:g} s')
 
 
 def _recorder(path: str, types: Mapping[str, MessageType]) -> BagWriter:

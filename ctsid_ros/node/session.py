@@ -102,6 +102,8 @@ class Progress:
     under_way : UnderWay or None
     last, accepted : Identified or None
         The last window, and the last one with an accepted model.
+    budget : float
+        Processor time that the search for a model of a window may take [s].
     """
 
     windows: int = 0
@@ -111,6 +113,7 @@ class Progress:
     under_way: UnderWay | None = None
     last: Identified | None = None
     accepted: Identified | None = None
+    budget: float = math.nan
 
 
 class Session:
@@ -144,7 +147,8 @@ class Session:
         """How far it has come."""
         begun, skipped = self._begun, self._worker.skipped
         under_way = begun and UnderWay(begun[0], time.monotonic() - begun[1], skipped - begun[2])
-        return replace(self._progress, skipped=skipped, under_way=under_way)
+        return replace(self._progress, skipped=skipped, under_way=under_way,
+                       budget=self._settings.budget)
 
     def submit(self, record: Record, arrival_ns: int | None, *, requested: bool = False) -> None:
         """Identify a window as soon as the present one is done; see `Window`."""

@@ -10,6 +10,7 @@ from itertools import islice
 
 import numpy as np
 
+from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.validation import simulation
@@ -178,6 +179,7 @@ class Replay:
     def _test(self, number: int, record: Record) -> None:
         result = self.results[number]
         assert result.estimate.model is not None
+        record, _ = without_corrupt(record, self.config.settings)
         self.results[number] = replace(
             result, next_fit=simulation(result.estimate.model, record).fit)
 

@@ -52,9 +52,10 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Explorer:
-    """The place of the page where one window of a series is shown."""
+    """The place of the page where one of a series is shown: a window, or an order."""
 
     first: int = 0
+    what: str = 'window'
 
 
 Part = str | Table | Bullets | Command | Figure | Gallery | Explorer

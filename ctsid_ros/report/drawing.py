@@ -8,7 +8,7 @@ the palette below, so that a page can follow light and dark.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, field, replace
 import math
 from typing import Literal
@@ -19,6 +19,7 @@ from ctsid_core.linear.types import Array
 
 Kind = Literal['line', 'dots', 'both', 'dashed', 'cloud', 'cross', 'steps', 'stems']
 INK, SOFT, LINE, PAPER = '#1c2733', '#5b6b7b', '#dde3e9', '#ffffff'
+MOST_MODELS = 6     # in one drawing: each has a colour of its own
 COLORS = ('#6b7a89', '#1769c4', '#cf222e', '#15803d', '#7e22ce', '#bf8700', '#0e7490')
 GREEN, AMBER, RED = 3, 5, 2     # numbers among them
 
@@ -46,7 +47,7 @@ class Curve:
     bars : bool
         Draw a bar at each x instead of the band.
     width : float
-        Of the line.
+        Of the line; crosses grow with it.
     texts : sequence of str
         What is said of each point where a pointer is on it; numbers if empty.
     """
@@ -92,8 +93,8 @@ class Axes:
         Dashed lines upward, with a word at each.
     x_limits, y_limits : (low, high), optional
         Instead of those of the curves.
-    step : float
-        Between the numbers along y, such as 45 degrees; 0 for what suits.
+    step, x_step : float
+        Between the numbers along y, such as 45 degrees, and along x; 0 for what suits.
     bare : bool
         Whether y has no numbers.
     width, height : float
@@ -111,6 +112,7 @@ class Axes:
     x_limits: tuple[float, float] | None = None
     y_limits: tuple[float, float] | None = None
     step: float = 0.0
+    x_step: float = 0.0
     bare: bool = False
     width: float = 840.0
     height: float = 240.0
@@ -144,6 +146,11 @@ class Drawing:
         entries = {c.label: (c.label, c.color, c.kind)
                    for panel in self.panels for c in panel.curves if c.label}
         return list(entries.values())
+
+
+def over(number: int, every: Sized) -> float:
+    """Return the width of a curve, counted from 1, of which the next ones may lie on top."""
+    return 1.5 + 1.8 * (len(every) - number)
 
 
 def thinned(curve: Curve, most: int) -> Curve:

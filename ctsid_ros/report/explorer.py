@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page shows of one window of a series when it is clicked, for all windows, briefly."""
+"""What the page shows of one window, or order, when it is clicked: for all of them, briefly."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -14,6 +15,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.step_response import horizon, step_response
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
+from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.interactive import figure, numbers
 from ctsid_ros.report.poles import region
 from ctsid_ros.report.responses import frequencies, response_of, response_std
@@ -31,30 +33,63 @@ _MOST = 1_000_000       # ... and that all may take
 _WIDEST = 20.0          # half the width of a band [dB]
 
 
-def series(windows: Windows) -> dict[str, Any]:
-    """Return frames that all windows share, and what is filled in for each."""
-    models = [e.model or e.rejected_model for e in windows.estimates]
+@dataclass(frozen=True)
+class Item:
+    """
+    One of a series.
+
+    Parameters
+    ----------
+    title : str
+    at : float
+        Where a click on a drawing chooses it.
+    estimate : Estimate
+    facts : mapping of str to str
+        Its numbers, as the tables have them.
+    """
+
+    title: str
+    at: float
+    estimate: Estimate
+    facts: Mapping[str, str]
+
+
+def window_series(windows: Windows) -> dict[str, Any]:
+    """Return the series of consecutive windows."""
+    return series([Item(
+        f'Window {k + 1} of {len(windows.estimates)}, {start:.1f} to {end:.1f} s', middle,
+        estimate, facts(estimate, {'next fit [%]': fit_words(next_fit)}))
+        for k, (estimate, start, end, middle, next_fit) in enumerate(zip(
+            windows.estimates, windows.starts.tolist(), windows.ends.tolist(),
+            windows.middles.tolist(), windows.next_fits, strict=True))])
+
+
+def series(items: Sequence[Item]) -> dict[str, Any]:
+    """Return frames that all items share, and what is filled in for each."""
+    models = [i.estimate.model or i.estimate.rejected_model for i in items]
     known = [m for m in models if m is not None]
     if not known:
-        return {'frames': [], 'windows': [_item(windows, k, []) for k in range(len(models))]}
+        return {'frames': [], 'windows': [_item(item, []) for item in items]}
     first = known[0]
     pairs = [(i, j) for i in range(first.ny) for j in range(first.nu)]
     pairs = pairs[:max(int(_MOST / (_OF_PAIR * len(models))), 1)]
     every = [frequencies(m, count=2) for m in known]
-    omega = _shown([m for m in known if m.n == first.n], every)
+    sizes = [m.n for m in known]
+    usual = max(sizes, key=lambda n: (sizes.count(n), n))
+    omega = _shown([m for m in known if m.n == usual], every)
     length = float(np.median([horizon(m) + max(m.delay, default=0.0) for m in known]))
     times = np.linspace(0.0, length, _POINTS)
     frames = _frames(first, pairs, omega, times)
-    items = []
-    for k, (estimate, model) in enumerate(zip(windows.estimates, models, strict=True)):
-        filled = _filled(estimate, model, pairs, omega, times) if model is not None and (
+    found = []
+    for item, model in zip(items, models, strict=True):
+        filled = _filled(item.estimate, model, pairs, omega, times) if model is not None and (
             model.ny, model.nu) == (first.ny, first.nu) else []
-        items.append(_item(windows, k, filled))
-    return {'frames': frames, 'windows': items}
+        found.append(_item(item, filled))
+    return {'frames': frames, 'windows': found}
 
 
 def _shown(models: Sequence[StateSpace], ends: Sequence[Array]) -> Array:
-    """Return frequencies for all windows, closer where the median mode oscillates."""
+    """Return frequencies for all items, closer where the median mode oscillates."""
     wide = np.geomspace(float(np.median([w[0] for w in ends])),
                         float(np.median([w[-1] for w in ends])), _POINTS)
     swinging = [float(np.median([abs(m.poles[k]) for m in models]))
@@ -126,26 +161,24 @@ def _brief(values: Array) -> list[float | None]:
     return numbers(values, _DIGITS)
 
 
-def _item(windows: Windows, k: int, figures: list[dict[str, Any]]) -> dict[str, Any]:
-    estimate = windows.estimates[k]
-    start, end = float(windows.starts[k]), float(windows.ends[k])
-    return {'title': f'Window {k + 1} of {len(windows.estimates)}, {start:.1f} to {end:.1f} s',
-            'at': float(f'{windows.middles[k]:.9g}'), 'grade': estimate.verdict.grade.name,
-            'reason': printable(estimate.verdict.reason),
-            'facts': [[name, cell(value)] for name, value in facts(
-                estimate, windows.next_fits[k]).items()], 'figures': figures}
+def _item(item: Item, figures: list[dict[str, Any]]) -> dict[str, Any]:
+    verdict = item.estimate.verdict
+    return {'title': cell(item.title), 'at': float(f'{item.at:.9g}'),
+            'grade': verdict.grade.name, 'reason': printable(verdict.reason),
+            'facts': [[name, cell(value)] for name, value in item.facts.items()],
+            'figures': figures}
 
 
-def facts(estimate: Estimate, next_fit: Array) -> Mapping[str, str]:
-    """Return the numbers of one window, as the tables have them."""
+def facts(estimate: Estimate, fits: Mapping[str, str]) -> Mapping[str, str]:
+    """Return the numbers of one model, as the tables have them; `fits` are further ones."""
     model = estimate.model or estimate.rejected_model
     if model is None:
         return {'status': estimate.status.name}
     std = estimate.delay_std
     found = {
-        'status': estimate.status.name, 'order': str(model.n), 'fit [%]': fit_words(estimate.fit),
-        'held-out fit [%]': fit_words(estimate.held_out_fit),
-        'next fit [%]': fit_words(next_fit),
+        'status': estimate.status.name, 'order': str(model.n),
+        f'fit{", predicted" * by_predictions(estimate)} [%]': fit_words(estimate.fit),
+        'held-out fit [%]': fit_words(estimate.held_out_fit), **fits,
         'poles [rad/s]': '; '.join(f'{pole_text(m.pole)} (std {number(m.std, 2)})'
                                     for m in modes_of(estimate)),
         'natural frequency [rad/s], damping': '; '.join(

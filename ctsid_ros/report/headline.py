@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 import shlex
 
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Grade
+from ctsid_ros.replay.results import MODEL
 from ctsid_ros.report.document import Command, Headline, Section
 from ctsid_ros.report.tables import Table, fit_words
 
+_CHANNELS = ('guessed', 'of the model')
 _LOOK = (Status.GAPS, Status.NO_EXCITATION, Status.NO_RESPONSE, Status.UNRELIABLE)
 
 
@@ -51,16 +53,16 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
     """Return the verdict of an estimate, and what to try next."""
     model = estimate.model or estimate.rejected_model
     own = [] if model is None else [
-        (f'fit of {", ".join(model.output_names)}{_how(estimate)} [%]',
+        (f'fit of {", ".join(model.output_names)}{", predicted," * by_predictions(estimate)} [%]',
          fit_words(estimate.fit)),
         ('held-out fit [%]', fit_words(estimate.held_out_fit)), ('order', str(model.n))]
     return Headline(estimate.verdict.grade.name, estimate.verdict.reason, _next(estimate, run),
                     (*own, *facts))
 
 
-def _how(estimate: Estimate) -> str:
-    predicts = any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices)
-    return ', predicted,' if predicts else ''
+def by_predictions(estimate: Estimate) -> bool:
+    """Return whether a model was found by its predictions: then its fits are of these."""
+    return any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices)
 
 
 def _next(estimate: Estimate, run: Run) -> str:
@@ -82,8 +84,8 @@ def _next(estimate: Estimate, run: Run) -> str:
     return run.command('compare')
 
 
-def repeat_section(run: Run, origin: dict[str, object]) -> Section:
-    """Return how to repeat a run: the command, versions, hashes."""
+def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:
+    """Return how to repeat a run: the command, versions, hashes; `kept` is the file of models."""
     import platform
 
     import numpy
@@ -91,11 +93,13 @@ def repeat_section(run: Run, origin: dict[str, object]) -> Section:
 
     bags = origin.get('bag')
     rows = (('ctsid', str(origin['ctsid'])), ('Python', platform.python_version()),
-            ('NumPy', numpy.__version__), ('SciPy', scipy.__version__),
-            ('bag', ', '.join(map(str, bags)) if isinstance(bags, list) else str(bags)),
-            ('SHA-256 of the bag', str(origin['sha256'] or 'not taken: the bag is large')),
-            ('parameter file', run.params or 'none: channels guessed'))
+            ('NumPy', numpy.__version__), ('SciPy', scipy.__version__), *([
+                ('bag', ', '.join(map(str, bags)) if isinstance(bags, list) else str(bags)),
+                ('SHA-256 of the bag', str(origin['sha256'] or 'not taken: the bag is large')),
+                ('parameter file', run.params or f'none: channels {_CHANNELS[not kept]}')]
+                if run.bags else []))
     return Section('How to repeat it', (
         *([Command(run.line)] if run.line else []), Table(('what', 'which'), rows,
                                                           ('what', 'which')),
-        'Settings and channels are in `model.json`, all of them, at full precision.'), brief=False)
+        *([f'Settings and channels are in `{kept}`, all of them, at full precision.']
+          if kept else [])), brief=False)

@@ -79,6 +79,8 @@ def _across(panel: Axes, number: str, *, last: bool) -> dict[str, Any]:
     if panel.x_limits:
         low, high = panel.x_limits
         axis['range'] = [math.log10(low), math.log10(high)] if panel.x_log else [low, high]
+    if panel.x_step:
+        axis |= {'dtick': panel.x_step, 'tick0': 0}
     return axis
 
 
@@ -164,8 +166,9 @@ def _traces(curve: Curve) -> list[dict[str, Any]]:
     elif curve.kind in ('dots', 'cloud'):
         own |= {'mode': 'markers', 'marker': {'color': color, 'size': 4}}
     elif curve.kind == 'cross':
-        own |= {'mode': 'markers', 'marker': {'color': color, 'size': 10, 'symbol': 'x-thin',
-                                              'line': {'color': color, 'width': 2}}}
+        own |= {'mode': 'markers', 'marker': {
+            'color': color, 'size': 7 + 2 * curve.width, 'symbol': 'x-thin',
+            'line': {'color': color, 'width': 2}}}
     elif curve.kind == 'stems':
         own = {key: own[key] for key in ('x', 'y', 'name', 'meta', 'opacity')} | {
             'type': 'bar', 'marker': {'color': color}}

@@ -20,6 +20,7 @@ from ctsid_core.signals.record import Record
 from ctsid_core.signals.samples import GroupCounts
 from ctsid_ros.ingest.counts import IngestCounts
 from ctsid_ros.report.document import Figure, Gallery, Section
+from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.outputs import Part, output_figures, raw_figures, sampling_figures
 from ctsid_ros.report.poles import pole_figure
 from ctsid_ros.report.residual_figures import horizon_figure, horizon_fits, residual_figures
@@ -94,12 +95,13 @@ def raw_section(record: Record, offset: float, settings: Settings) -> Section:
     return Section('Signals', (Gallery(tuple(raw_figures(record, offset, settings))),))
 
 
-def response_sections(models: Models, shown: Shown, estimate: Estimate | None = None,
+def response_sections(models: Models, shown: Shown | None = None,
+                      estimate: Estimate | None = None,
                       truth: StateSpace | None = None) -> Iterator[Section]:
-    """Yield Bode diagrams with spectra, step responses, and poles."""
+    """Yield Bode diagrams, with spectra where there is a record, step responses, and poles."""
     first = next(iter(models.values()))[0]
     bands, words = _bands(first, shown, estimate)
-    seen = spectra(shown.record)
+    seen = spectra(shown.record) if shown is not None else None
     if seen is not None:
         words += ['Dots: the response as spectra of inputs and outputs give it, without a model, '
                   'where the coherence is above 0.3; in a closed loop it is biased. Coherence: '
@@ -122,13 +124,14 @@ def response_sections(models: Models, shown: Shown, estimate: Estimate | None = 
     yield Section('Poles', (Gallery((poles,)),))
 
 
-def _bands(model: StateSpace, shown: Shown, estimate: Estimate | None) -> tuple[Bands, list[str]]:
+def _bands(model: StateSpace, shown: Shown | None, estimate: Estimate | None
+           ) -> tuple[Bands, list[str]]:
     excitation = estimate.verdict.excitation if estimate is not None else ()
     if len(excitation) == model.nu:
         return [(x.low, x.high) if x.high > x.low else None for x in excitation], [
             'Shaded: the excited band of each input, as in the table of the verdict. Beyond it '
             'the model extrapolates.']
-    band = supported_band(shown.parts[0].found)
+    band = supported_band(shown.parts[0].found) if shown is not None else None
     return [band] * model.nu, [
         'Shaded: the frequencies at which the model explains more than half of the power of an '
         'output. Beyond them it extrapolates.'] if band else []
@@ -189,7 +192,7 @@ def simulated(model: StateSpace, record: Record, what: str, estimate: Estimate,
     fit : ndarray, optional
         The fits that the report has for these data [%].
     """
-    if any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices):
+    if by_predictions(estimate):
         found = prediction(model, record, HORIZONS[AHEAD])
         how = f'predicted {HORIZONS[AHEAD]} samples ahead'
     else:

@@ -9,14 +9,14 @@ import math
 
 import numpy as np
 
-from ctsid_core.bases.preparation import Usable, usable
+from ctsid_core.bases.preparation import corrupt_outputs
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_ros.report.document import Figure
-from ctsid_ros.report.drawing import RED, Axes, Curve, Drawing, Span
+from ctsid_ros.report.drawing import RED, Axes, Curve, Drawing, Span, over
 from ctsid_ros.report.tables import label, percent
 
 MOST_OUTPUTS = 12
@@ -73,27 +73,66 @@ def output_figures(model: StateSpace, record: Record, parts: Sequence[Part], off
     figures = []
     for i in range(min(model.ny, MOST_OUTPUTS)):
         times, y, y_hat = _joined(parts, i, offset)
-        low, high = _limits(y)
+        bad = spoilt.get(i, np.empty(0))
+        used = np.where(np.isin(times, bad + offset), np.nan, y)
+        low, high = _limits(used)
         simulated = np.clip(y_hat, low - (high - low), high + (high - low))
         gaps = [Span(a + offset, b + offset, RED, 'gap')
                 for a, b in gaps_of(_signal_of(record.outputs, i))]
         curves = [Curve(times, y, 'measured', 0, opacity=0.6, width=3.0),
                   Curve(times, simulated, parts[0].how, 1, width=1.4)]
-        bad = spoilt.get(i)
-        if bad is not None:
-            curves.append(Curve(bad[0] + offset, bad[1], 'corrupt, not used', RED, 'cross'))
+        if len(bad):    # at the edge, if they are far off: else nothing but them was seen
+            inset = 0.04 * (high - low)
+            curves.append(_corrupt(record, i, bad, offset, (low + inset, high - inset)))
         wild = not bool(np.all((y_hat >= low) & (y_hat <= high) | np.isnan(y_hat)))
         spans = [*seen, *gaps]
         at = [(t + offset, text) for t, text in marks]
         name = label(model.output_names[i], model.output_units[i])
-        panels = (Axes([Curve(times, y - simulated, 'residual', 2, width=1.0)],
+        panels = (Axes([Curve(times, used - simulated, 'residual', 2, width=1.0)],
                        f'residual of {name}', spans=spans, marks=[(t, '') for t, _ in at],
                        levels=(0.0,), height=80.0),
                   Axes(curves, name, spans=spans, marks=at, height=200.0,
-                       y_limits=(low, high) if wild or bad is not None else None),
+                       y_limits=(low, high) if wild or len(bad) else None),
                   *inputs)
         words = '; '.join(f'{p.what}: fit {percent(p.fit[i])} %' for p in parts
                           if i < len(p.fit)) + '.'
+        figures.append(Figure(Drawing(panels, link='time', wide=True), words, name))
+    return figures
+
+
+def compared_figures(record: Record, parts: Mapping[str, Part], offset: float) -> list[Figure]:
+    """
+    Draw what several models make of the outputs of a record, in the same axes.
+
+    Parameters
+    ----------
+    record : Record
+    parts : mapping
+        By the names of the models: all of the record, with as many outputs as it has.
+    offset : float
+        Added to its times [s].
+    """
+    inputs = input_axes(record, offset, record.input_names, record.input_units)
+    figures = []
+    for i in range(min(len(record.output_names), MOST_OUTPUTS)):
+        name = label(record.output_names[i], record.output_units[i])
+        spans = [Span(a + offset, b + offset, RED, 'gap')
+                 for a, b in gaps_of(_signal_of(record.outputs, i))]
+        curves: list[Curve] = []
+        residuals: list[Curve] = []
+        for color, (model, part) in enumerate(parts.items(), 1):
+            times, y, y_hat = _joined([part], i, offset)
+            low, high = _limits(y)
+            shown = np.clip(y_hat, low - (high - low), high + (high - low))
+            if not curves:
+                curves = [Curve(times, y, 'measured', 0, opacity=0.6, width=3.0)]
+            curves.append(Curve(times, shown, model, color, width=over(color, parts)))
+            residuals.append(Curve(times, y - shown, model, color, width=1.0))
+        panels = (Axes(residuals, f'residual of {name}', spans=spans, levels=(0.0,), height=90.0),
+                  Axes(curves, name, spans=spans, height=220.0, y_limits=(low, high)), *inputs)
+        how = {f', {p.how}' for p in parts.values() if p.how != 'simulated'}
+        words = '; '.join(f'{model}: fit {percent(part.fit[i])} %'
+                          for model, part in parts.items()) + f'{"".join(how)}.'
         figures.append(Figure(Drawing(panels, link='time', wide=True), words, name))
     return figures
 
@@ -109,14 +148,22 @@ def raw_figures(record: Record, offset: float, settings: Settings) -> list[Figur
         curves = [Curve(signal.time[inside] + offset, signal.values[inside, column], 'measured',
                         0)]
         if i in spoilt:
-            curves.append(Curve(spoilt[i][0] + offset, spoilt[i][1], 'corrupt, not used', RED,
-                                'cross'))
+            curves.append(_corrupt(record, i, spoilt[i], offset, (-math.inf, math.inf)))
         panels.append(Axes(curves, label(record.output_names[i], record.output_units[i]),
                            spans=[Span(a + offset, b + offset, RED, 'gap')
                                   for a, b in gaps_of(signal)], height=130.0))
     inputs = input_axes(record, offset, record.input_names, record.input_units)
     return [Figure(Drawing((*panels, *inputs), link='time', wide=True),
                    'There is no model of these data; shaded: gaps.', 'Signals as recorded')]
+
+
+def _corrupt(record: Record, i: int, times: Array, offset: float, limits: tuple[float, float]
+             ) -> Curve:
+    """Return crosses at the corrupt samples of an output, within limits."""
+    signal, column = [*_columns(record.outputs)][i]
+    rows = np.isin(signal.time, times)
+    return Curve(signal.time[rows] + offset, np.clip(signal.values[rows, column], *limits),
+                 'corrupt, not used', RED, 'cross')
 
 
 def _joined(parts: Sequence[Part], i: int, offset: float) -> tuple[Array, Array, Array]:
@@ -176,26 +223,6 @@ def gaps_of(signal: Signal) -> list[tuple[float, float]]:
     places = np.flatnonzero(steps > _GAP * signal.period)
     kept = sorted(places[np.argsort(-steps[places])][:_MOST_SPANS].tolist())
     return [(float(signal.time[k]), float(signal.time[k + 1])) for k in kept]
-
-
-def corrupt_outputs(record: Record, settings: Settings) -> Mapping[int, tuple[Array, Array]]:
-    """Return times and values of the corrupt samples of each output that has any."""
-    if not record.outputs or not record.inputs:
-        return {}
-    part = usable(record, settings)
-    if not isinstance(part, Usable):
-        return {}
-    found: dict[int, tuple[Array, Array]] = {}
-    places = iter(part.y)
-    whole = list(_columns(record.outputs))
-    for signal, spiky in zip(part.record.outputs, part.corrupt_y, strict=True):
-        for column in range(signal.width):
-            i, bad = next(places), spiky.mask[:, column]
-            if bad.any():
-                own, k = whole[i]
-                rows = np.isin(own.time, signal.time[bad])
-                found[i] = own.time[rows], own.values[rows, k]
-    return found
 
 
 def sampling_figures(record: Record, offset: float) -> list[Figure]:

@@ -43,7 +43,7 @@ def to_html(title: str, sections: Sequence[Section], headline: Headline | None =
     sections : sequence of Section
     headline : Headline, optional
     series : mapping, optional
-        What the explorer shows of each window: see `explorer.series`.
+        What the explorer shows of each window or order: see `explorer.series`.
     """
     drawings = _Drawings(plotly_js(), sections)
     blocks = [{'title': section.title, 'folded': section.folded,
@@ -79,7 +79,7 @@ class _Drawings:
         if isinstance(part, Figure):
             return {'kind': 'gallery', 'columns': 1, 'figures': [self._figure(part)]}
         if isinstance(part, Explorer):
-            return {'kind': 'explorer', 'first': part.first}
+            return {'kind': 'explorer', 'first': part.first, 'what': part.what}
         return {'kind': 'text', 'text': part}
 
     def _figure(self, part: Figure) -> dict[str, Any]:

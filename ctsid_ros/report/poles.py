@@ -12,7 +12,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, pole_covariance
 from ctsid_core.model.statespace import StateSpace
 from ctsid_ros.report.document import Figure
-from ctsid_ros.report.drawing import Axes, Curve, Drawing
+from ctsid_ros.report.drawing import Axes, Curve, Drawing, over
 from ctsid_ros.report.tables import number, pole_text
 from ctsid_ros.report.tracks import Mode, Track
 
@@ -41,7 +41,8 @@ def pole_figure(models: Mapping[str, tuple[StateSpace, Covariance | None]],
     for color, (name, (model, covariance)) in enumerate(models.items(), 1):
         spread = pole_covariance(covariance, model) if covariance is not None else \
             np.full((model.n, 2, 2), np.nan)
-        crosses.append(Curve(model.poles.real, model.poles.imag, name, color, 'cross', texts=[
+        crosses.append(Curve(model.poles.real, model.poles.imag, name, color, 'cross',
+                             width=over(color, models), texts=[
             f'{name}: {pole_text(p)} rad/s, std {number(float(np.sqrt(np.trace(s))), 2)}'
             for p, s in zip(model.poles, spread, strict=True)]))
         regions += [region(complex(p), s, color) for p, s in zip(model.poles, spread, strict=True)

@@ -11,9 +11,9 @@ import numpy as np
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, response_deviation
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.step_response import step_response
+from ctsid_core.model.step_response import horizon, step_response
 from ctsid_ros.report.document import Figure
-from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
+from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span, over
 from ctsid_ros.report.spectra import Spectra
 from ctsid_ros.report.tables import label
 
@@ -121,7 +121,8 @@ def _bode(models: Mapping[str, tuple[StateSpace, Covariance | None]], omega: Arr
         for curves, values, own, most in ((gains, found[name][0], std[0], _MOST_DB),
                                           (phases, found[name][1], std[1], _MOST_DEG)):
             curves.append(Curve(omega, values, name, color, 'line',
-                                *_around(values, own[:, i, j], most)))
+                                *_around(values, own[:, i, j], most),
+                                width=over(color, models)))
     if truth and (truth.ny, truth.nu) == _sizes(models):
         for curves, values in zip((gains, phases), response_of(truth, omega, i, j), strict=True):
             curves.append(Curve(omega, values, 'true', 2, 'dashed'))
@@ -185,16 +186,18 @@ def step_figures(models: Mapping[str, tuple[StateSpace, Covariance | None]],
                  truth: StateSpace | None = None) -> list[Figure]:
     """Draw the response of each output to a unit step of each input, with bands."""
     first = next(iter(models.values()))[0]
-    found = {name: step_response(*given) for name, given in models.items()}
-    shown = max(float(f.times[-1]) + max(models[name][0].delay, default=0.0)
-                for name, f in found.items())
+    length = max(horizon(model) for model, _ in models.values())
+    found = {name: step_response(model, covariance, length=length if all(
+        model.poles.real < 0.0) else None) for name, (model, covariance) in models.items()}
+    shown = length + max(max(model.delay, default=0.0) for model, _ in models.values())
     true = step_response(truth) if truth and (truth.ny, truth.nu) == _sizes(models) else None
     figures = []
     for i, j in pairs(first):
         curves = []
         for color, (name, f) in enumerate(found.items(), 1):
             curves.append(_late(f.times, f.values[:, i, j], f.std[:, i, j],
-                                models[name][0].delay[j], name, color))
+                                models[name][0].delay[j], name, color,
+                                width=over(color, found)))
         if true is not None and truth is not None:
             curves.append(_late(true.times, true.values[:, i, j], true.std[:, i, j],
                                 truth.delay[j], 'true', 2, dashed=True))
@@ -206,10 +209,10 @@ def step_figures(models: Mapping[str, tuple[StateSpace, Covariance | None]],
 
 
 def _late(times: Array, values: Array, std: Array, delay: float, name: str, color: int, *,
-          dashed: bool = False) -> Curve:
+          dashed: bool = False, width: float = 1.5) -> Curve:
     """Return a step response after its dead time, and zero before."""
     x = np.concatenate(([0.0, delay], times + delay))
     y, s = (np.concatenate(([0.0, 0.0], v)) for v in (values, std))
     known = bool(np.isfinite(std).any())
     return Curve(x, y, name, color, 'dashed' if dashed else 'line', y - 2 * s if known else None,
-                 y + 2 * s if known else None)
+                 y + 2 * s if known else None, width=width)

@@ -150,8 +150,9 @@ def _scales(own: Any, axes: Axes, limits: tuple[float, float] | None) -> None:
             set_scale('log')
             axis.set_major_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
             axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.4)))
-    if axes.step:
-        own.yaxis.set_major_locator(MultipleLocator(axes.step))
+    for step, axis in ((axes.x_step, own.xaxis), (axes.step, own.yaxis)):
+        if step:
+            axis.set_major_locator(MultipleLocator(step))
     if axes.bare:
         own.tick_params(labelleft=False, left=False)
         own.grid(visible=False, axis='y')
@@ -175,7 +176,8 @@ def _curve(own: Any, curve: Curve) -> None:
     line: dict[str, Any] = {'linewidth': curve.width, 'alpha': curve.opacity, 'color': color,
                             'label': label}
     if curve.kind == 'cross':
-        own.plot(curve.x, y, 'x', markersize=8, markeredgewidth=2, color=color, label=label)
+        own.plot(curve.x, y, 'x', markersize=5 + 2 * curve.width, markeredgewidth=2, color=color,
+                 label=label)
     elif curve.kind in ('cloud', 'dots'):
         own.plot(curve.x, y, 'o', markersize=2.5, markeredgewidth=0, color=color,
                  alpha=curve.opacity, label=label)

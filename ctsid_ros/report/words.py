@@ -52,3 +52,9 @@ def markdown(text: str) -> str:
     """Return a paragraph for Markdown: markup stays text, `code` stays code."""
     return ''.join(f'`{piece}`' if code else _MARKUP.sub(r'\\\1', piece)
                    for piece, code in parts(text))
+
+
+def spreadsheet(text: str) -> str:
+    """Return the text of a cell of a CSV file: one that looks like a formula is none."""
+    shown = cell(text)
+    return f"'{shown}" if shown[:1] in tuple('=+-@') else shown

@@ -13,9 +13,10 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING, Any
 
-from ctsid_core.errors import SettingsError
+from ctsid_core.errors import DataError, SettingsError, StorageError
 
 if TYPE_CHECKING:
+    from ctsid_core.model.estimate import Estimate
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.bag import Bag
@@ -177,6 +178,65 @@ def read_truth(args: argparse.Namespace) -> StateSpace | None:
     from ctsid_core.model.storage import load_model
 
     return load_model(args.truth)
+
+
+def is_model(path: str) -> bool:
+    """Return whether a path names a model.json, or a folder of results that has one."""
+    return path.endswith('.json') or (Path(path) / 'model.json').is_file()
+
+
+def model_file(path: str) -> str:
+    """Return the model file that a path names: itself, or that of a folder of results."""
+    return str(Path(path) / 'model.json') if Path(path).is_dir() else path
+
+
+def read_models(paths: Sequence[str]) -> dict[str, Estimate]:
+    """
+    Return the estimates of model files by short names: those of their folders, or of the files.
+
+    Raises
+    ------
+    StorageError
+        If a file holds no model.
+    DataError
+        If they cannot be drawn together: too many, or of other inputs or outputs.
+    """
+    from ctsid_core.model.storage import load_estimate
+    from ctsid_ros.report.drawing import MOST_MODELS
+
+    if len(paths) > MOST_MODELS:
+        raise DataError(f'these are {len(paths)} models; in one drawing {MOST_MODELS} can be told '
+                        'apart: give fewer')
+    found: dict[str, Estimate] = {}
+    for path in paths:
+        estimate = load_estimate(path)
+        if (estimate.model or estimate.rejected_model) is None:
+            raise StorageError(f'{path} holds no model ({estimate.status.name}): '
+                               f'{estimate.verdict.reason}')
+        file = Path(path)
+        name = (file.resolve().parent.name if file.name == 'model.json' else file.stem) or 'model'
+        name = f'{name} (rejected)' if estimate.model is None else name
+        found[path if name in found else name] = estimate
+    names = {(m.input_names, m.output_names) for e in found.values()
+             if (m := e.model or e.rejected_model)}
+    if len(names) > 1:
+        raise DataError('the models have other inputs or outputs: ' + '; '.join(
+            f'{", ".join(u)} to {", ".join(y)}' for u, y in sorted(names))
+            + '; choose those that are alike')
+    return found
+
+
+def check_channels(model: StateSpace, config: Config, path: str) -> None:
+    """Raise `DataError` if the channels are not those of the model."""
+    for what, names, channels in (('inputs', model.input_names, config.inputs),
+                                  ('outputs', model.output_names, config.outputs)):
+        if any(channel.path.is_open for channel in channels):
+            continue  # its width is known from the bag only; the simulation will check it
+        given = tuple(name for channel in channels for name in channel.scalar_names)
+        if len(given) != len(names) or (all(names) and given != names):
+            raise DataError(f'the {what} of {path} are {", ".join(names)}, but those of the '
+                            f'channels are {", ".join(given)}; give the parameter file of the '
+                            'model with --params')
 
 
 def say(text: str) -> None:

@@ -254,6 +254,7 @@ def _read(bags: tuple[str, ...], time: Sequence[str], config: Config, interval: 
 def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     if split is not None and all(math.isnan(s.data.split) for s in sources):
         raise BagError(f'no recording is longer than {split:g} s; choose another time to split at')
+    from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.identify import identify
     from ctsid_core.model.validation import simulation
 
@@ -262,6 +263,7 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
     for number, source in enumerate(sources, 1):
         tested = source.tested
         if model is not None and tested is not None:
+            tested, _ = without_corrupt(tested, estimate.settings)
             own = estimate.trimmed(model, number)
             tests.append(Test(source, tested, simulation(own, tested),
                               simulation(own, tested, trim='refit')))
@@ -373,8 +375,14 @@ def _numbers(outcome: Outcome) -> list[Section]:
 
 
 def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
-    """Return the numbers of the first records, and of each what was not learnt from, or all."""
-    return [(i, s.tested or s.data.record)
+    """
+    Return the numbers of the first records, and of each what was not learnt from, or all.
+
+    Without corrupt samples: the residuals of one would hide all others.
+    """
+    from ctsid_core.bases.preparation import without_corrupt
+
+    return [(i, without_corrupt(s.tested or s.data.record, outcome.config.settings)[0])
             for i, s in enumerate(outcome.sources[:_MOST_DRAWN], 1)]
 
 
@@ -393,14 +401,14 @@ def _drawn(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     if outcome.model is None:
         return [raw_section(first.data.record, first.offset, outcome.config.settings), sampling]
     estimate = outcome.estimate
-    shown = [_of_record(outcome, number) for number, _ in _shown(outcome)]
+    tested = _shown(outcome)
+    shown = [_of_record(outcome, number) for number, _ in tested]
     sections = [output_section(one, outcome.config.settings, estimate) for one in shown]
     sections += response_sections({'identified': (outcome.model, estimate.covariance)}, shown[0],
                                   estimate, truth)
     last = shown[0].parts[-1]
-    tested = first.tested or first.data.record
-    own = replace(shown[0], record=tested)
-    sections += residual_sections(own, simulation(own.model, tested, trim='refit'), last.fit)
+    own = replace(shown[0], record=tested[0][1])
+    sections += residual_sections(own, simulation(own.model, own.record, trim='refit'), last.fit)
     return [*sections, sampling]
 
 

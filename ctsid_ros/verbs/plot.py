@@ -6,14 +6,9 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ctsid_core.errors import DataError, StorageError
-from ctsid_ros.verbs.arguments import ACCEPTED
-
-if TYPE_CHECKING:
-    from ctsid_core.model.covariance import Covariance
-    from ctsid_core.model.statespace import StateSpace
+from ctsid_core.errors import StorageError
+from ctsid_ros.verbs.arguments import ACCEPTED, model_file, read_models
 
 HELP = 'draw stored models: frequency response, step response, poles'
 EPILOG = """example: ctsid plot results/monday/model.json results/tuesday/model.json -o both.pdf
@@ -27,7 +22,8 @@ _SUFFIXES = ('.pdf', '.png', '.svg')
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('model', nargs='+', metavar='MODEL', help='a model.json')
+    parser.add_argument('model', nargs='+', metavar='MODEL',
+                        help='a model.json, or a folder of results that has one')
     parser.add_argument('-o', '--output', required=True, metavar='FILE',
                         help='file to write: .pdf, .png or .svg')
     parser.add_argument('--force', action='store_true', help='replace the file if it exists')
@@ -44,7 +40,8 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.report.responses import bode_figures, step_figures
     from ctsid_ros.report.static import write_drawings
 
-    models = _models(args.model)
+    models = {name: (model, e.covariance) for name, e in read_models(
+        [*map(model_file, args.model)]).items() if (model := e.model or e.rejected_model)}
     rows = []
     for bode, step in zip(bode_figures(models), step_figures(models), strict=True):
         magnitude, phase = bode.drawing.panels
@@ -56,26 +53,3 @@ def command(args: argparse.Namespace) -> int:
                          y_label='imaginary part [rad/s]', width=3 * _WIDE, height=1.4 * _HIGH)])
     write_drawings(path, rows)
     return ACCEPTED
-
-
-def _models(paths: list[str]) -> dict[str, tuple[StateSpace, Covariance | None]]:
-    """Return the models of files by short names."""
-    from ctsid_core.model.storage import load_estimate
-
-    found: dict[str, tuple[StateSpace, Covariance | None]] = {}
-    for path in paths:
-        estimate = load_estimate(path)
-        model = estimate.model or estimate.rejected_model
-        if model is None:
-            raise StorageError(f'{path} holds no model ({estimate.status.name}): '
-                               f'{estimate.verdict.reason}')
-        name = Path(path).parent.name if Path(path).name == 'model.json' else Path(path).stem
-        name = name or 'model'
-        name = f'{name} (rejected)' if estimate.model is None else name
-        found[path if name in found else name] = model, estimate.covariance
-    names = {(m.input_names, m.output_names) for m, _ in found.values()}
-    if len(names) > 1:
-        raise DataError('the models have other inputs or outputs: ' + '; '.join(
-            f'{", ".join(u)} to {", ".join(y)}' for u, y in sorted(names))
-            + '; draw those that are alike')
-    return found

@@ -173,7 +173,7 @@ class _Report:
     def write(self, out: Path) -> None:
         from ctsid_core.model.storage import save_series, to_json
         from ctsid_ros.export.estimates_bag import write_estimates
-        from ctsid_ros.report.explorer import series
+        from ctsid_ros.report.explorer import window_series
         from ctsid_ros.report.headline import headline, repeat_section
         from ctsid_ros.report.page import to_html
         from ctsid_ros.report.sections import bode_section
@@ -193,7 +193,7 @@ class _Report:
         write_results(out, {MODEL: to_json(estimate, metadata),
                             REPORT: to_markdown(title, numbers, first),
                             PAGE: to_html(title, [*self._drawn(), *numbers], first,
-                                          series(self.windows))})
+                                          window_series(self.windows))})
         for name in (SERIES, TABLE):
             save_series(out / name, [r.estimate for r in self.results],
                         columns=self._columns(), force=True)

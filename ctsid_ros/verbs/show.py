@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ctsid show`: print a stored model."""
+"""`ctsid show`: print a stored model, or several beside each other."""
 
 from __future__ import annotations
 
@@ -11,33 +11,55 @@ from typing import TYPE_CHECKING, Any
 
 from ctsid_ros.report.document import Section, to_text
 from ctsid_ros.report.tables import Table
-from ctsid_ros.verbs.arguments import ACCEPTED, add_style, date, tell
+from ctsid_ros.verbs.arguments import (
+    ACCEPTED,
+    add_interval,
+    add_params,
+    add_results,
+    add_style,
+    date,
+    model_file,
+    tell,
+)
 
 if TYPE_CHECKING:
     from ctsid_core.model.estimate import Estimate
     from ctsid_core.model.statespace import StateSpace
 
-HELP = 'show a stored model: poles, DC gain, frequency response'
-EPILOG = 'example: ctsid show results/demo/model.json'
+HELP = 'show a stored model: poles, DC gain, frequency response; or several side by side'
+EPILOG = """example: ctsid show results/demo/model.json
+example: ctsid show results/monday results/tuesday --bag wednesday.mcap
+         (several are drawn into one page, and compared on a bag if there is one)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('model', metavar='MODEL', help='a model.json')
-    add_style(parser, quiet=False)
+    parser.add_argument('model', nargs='+', metavar='MODEL',
+                        help='a model.json, or a folder of results that has one')
+    parser.add_argument('--bag', nargs='+', default=[], metavar='BAG',
+                        help='data on which the models are compared')
+    add_params(parser)
+    add_interval(parser)
+    add_results(parser)
+    add_style(parser)
 
 
 def command(args: argparse.Namespace) -> int:
     """Print it."""
+    if len(args.model) > 1 or args.bag or args.out:
+        from ctsid_ros.verbs.compare import of_models
+
+        return of_models(args.model, args.bag, args, 'show')
     from ctsid_core.model.storage import load_estimate, load_metadata, to_json
 
-    estimate, metadata = load_estimate(args.model), load_metadata(args.model)
+    path = model_file(args.model[0])
+    estimate, metadata = load_estimate(path), load_metadata(path)
     model = estimate.model or estimate.rejected_model
     if args.json:
         document = json.loads(to_json(estimate, metadata))
         tell({'verb': 'show', **document, 'frequency_response': _response(model)})
     else:
-        print(to_text(list(_sections(args.model, estimate, metadata))))
+        print(to_text(list(_sections(path, estimate, metadata))))
     return ACCEPTED
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ctsid_core.errors import DataError, StorageError
+from ctsid_core.errors import StorageError
 from ctsid_ros.progress import progress
 from ctsid_ros.report.document import GLOSSARY, Section, to_text
 from ctsid_ros.report.tables import Table, number, percent
@@ -20,6 +20,7 @@ from ctsid_ros.verbs.arguments import (
     add_params,
     add_report,
     add_style,
+    check_channels,
     interval_of,
     named,
     read_params,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from ctsid_core.model.estimate import Estimate
     from ctsid_core.model.statespace import StateSpace
     from ctsid_core.model.validation import Validation
-    from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.recordings.playback import Recorded
 
@@ -75,6 +75,7 @@ class _Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
+    from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.model.storage import load_estimate, load_metadata
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
@@ -84,12 +85,18 @@ def command(args: argparse.Namespace) -> int:
     model = model_of(estimate, args.model, 'simulate', rejected=args.rejected)
     config = read_params(args.params) if args.params else config_of(
         load_metadata(args.model), estimate.settings, args.model)
+<<<<<<< HEAD
     _check(model, config, args.model)
     with open_bag(args.bag, args.time) as bag:
+=======
+    check_channels(model, config, args.model)
+    with open_bag(args.bag) as bag:
+>>>>>>> shows
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
-        outcome = _compare(model, data, args, bag)
-        notes = (*bag.notes, *data.complaints,
+        record, spikes = without_corrupt(data.record, config.settings)
+        outcome = _compare(model, replace(data, record=record), args, bag)
+        notes = (*bag.notes, *data.complaints, *spikes,
                  *(note for v in outcome.predicted.values() for note in v.notes))
     why = '' if estimate.ok else estimate.verdict.reason
     if args.out is not None:
@@ -120,19 +127,6 @@ def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> Sta
     if not rejected:
         raise StorageError(f'{why} Add --rejected to {verb} the rejected one all the same.')
     return estimate.rejected_model
-
-
-def _check(model: StateSpace, config: Config, path: str) -> None:
-    """Raise if the channels are not those of the model."""
-    for what, names, channels in (('inputs', model.input_names, config.inputs),
-                                  ('outputs', model.output_names, config.outputs)):
-        if any(channel.path.is_open for channel in channels):
-            continue  # its width is known from the bag only; the simulation will check it
-        given = tuple(name for channel in channels for name in channel.scalar_names)
-        if len(given) != len(names) or (all(names) and given != names):
-            raise DataError(f'the {what} of {path} are {", ".join(names)}, but those of the '
-                            f'channels are {", ".join(given)}; give the parameter file of the '
-                            'model with --params')
 
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:

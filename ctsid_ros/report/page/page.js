@@ -163,6 +163,7 @@
       figure.querySelector('h3').textContent = given.title;
       const div = figure.querySelector('.plot');
       div.figure = filled(given);
+      if (!div.layout) div.style.height = `${div.figure.layout.height}px`;
       if (div.layout) draw(div); else seen.observe(div);
     });
     [...gallery.children].slice(one.figures.length).forEach((rest) => { rest.style.display = 'none'; });

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid watch` beside a real node, and what it says where there is none."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+import os
+import re
+import signal
+import subprocess
+import sys
+from threading import Thread
+
+from flights import TRUTH
+import numpy as np
+import pytest
+
+from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.verdict import Grade, Verdict
+from ctsid_core.settings import Settings
+from ctsid_ros.cli import main
+from ctsid_ros.messages.health import Health, Level
+from ctsid_ros.report.watching import Watched
+
+GOOD = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, fit=np.array([95.0]),
+                held_out_fit=np.array([93.0]), verdict=Verdict(grade=Grade.GOOD, reason='Good.'))
+
+
+def told(pole: complex, std: float = 0.01, **more) -> dict:
+    return {'modes': (1, 1), 'eigenvalues': np.array([pole, np.conj(pole)]),
+            'eigenvalue_std': np.array([std, std]), 'fresh_fit': np.array([91.25]), **more}
+
+
+def test_arrows_say_where_a_mode_went():
+    watched = Watched('/identifier')
+    arrows = []
+    for pole in (-1 + 3j, -1 + 3.001j, -1 + 3.2j, -1 + 2.5j):
+        watched.model(GOOD, told(pole, window=len(arrows) + 1))
+        arrows.append(watched.modes[0].arrow)
+    assert arrows == ['new', '→', '↑', '↓']
+    watched.model(replace(GOOD, model=None, rejected_model=TRUTH), {'window': 5})
+    assert [g.name[0] for g in watched.strip] == list('GGGGR')
+    assert watched.modes == ()
+    watched.model(GOOD, told(-1 + 2.5j, window=6))
+    assert watched.modes[0].arrow == '→'        # since the last window that had a model
+    assert watched.line().startswith(
+        'window 6: GOOD, fit 95.0 %, fresh 91.2 %, poles -1.00 ± 2.50j →')
+
+
+def test_nodes_are_told_apart():
+    watched = Watched('/a')
+    watched.diagnostics([Health('/b: ingest', Level.OK, 'x'), Health('cpu', Level.OK, 'x')], 1.0)
+    assert not watched.answered
+    assert watched.others == {'/b'}
+    watched.diagnostics([Health('/a: ingest', Level.OK, 'x')], 2.0)
+    assert watched.answered
+    assert watched.heard == 2.0
+
+
+@pytest.mark.parametrize(('missing', 'cure'), [
+    ('rich', 'python3 -m pip install rich'), ('rclpy', "python3 -m pip install 'ctsid[ros]'")])
+def test_what_is_not_installed_is_named_with_its_cure(missing, cure, monkeypatch, capsys):
+    monkeypatch.setattr('importlib.util.find_spec', lambda name: None if name == missing else 1)
+    assert main(['watch']) == 1
+    assert cure in capsys.readouterr().err
+
+
+@pytest.fixture
+def live(tmp_path):
+    pytest.importorskip('rclpy')
+    from live import Live
+
+    with Live(tmp_path) as made:
+        yield made
+
+
+class Screen:
+    """A program on a terminal of its own, and what it has shown."""
+
+    def __init__(self, live, *words: str) -> None:
+        ours, theirs = os.openpty()
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'ctsid_ros.cli', 'watch', *words], stdout=theirs,
+            stderr=theirs, env=live.env | {'TERM': 'xterm', 'COLUMNS': '120', 'LINES': '60'})
+        os.close(theirs)
+        self._shown, self._ours = b'', ours
+        self._reader = Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        with suppress(OSError):     # the end of a terminal
+            while part := os.read(self._ours, 65536):
+                self._shown += part
+        os.close(self._ours)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r'\x1b\[[0-9;?]*[A-Za-z]', '', self._shown.decode(errors='replace'))
+
+    def end(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(60.0)
+        self._reader.join()
+        return code
+
+
+def test_a_running_node_is_watched_until_ctrl_c(live, capfd):
+    from robot import Robot, motion, params
+
+    node = live.identifier(params('window.stride: 2.0'))
+    words = 'listening to /command (sensor_msgs/msg/JointState): input torque = effort[0]'
+    live.wait(lambda: words in node.log, 'what it listens to')
+    assert 'The first model is due 4.3 s after the first samples' in node.log
+    screen = Screen(live)
+    robot = Robot(live, motion(7.0), node.name)
+    live.wait(lambda: 'no window is full yet' in screen.text, 'the first picture')
+    robot.feed(node, stride=2.0)
+    live.wait(lambda: re.search(r'verdicts +GG', screen.text), 'verdicts')
+    live.wait(lambda: re.search(r'computing \S+ \S+ s of 1\.6 s', screen.text), 'the budget')
+    text = screen.text
+    assert re.search(r'/imu +\d+(\.\d+)? +\d+ +0 ', text)       # rate, messages, lost
+    assert re.search(r'window +[█░]{24} +\d+ % full', text)
+    assert re.search(r'\bp +9\d\.\d +9\d\.\d +9\d\.\d', text)   # own, held out, fresh
+    assert re.search(r'-0\.9\d+ ± [34]\.\d+j|-1\.0\d+ ± [34]\.\d+j', text)
+    assert screen.end() == 0
+    assert 'Traceback' not in screen.text
+    done = subprocess.run([sys.executable, '-m', 'ctsid_ros.cli', 'watch', '--once'],
+                          env=live.env, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0
+    assert re.search(r'verdicts +G', done.stdout)
+    assert '\x1b' not in done.stdout
+    absent = subprocess.run(
+        [sys.executable, '-m', 'ctsid_ros.cli', 'watch', 'other', '--timeout', '3'], env=live.env,
+        capture_output=True, text=True, timeout=60, check=False)
+    assert absent.returncode == 1
+    assert 'there is /identifier: give that name' in absent.stderr
+
+
+def test_where_no_node_answers_it_is_said_what_to_check(live):
+    done = subprocess.run([sys.executable, '-m', 'ctsid_ros.cli', 'watch', '--timeout', '0.5'],
+                          env=live.env, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (1, '')
+    assert f'answers as /identifier in ROS domain {live.domain}' in done.stderr
+    assert 'ros2 node list' in done.stderr
