@@ -85,13 +85,8 @@ def command(args: argparse.Namespace) -> int:
     model = model_of(estimate, args.model, 'simulate', rejected=args.rejected)
     config = read_params(args.params) if args.params else config_of(
         load_metadata(args.model), estimate.settings, args.model)
-<<<<<<< HEAD
-    _check(model, config, args.model)
-    with open_bag(args.bag, args.time) as bag:
-=======
     check_channels(model, config, args.model)
-    with open_bag(args.bag) as bag:
->>>>>>> shows
+    with open_bag(args.bag, args.time) as bag:
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
         record, spikes = without_corrupt(data.record, config.settings)
