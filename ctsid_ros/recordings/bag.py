@@ -55,12 +55,14 @@ class Bag:
     topics : mapping of str to TopicInfo
     start_ns, end_ns : int
         First and last log time of all messages; 0 if there are none.
+    size : int
+        Of its files [bytes].
     """
 
     def __init__(self, recordings: Sequence[Recording], notes: Iterable[str],
-                 resources: ExitStack) -> None:
+                 resources: ExitStack, size: int = 0) -> None:
         self._recordings = tuple(recordings)
-        self._resources = resources
+        self._resources, self.size = resources, size
         joined = join_topics(self._recordings)
         self._types, self._names = joined.types, joined.names
         self._notes = dict.fromkeys([*notes, *joined.notes])
@@ -76,7 +78,8 @@ class Bag:
         """What was damaged, recovered, skipped or odd; may grow while messages are read."""
         return tuple(self._notes)
 
-    def blocks(self, fields: Mapping[str, Sequence[FieldPath]]) -> Iterator[Block]:
+    def blocks(self, fields: Mapping[str, Sequence[FieldPath]],
+               span_ns: tuple[int, int] | None = None) -> Iterator[Block]:
         """
         Iterate over the messages of some topics as columns, a few thousand rows at a time.
 
@@ -84,6 +87,8 @@ class Bag:
         ----------
         fields : mapping of str to sequence of FieldPath
             Wanted of each topic; they are the columns, in this order.
+        span_ns : (int, int), optional
+            First and last log time that matter: what lies far outside is not read.
 
         Returns
         -------
@@ -97,7 +102,7 @@ class Bag:
         """
         return self._blocks({topic: unpacking(self.extractor(topic, [
             self.bind(topic, path) for path in paths]).columns)
-            for topic, paths in fields.items()})
+            for topic, paths in fields.items()}, span_ns)
 
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
@@ -113,14 +118,15 @@ class Bag:
         wanted = dict.fromkeys(self.topics if topics is None else topics, unpacking(raw))
         return (message for block in self._blocks(wanted) for message in _rows(block))
 
-    def _blocks(self, decoders: Mapping[str, Decode]) -> Iterator[Block]:
+    def _blocks(self, decoders: Mapping[str, Decode],
+                span_ns: tuple[int, int] | None = None) -> Iterator[Block]:
         names = list(decoders)
         slots = {self.topic(name).name: slot for slot, name in enumerate(names)}
         streams: list[tuple[int, Callable[[], Iterator[Block]]]] = []
         for recording, topics in zip(self._recordings, self._names, strict=True):
             chosen = {number: slots[name] for number, name in topics.items() if name in slots}
-            if chosen:
-                wanted = Wanted(chosen, names, list(decoders.values()))
+            wanted = Wanted(chosen, names, list(decoders.values()), span_ns)
+            if chosen and wanted.overlaps(recording.start_ns, recording.end_ns):
                 streams.append((recording.start_ns, partial(self._stream, recording, wanted)))
         return merge_in_time(streams) if len(streams) != 1 else streams[0][1]()
 
@@ -278,7 +284,8 @@ def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) ->
                                'and mode with `ls -ld`') from error
             except OSError as error:
                 raise BagError(f'{given}: {error.strerror or error}') from error
-        return Bag(tuple(recordings.values()), notes, resources.pop_all())
+        size = sum(path.stat().st_size for path in recordings)
+        return Bag(tuple(recordings.values()), notes, resources.pop_all(), size)
 
 
 def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],

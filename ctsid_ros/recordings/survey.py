@@ -23,6 +23,7 @@ from ctsid_ros.recordings.bag import Bag, DecodeError, TopicInfo
 from ctsid_ros.recordings.survey_stats import FieldStats, StampStats, field_stats, stamp_stats
 
 MOST = 2_000_000
+CLOCKS = 0.5  # header and log apart by more than this are two clocks [s]
 DECODED = 2048
 RUN = 32
 _BULKY = re.compile(
@@ -31,7 +32,8 @@ _BULKY = re.compile(
     r'ParameterEvent|ParameterDescriptions|Config|RobotDescription|Clock)$')
 # Numbers that are no signals: bookkeeping, and what says how sure the others are.
 _NOT_A_SIGNAL = re.compile(
-    r'covariance|(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|'
+    r'covariance|variance|(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
+    r'(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|buttons|flags|'
     r'checksum|crc|height|width|step|data_offset)($|[._\[])')
 
 

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Pairs of input and output of a bag, the most promising first.
+
+Most counts what the past of the input explains of the output's motion in unseen data, then which
+of the two comes first, how long they overlap, whose stamps are better; names and types of
+messages come last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.excerpts import Clock
+from ctsid_ros.recordings.guess_candidates import FORCE_FIELD, Candidate, candidates
+from ctsid_ros.recordings.guess_pairs import Comparison, Explained, without_slow
+from ctsid_ros.recordings.survey import Survey
+
+_MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
+_MOST_PAIRS = 48  # that are looked at closely
+_LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
+_COPY, _ECHO = 0.97, 0.9995  # correlations of two of one kind, of an input and its echo
+_SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
+_LONG = 20.0  # s of overlap that are enough
+_NO_HEADER = 0.97  # factor for stamps of the recording: among copies the stamped one is first
+_APART = 0.97  # factor for different name spaces: among twins the pair of one robot is first
+_NEARER, _DRIVES = 0.8, 0.3  # what the command nearer to the plant has to explain of that before,
+_BEHIND = 0.7  # and the factor for that before
+
+
+@dataclass(frozen=True)
+class Pair:
+    """
+    An input and an output.
+
+    Parameters
+    ----------
+    input, output : Candidate
+    explained : Explained
+    score : float
+        The share of the output's motion that is explained, times factors of at most 1.
+    nearer : str
+        Topic of a command that this input drives, if that explains the output as well.
+    """
+
+    input: Candidate
+    output: Candidate
+    explained: Explained
+    score: float
+    nearer: str = ''
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """
+    What could be identified from a bag.
+
+    Parameters
+    ----------
+    pairs : tuple of Pair
+        The most promising first; of those that differ by copies of a signal only one.
+    found : tuple of Candidate
+        All scalars that could be signals.
+    clock : Clock
+        Of their values.
+    """
+
+    pairs: tuple[Pair, ...]
+    found: tuple[Candidate, ...]
+    clock: Clock
+
+
+def rank(bag: Bag, survey: Survey) -> Ranking:
+    """
+    Rank the pairs of inputs and outputs of a bag.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read on.
+    """
+    found, clock = candidates(bag, survey)
+    inputs = sorted(found, key=lambda c: -c.acts)[:_MOST_INPUTS]
+    outputs = sorted(found, key=lambda c: -c.measures)[:_MOST_OUTPUTS]
+    listed = list(dict.fromkeys((*inputs, *outputs)))
+    comparison = Comparison(clock, [c.smooth for c in listed])
+    if not comparison.possible:
+        return Ranking((), tuple(found), clock)
+    shares = np.array([comparison.screened(u.held) for u in inputs])
+    alike = Alike(listed, clock)
+    pairs = [pair for i, chosen in _promising(inputs, listed, outputs, shares, alike)
+             for pair in _looked_at(inputs[i], listed, chosen, comparison)]
+    pairs = [_behind(pair, pairs, listed, inputs, shares, alike) for pair in pairs]
+    pairs = sorted((p for p in pairs if p.score >= _LIKELY), key=lambda p: -p.score)
+    return Ranking(tuple(_once(pairs, alike)), tuple(found), clock)
+
+
+class Alike:
+    """
+    How far the signals of a list are copies of each other.
+
+    Parameters
+    ----------
+    listed : sequence of Candidate
+    clock : Clock
+    """
+
+    def __init__(self, listed: Sequence[Candidate], clock: Clock) -> None:
+        signals = np.nan_to_num(np.array([without_slow(c.held, clock) for c in listed]))
+        size = np.sqrt(np.mean(signals ** 2, axis=1))
+        self._signals = signals / np.maximum(size, 1e-300)[:, np.newaxis]
+        self._numbers = {c: i for i, c in enumerate(listed)}
+        self._shifts = np.unique(np.round(_SHIFTS / clock.step).astype(int))
+        self._known: dict[tuple[int, int], float] = {}
+        self._rough = np.abs(self._signals @ self._signals.T) / self._signals.shape[1]
+
+    def __call__(self, one: Candidate, other: Candidate) -> float:
+        """Return the largest correlation of two, one shifted a little."""
+        a, b = sorted((self._numbers[one], self._numbers[other]))
+        if self._rough[a, b] < 0.5 or a == b:
+            return float(self._rough[a, b]) if a != b else 1.0
+        if (a, b) not in self._known:
+            x, y = self._signals[a], self._signals[b]
+            self._known[a, b] = max(abs(float(np.mean(x * np.roll(y, int(shift)))))
+                                    for shift in self._shifts)
+        return self._known[a, b]
+
+
+def _promising(inputs: Sequence[Candidate], listed: Sequence[Candidate],
+               outputs: Sequence[Candidate], shares: Array, alike: Alike
+               ) -> Iterator[tuple[int, list[int]]]:
+    """Yield numbers of inputs, each with those of the outputs that are worth a closer look."""
+    likely = []
+    for i, u in enumerate(inputs):
+        for j, y in enumerate(listed):
+            score = shares[i, j] * u.acts * y.measures
+            if y in outputs and score > 0.5 * _LIKELY and _apart(u, y, listed):
+                likely.append((score, i, j))
+    likely = sorted(likely, reverse=True)[:_MOST_PAIRS]
+    for i, u in enumerate(inputs):
+        chosen = [j for _, number, j in likely if number == i and alike(u, listed[j]) < _ECHO]
+        if chosen:
+            yield i, chosen
+
+
+def _apart(u: Candidate, y: Candidate, listed: Sequence[Candidate]) -> bool:
+    """
+    Whether two scalars can be input and output.
+
+    Those of one message are one sensor's, and know each other by kinematics, unless one of them
+    is a force, or there is no other topic.
+    """
+    if u.key[0] != y.key[0]:
+        return True
+    forced = bool(FORCE_FIELD.search(u.key[1])) > bool(FORCE_FIELD.search(y.key[1]))
+    return u is not y and (forced or len({c.key[0] for c in listed}) == 1)
+
+
+def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
+               comparison: Comparison) -> list[Pair]:
+    found = comparison.explained(u.held, chosen)
+    return [Pair(u, listed[j], e, _score(u, listed[j], e))
+            for j, e in zip(chosen, found, strict=True)]
+
+
+def _score(u: Candidate, y: Candidate, found: Explained) -> float:
+    first = float(np.clip(0.8 + 0.8 * (found.past - found.future), 0.2, 1.0))
+    stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
+    spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
+    together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0
+    return float(found.past * first * min(found.overlap / _LONG, 1.0) * stamps * together
+                 * u.acts * y.measures)
+
+
+def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
+            inputs: Sequence[Candidate], shares: Array, alike: Alike) -> Pair:
+    """Put a setpoint or a stick behind the command that it drives, if that explains as much."""
+    number = inputs.index(pair.input)
+    for other in pairs:
+        if (pair.input.wanted and not other.input.wanted and other.output is pair.output
+                and other.explained.past >= _NEARER * pair.explained.past
+                and shares[number, listed.index(other.input)] >= _DRIVES):
+            return replace(pair, score=_BEHIND * pair.score, nearer=other.input.key[0])
+    return pair
+
+
+def _once(pairs: Sequence[Pair], alike: Alike) -> Iterator[Pair]:
+    """Yield of the pairs that differ by copies the first only."""
+    kept: list[Pair] = []
+    for pair in pairs:
+        if not any(alike(pair.input, k.input) > _COPY and alike(pair.output, k.output) > _COPY
+                   for k in kept):
+            kept.append(pair)
+            yield pair
