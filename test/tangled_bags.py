@@ -32,6 +32,7 @@ for _name, _text in TYPES.items():
 KINDS = ('roll', 'pitch', 'yaw_rate', 'climb', 'wheel')
 Signal = Callable[[np.ndarray], np.ndarray]
 _FINE = 0.0025  # s: step of the simulation
+DITHER = np.random.default_rng(99).choice([-1.0, 1.0], 997)  # that a loop is excited by as well
 
 
 @dataclass
@@ -49,6 +50,8 @@ class Tangled:
         What drives the closed loop, if there is one.
     outputs : list of (topic, field)
         What measures the motion of the axis: rate or angle, speed or height.
+    other : Tangled, optional
+        Of the second robot; it is an experiment as well.
     """
 
     kind: str
@@ -56,6 +59,12 @@ class Tangled:
     inputs: list[tuple[str, str]] = field(default_factory=list)
     setpoints: list[tuple[str, str]] = field(default_factory=list)
     outputs: list[tuple[str, str]] = field(default_factory=list)
+    other: Tangled | None = None
+
+    def holds(self, u: tuple[str, str], y: tuple[str, str], setpoint: bool = False) -> bool:
+        """Whether this pair is input and output of the plant (or its loop) of one robot."""
+        own = u in (*self.inputs, *(self.setpoints if setpoint else ())) and y in self.outputs
+        return own or (self.other is not None and self.other.holds(u, y, setpoint))
 
 
 @dataclass(frozen=True)
@@ -119,15 +128,12 @@ def simulate(rng, kind: str, duration: float, size: float = 1.0) -> Motion:
             else:
                 integral += every * _FINE * (wanted[k] - noisy)
                 u = wanted[k] * damping / gain + k_rate * (wanted[k] - noisy) + integral / gain
-            u += 0.15 * size * (excitation_dither[k % len(excitation_dither)] if closed else 0.0)
+            u += 0.15 * size * DITHER[k // 12 % len(DITHER)] * closed
         command[k], rate[k], angle[k] = u, p, phi
         moment += _FINE * actuator * (command[max(k - dead, 0)] - moment)
         p += _FINE * (gain * moment - damping * p + gust[k])
         phi += _FINE * p
     return Motion(t, wanted * (0.4 if hold_angle else 1.0), command, rate, angle, closed)
-
-
-excitation_dither = np.repeat(np.random.default_rng(99).choice([-1.0, 1.0], 997), 12)
 
 
 class Recorder:
@@ -181,13 +187,9 @@ def tangled(seed: int, kind: str, duration: float = 60.0) -> Tangled:
         commands(other, beside, kind, aside)
         sensors(other, beside, kind, aside)
         truth.sent += other.sent
-        truth.inputs.append(('', ''))       # the other robot is an experiment as well
-        OTHERS[id(truth)] = aside
+        truth.other = aside
     truth.sent.sort(key=lambda s: s.log_ns)
     return truth
-
-
-OTHERS: dict[int, Tangled] = {}
 
 
 def commands(to: Recorder, motion: Motion, kind: str, truth: Tangled) -> None:
@@ -280,7 +282,8 @@ def sensors(to: Recorder, motion: Motion, kind: str, truth: Tangled) -> None:
         to.write(topic, 'sensor_msgs/msg/Imu', float(rng.choice([80.0, 125.0])),
                  lambda k, t, h, noise=noise: make(
             'sensor_msgs/msg/Imu', header=h,
-            angular_velocity=on(axis if turning else '', rate_of(t), noise * rng.standard_normal(3)),
+            angular_velocity=on(axis if turning else '', rate_of(t),
+                                noise * rng.standard_normal(3)),
             orientation=quaternion(axis if turning else 'x', angle_of(t) if turning else 0.01
                                    * rng.standard_normal()),
             angular_velocity_covariance=np.abs(rng.standard_normal(9)),
@@ -301,14 +304,14 @@ def sensors(to: Recorder, motion: Motion, kind: str, truth: Tangled) -> None:
     elif rng.integers(2) or kind == 'climb':
         topic = to.name('/odom', '/local_position', '/estimator')
         truth.outputs += [(topic, f'twist.twist.{"angular" if turning else "linear"}.{axis}')]
-        truth.outputs += [(topic, f'pose.pose.orientation.{part}')] if turning else [
-            (topic, 'pose.pose.position.z')]
-        truth.outputs += [(topic, f'euler(pose.pose.orientation).{part}')] if turning else []
+        truth.outputs.append((topic, f'euler(pose.pose.orientation).{part}' if turning
+                              else 'pose.pose.position.z'))
         walk = np.cumsum(0.02 * rng.standard_normal((int(to.duration * 60), 3)), axis=0)
 
         def odometry(k, t, h):
             wind = 0.02 * size * rng.standard_normal(3)
-            twist = make('geometry_msgs/msg/Twist', linear=on('' if turning else 'z', rate_of(t), wind),
+            twist = make('geometry_msgs/msg/Twist',
+                         linear=on('' if turning else 'z', rate_of(t), wind),
                          angular=on(axis if turning else '', rate_of(t), wind))
             pose = make('geometry_msgs/msg/Pose', orientation=quaternion(
                 axis if turning else 'z', angle_of(t) if turning else 0.2),

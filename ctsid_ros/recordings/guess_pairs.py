@@ -190,6 +190,6 @@ def _folds(u: Array, targets: Array) -> list[slice]:
     moved = np.zeros(len(u))
     for motion in (u ** 2, np.mean(targets ** 2, axis=1)):
         moved += np.cumsum(motion) / max(float(motion.sum()), 1e-300)
-    cuts = np.searchsorted(moved, 2.0 * np.arange(1, _FOLDS) / _FOLDS)
-    cuts = [0, *cuts.tolist(), len(u)]
+    inner = np.searchsorted(moved, 2.0 * np.arange(1, _FOLDS) / _FOLDS)
+    cuts = [0, *inner.tolist(), len(u)]
     return [slice(*pair) for pair in zip(cuts[:-1], cuts[1:], strict=True)]

@@ -42,6 +42,8 @@ class Pair:
     ----------
     input, output : Candidate
     explained : Explained
+    clock : Clock
+        Of their values.
     score : float
         The share of the output's motion that is explained, times factors of at most 1.
     nearer : str
@@ -51,7 +53,8 @@ class Pair:
     input: Candidate
     output: Candidate
     explained: Explained
-    score: float
+    clock: Clock
+    score: float = 0.0
     nearer: str = ''
 
 
@@ -64,6 +67,8 @@ class Ranking:
     ----------
     pairs : tuple of Pair
         The most promising first; of those that differ by copies of a signal only one.
+    compared : tuple of Pair
+        All that were looked at closely, with copies.
     found : tuple of Candidate
         All scalars that could be signals.
     clock : Clock
@@ -71,6 +76,7 @@ class Ranking:
     """
 
     pairs: tuple[Pair, ...]
+    compared: tuple[Pair, ...]
     found: tuple[Candidate, ...]
     clock: Clock
 
@@ -90,14 +96,15 @@ def rank(bag: Bag, survey: Survey) -> Ranking:
     listed = list(dict.fromkeys((*inputs, *outputs)))
     comparison = Comparison(clock, [c.smooth for c in listed])
     if not comparison.possible:
-        return Ranking((), tuple(found), clock)
+        return Ranking((), (), tuple(found), clock)
     shares = np.array([comparison.screened(u.held) for u in inputs])
     alike = Alike(listed, clock)
     pairs = [pair for i, chosen in _promising(inputs, listed, outputs, shares, alike)
-             for pair in _looked_at(inputs[i], listed, chosen, comparison)]
+             for pair in _looked_at(inputs[i], listed, chosen, comparison, clock)]
     pairs = [_behind(pair, pairs, listed, inputs, shares, alike) for pair in pairs]
-    pairs = sorted((p for p in pairs if p.score >= _LIKELY), key=lambda p: -p.score)
-    return Ranking(tuple(_once(pairs, alike)), tuple(found), clock)
+    pairs = sorted(pairs, key=lambda p: -p.score)
+    likely = [p for p in pairs if p.score >= _LIKELY]
+    return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
 
 
 class Alike:
@@ -162,9 +169,9 @@ def _apart(u: Candidate, y: Candidate, listed: Sequence[Candidate]) -> bool:
 
 
 def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
-               comparison: Comparison) -> list[Pair]:
+               comparison: Comparison, clock: Clock) -> list[Pair]:
     found = comparison.explained(u.held, chosen)
-    return [Pair(u, listed[j], e, _score(u, listed[j], e))
+    return [Pair(u, listed[j], e, clock, _score(u, listed[j], e))
             for j, e in zip(chosen, found, strict=True)]
 
 
@@ -182,18 +189,22 @@ def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
     """Put a setpoint or a stick behind the command that it drives, if that explains as much."""
     number = inputs.index(pair.input)
     for other in pairs:
-        if (pair.input.wanted and not other.input.wanted and other.output is pair.output
+        if (pair.input.wanted and not other.input.wanted
+                and other.input.acts > other.input.measures and other.output is pair.output
                 and other.explained.past >= _NEARER * pair.explained.past
                 and shares[number, listed.index(other.input)] >= _DRIVES):
             return replace(pair, score=_BEHIND * pair.score, nearer=other.input.key[0])
     return pair
 
 
-def _once(pairs: Sequence[Pair], alike: Alike) -> Iterator[Pair]:
-    """Yield of the pairs that differ by copies the first only."""
+def _once(pairs: Sequence[Pair], alike: Alike) -> list[Pair]:
+    """Return of the pairs that differ by copies the first only, those of siblings behind."""
     kept: list[Pair] = []
+    siblings: list[Pair] = []
     for pair in pairs:
-        if not any(alike(pair.input, k.input) > _COPY and alike(pair.output, k.output) > _COPY
-                   for k in kept):
-            kept.append(pair)
-            yield pair
+        same = [k for k in (*kept, *siblings) if alike(pair.output, k.output) > _COPY]
+        if any(alike(pair.input, k.input) > _COPY for k in same):
+            continue
+        brother = any(k.input.topic is pair.input.topic for k in same)
+        (siblings if brother else kept).append(pair)
+    return [*kept, *siblings]

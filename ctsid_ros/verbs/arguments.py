@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 import json
 import math
 from pathlib import Path
+import shlex
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +88,12 @@ def add_params(parser: argparse.ArgumentParser) -> None:
                         'settings; `ctsid init` writes one [default: its guess]')
 
 
+def add_pick(parser: argparse.ArgumentParser) -> None:
+    """Add which of the guessed pairs to take."""
+    parser.add_argument('--pick', type=steps, default=1, metavar='N',
+                        help='which of the pairs to take that are shown [default: 1, the best]')
+
+
 def add_budget(parser: argparse.ArgumentParser) -> None:
     """Add the budget of an identification."""
     parser.add_argument('--budget', type=seconds, metavar='S', help='processor time that one '
@@ -134,12 +141,26 @@ def _guessed(bag: Bag) -> Config:
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.survey import survey
 
-    guessed = guess(survey(bag))
+    guessed = guess(bag, survey(bag))
     inputs, outputs = (', '.join(f'{c.topic} {c.field}' for c in channels) for channels in
                        (guessed.config.inputs, guessed.config.outputs))
     say(f'no --params given, so the channels are guessed: {inputs} acts, {outputs} is measured; '
         '`ctsid init` writes this guess to a file, to correct it')
     return guessed.config
+
+
+def say_better(bags: Sequence[str], config: Config) -> None:
+    """Name the pairs of which a recording says more than of those that gave no model."""
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.guess import better
+
+    with open_bag(bags) as bag:
+        pairs = better(bag, config)
+    if pairs:
+        listed = '; '.join(f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
+                           f'({100 * p.explained.past:.0f} % explained)' for p in pairs)
+        say(f'the data say more about other signals: {listed}; they are shown and written by:\n  '
+            + shlex.join(('ctsid', 'init', *bags, '-o', 'other.yaml')))
 
 
 def read_params(path: str) -> Config:
