@@ -70,6 +70,18 @@ def moving_sum(values: Array, half: int) -> Array:
                       - total[np.maximum(at - half, 0)])
 
 
+def effective_frequencies(values: Array, clock: Clock) -> float:
+    """Return over how many lines of its spectrum a signal is spread: 2 for a single sine."""
+    found = 0.0
+    moved = np.nan_to_num(without_slow(values, clock))
+    for part in clock.parts:
+        own = moved[part]
+        power = np.abs(np.fft.rfft(own * np.hanning(len(own)))) ** 2
+        total = float(np.sum(power ** 2))
+        found = max(found, float(np.sum(power)) ** 2 / total if total > 0 else 0.0)
+    return found
+
+
 class Comparison:
     """
     Compares inputs with outputs on a common clock.

@@ -18,7 +18,12 @@ from ctsid_core.linear.types import Array
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock
 from ctsid_ros.recordings.guess_candidates import FORCE_FIELD, Candidate, candidates
-from ctsid_ros.recordings.guess_pairs import Comparison, Explained, without_slow
+from ctsid_ros.recordings.guess_pairs import (
+    Comparison,
+    Explained,
+    effective_frequencies,
+    without_slow,
+)
 from ctsid_ros.recordings.survey import Survey
 
 _MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
@@ -29,6 +34,7 @@ _SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
 _LONG = 20.0  # s of overlap that are enough
 _NO_HEADER = 0.97  # factor for stamps of the recording: among copies the stamped one is first
 _APART = 0.97  # factor for different name spaces: among twins the pair of one robot is first
+_MANY, _LEAST = 6.0, 0.3  # effective frequencies that are enough, and the factor for one alone
 _NEARER, _DRIVES = 0.8, 0.3  # what the command nearer to the plant has to explain of that before,
 _BEHIND = 0.7  # and the factor for that before
 
@@ -44,6 +50,8 @@ class Pair:
     explained : Explained
     clock : Clock
         Of their values.
+    frequencies : float
+        Over how many lines the spectrum of the input is spread.
     score : float
         The share of the output's motion that is explained, times factors of at most 1.
     nearer : str
@@ -54,6 +62,7 @@ class Pair:
     output: Candidate
     explained: Explained
     clock: Clock
+    frequencies: float = 0.0
     score: float = 0.0
     nearer: str = ''
 
@@ -171,17 +180,18 @@ def _apart(u: Candidate, y: Candidate, listed: Sequence[Candidate]) -> bool:
 def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
                comparison: Comparison, clock: Clock) -> list[Pair]:
     found = comparison.explained(u.held, chosen)
-    return [Pair(u, listed[j], e, clock, _score(u, listed[j], e))
+    frequencies = effective_frequencies(u.held, clock)
+    return [Pair(u, listed[j], e, clock, frequencies, _score(u, listed[j], e, frequencies))
             for j, e in zip(chosen, found, strict=True)]
 
 
-def _score(u: Candidate, y: Candidate, found: Explained) -> float:
+def _score(u: Candidate, y: Candidate, found: Explained, frequencies: float) -> float:
     first = float(np.clip(0.8 + 0.8 * (found.past - found.future), 0.2, 1.0))
     stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
     spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
     together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0
     return float(found.past * first * min(found.overlap / _LONG, 1.0) * stamps * together
-                 * u.acts * y.measures)
+                 * np.clip(frequencies / _MANY, _LEAST, 1.0) * u.acts * y.measures)
 
 
 def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
@@ -190,7 +200,8 @@ def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
     number = inputs.index(pair.input)
     for other in pairs:
         if (pair.input.wanted and not other.input.wanted
-                and other.input.acts > other.input.measures and other.output is pair.output
+                and other.input.acts > other.input.measures
+                and other.output.topic is pair.output.topic
                 and other.explained.past >= _NEARER * pair.explained.past
                 and shares[number, listed.index(other.input)] >= _DRIVES):
             return replace(pair, score=_BEHIND * pair.score, nearer=other.input.key[0])

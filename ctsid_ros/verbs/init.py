@@ -79,7 +79,7 @@ def pair_section(guessed: Guess) -> Section:
                     if pair.nearer)
     return Section('Inputs and outputs, the most promising pair first', (
         Table(('pair', 'input', 'output', 'explained [%]', 'from future [%]', 'coherence',
-               'lag [s]', 'both [s]', 'rates [Hz]'), rows, ('input', 'output')),
+               'lag [s]', 'frequencies', 'both [s]', 'rates [Hz]'), rows, ('input', 'output')),
         *([Bullets(remarks)] if remarks else [])))
 
 
@@ -91,7 +91,8 @@ def _row(index: int, pair: Pair, pick: int) -> tuple[str, ...]:
     return (f'{index}{" *" if index == pick else ""}', ' '.join(u.key), ' '.join(y.key),
             f'{100 * found.past:.0f}', f'{100 * found.future:.0f}',
             number(mean_coherence(u.held, y.smooth, clock), 2),
-            number(lag(u.held, y.smooth, clock), 2), f'{found.overlap:.0f}',
+            number(lag(u.held, y.smooth, clock), 2), f'{pair.frequencies:.0f}',
+            f'{found.overlap:.0f}',
             f'{number(u.rate, 3)} / {number(y.rate, 3)}')
 
 
