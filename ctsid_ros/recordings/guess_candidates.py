@@ -15,7 +15,7 @@ import re
 import numpy as np
 
 from ctsid_core.linear.types import Array
-from ctsid_ros.decoding.field_path import FieldPath
+from ctsid_ros.decoding.field_path import FieldPath, parse_field
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, gather, held
 from ctsid_ros.recordings.survey import Survey, TopicSurvey
@@ -128,11 +128,8 @@ def candidates(bag: Bag, survey: Survey) -> tuple[list[Candidate], Clock]:
         If the bag cannot be read on.
     """
     topics = [t for t in survey.topics if t.moving and t.info.count >= FEWEST]
-    fields: dict[str, list[FieldPath]] = {}
-    for topic in topics:
-        paths = {str(p): p for p in bag.scalar_fields(topic.info.name)}
-        fields[topic.info.name] = [paths[f.field] for f in topic.moving[:_MOST_OF_TOPIC]
-                                   if f.field in paths]
+    fields = {t.info.name: [parse_field(f.field) for f in t.moving[:_MOST_OF_TOPIC]]
+              for t in topics}
     read, parts = gather(bag, survey, fields)
     clock = clock_for([_rate(samples.time) for samples in read.values()], parts)
     found = [one for topic in topics

@@ -26,9 +26,9 @@ _SLOW = 20.0  # s: motion slower than this is trim, battery and wind
 _ROWS = 4000  # ticks that are compared
 _FOLDS = 6
 _RIDGES = (1e-5, 1e-3, 1e-1)  # relative to the mean power of the regressors
-_FEWEST_ROWS = 200
+_FEWEST_ROWS = 100
 _LOCAL = 8.0  # s: within which the size of the motion is measured
-_QUIET = 0.3  # of the size of all motion: what moves less is not scaled up
+_QUIET = 0.3  # of the usual size of motion where there is some: less is not scaled up to it
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Comparison:
     @property
     def possible(self) -> bool:
         """Whether there is enough to compare."""
-        return len(self._rows) >= _FEWEST_ROWS and bool(self._outputs)
+        return len(self._rows) >= _FEWEST_ROWS
 
     def screened(self, u: Array) -> Array:
         """Return about which share of each output's motion the past of an input explains."""
@@ -156,7 +156,8 @@ class Comparison:
         for part in self._clock.parts:
             local[part] = moving_sum(power[part], half) / moving_sum(
                 np.ones(part.stop - part.start), half)
-        floor = _QUIET ** 2 * float(np.mean(power)) or 1.0
+        usual = float(np.mean(local)) / max(float(np.mean(np.sqrt(local))), 1e-300)
+        floor = (_QUIET * usual) ** 2 or 1.0
         return y[self._rows], 1.0 / np.sqrt(local[self._rows] + floor)
 
     def _input(self, u: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
 from ctsid_ros.recordings.bag import Bag
@@ -29,7 +30,8 @@ from ctsid_ros.recordings.survey import Survey
 _MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
 _MOST_PAIRS = 48  # that are looked at closely
 _LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
-_COPY, _ECHO = 0.97, 0.9995  # correlations of two of one kind, of an input and its echo
+_COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
+_ECHO = 0.9995  # of an input and what only repeats it
 _SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
 _LONG = 20.0  # s of overlap that are enough
 _NO_HEADER = 0.97  # factor for stamps of the recording: among copies the stamped one is first
@@ -103,8 +105,8 @@ def rank(bag: Bag, survey: Survey) -> Ranking:
     inputs = sorted(found, key=lambda c: -c.acts)[:_MOST_INPUTS]
     outputs = sorted(found, key=lambda c: -c.measures)[:_MOST_OUTPUTS]
     listed = list(dict.fromkeys((*inputs, *outputs)))
-    comparison = Comparison(clock, [c.smooth for c in listed])
-    if not comparison.possible:
+    comparison = Comparison(clock, [c.smooth for c in listed]) if len(listed) > 1 else None
+    if comparison is None or not comparison.possible:
         return Ranking((), (), tuple(found), clock)
     shares = np.array([comparison.screened(u.held) for u in inputs])
     alike = Alike(listed, clock)
@@ -120,6 +122,8 @@ class Alike:
     """
     How far the signals of a list are copies of each other.
 
+    They are compared where the slower one has a new sample: between those it only repeats.
+
     Parameters
     ----------
     listed : sequence of Candidate
@@ -127,24 +131,32 @@ class Alike:
     """
 
     def __init__(self, listed: Sequence[Candidate], clock: Clock) -> None:
-        signals = np.nan_to_num(np.array([without_slow(c.held, clock) for c in listed]))
-        size = np.sqrt(np.mean(signals ** 2, axis=1))
-        self._signals = signals / np.maximum(size, 1e-300)[:, np.newaxis]
+        self._signals = np.nan_to_num(np.array([without_slow(c.held, clock) for c in listed]))
         self._numbers = {c: i for i, c in enumerate(listed)}
+        self._fresh = [fresh_ticks(c.held) for c in listed]
         self._shifts = np.unique(np.round(_SHIFTS / clock.step).astype(int))
         self._known: dict[tuple[int, int], float] = {}
-        self._rough = np.abs(self._signals @ self._signals.T) / self._signals.shape[1]
 
     def __call__(self, one: Candidate, other: Candidate) -> float:
         """Return the largest correlation of two, one shifted a little."""
-        a, b = sorted((self._numbers[one], self._numbers[other]))
-        if self._rough[a, b] < 0.5 or a == b:
-            return float(self._rough[a, b]) if a != b else 1.0
-        if (a, b) not in self._known:
-            x, y = self._signals[a], self._signals[b]
-            self._known[a, b] = max(abs(float(np.mean(x * np.roll(y, int(shift)))))
-                                    for shift in self._shifts)
-        return self._known[a, b]
+        pair = sorted((self._numbers[one], self._numbers[other]),
+                      key=lambda i: (len(self._fresh[i]), i))
+        slow, fast = pair
+        if slow == fast:
+            return 1.0
+        if (slow, fast) not in self._known:
+            rows = self._fresh[slow]
+            x, at = self._signals[slow][rows], np.add.outer(self._shifts, rows)
+            y = self._signals[fast][np.clip(at, 0, len(self._signals[fast]) - 1)]
+            size = np.sqrt(np.sum(x ** 2) * np.sum(y ** 2, axis=1))
+            self._known[slow, fast] = float(np.max(np.abs(y @ x) / np.maximum(size, 1e-300)))
+        return self._known[slow, fast]
+
+
+def fresh_ticks(values: Array) -> NDArray[np.intp]:
+    """Return the ticks at which a held signal has changed."""
+    return np.flatnonzero(np.diff(values, prepend=np.nan) != 0) if len(values) else np.empty(
+        0, np.intp)
 
 
 def _promising(inputs: Sequence[Candidate], listed: Sequence[Candidate],
@@ -214,8 +226,18 @@ def _once(pairs: Sequence[Pair], alike: Alike) -> list[Pair]:
     siblings: list[Pair] = []
     for pair in pairs:
         same = [k for k in (*kept, *siblings) if alike(pair.output, k.output) > _COPY]
-        if any(alike(pair.input, k.input) > _COPY for k in same):
+        twin = next((k for k in same if alike(pair.input, k.input) > _COPY), None)
+        if twin:
+            for own in (kept, siblings):
+                own[:] = [_better_stamped(k, pair, alike) if k is twin else k for k in own]
             continue
         brother = any(k.input.topic is pair.input.topic for k in same)
         (siblings if brother else kept).append(pair)
     return [*kept, *siblings]
+
+
+def _better_stamped(pair: Pair, twin: Pair, alike: Alike) -> Pair:
+    """Return a pair, or that of a copy of its input with stamps of its own."""
+    same = alike(pair.input, twin.input) > _SAME and twin.output is pair.output
+    stamped = twin.input.topic.stamp == 'header' != pair.input.topic.stamp
+    return replace(twin, score=pair.score) if same and stamped else pair
