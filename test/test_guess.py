@@ -19,10 +19,10 @@ from ctsid_ros.config.channels import Config
 from ctsid_ros.config.parameter_file import parse_config, read_config
 from ctsid_ros.config.parameter_text import dump_brief
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings import excerpts
+from ctsid_ros.recordings import portions
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.coherence import lag, mean_coherence
-from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held, stretches
+from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
 from ctsid_ros.recordings.guess import better, guess
 from ctsid_ros.recordings.guess_candidates import no_signal
@@ -279,10 +279,9 @@ def test_what_looks_like_noise_is_not_an_output(tmp_path):
     assert ('/imu', 'angular_velocity.y') in [other[:2] for other in found.others]
 
 
-def test_windows_fit_into_the_bag(tmp_path):
-    for seconds, length in ((8, 4.0), (20, 10.0)):
-        found = guessed(write_mcap(tmp_path / f'{seconds}.mcap', drive(seconds)))
-        assert found.config.settings.window_length == pytest.approx(length, rel=0.05)
+def test_windows_fit_into_the_bag(base, tmp_path):
+    for path, length in ((base, 10.0), (write_mcap(tmp_path / 'bag.mcap', drive(8)), 4.0)):
+        assert guessed(path).config.settings.window_length == pytest.approx(length, rel=0.05)
 
 
 def test_where_nothing_explains_anything_names_decide_and_that_is_said(tmp_path):
@@ -304,19 +303,25 @@ def test_too_little_moves(tmp_path):
         guessed(write_mcap(tmp_path / 'b.mcap', sent[:7]))
 
 
-def test_large_bags_are_read_in_stretches(base, monkeypatch):
+def test_large_bags_are_read_in_portions(base, monkeypatch):
     with open_bag(base) as bag:
-        assert stretches(bag, 10**6) == [(0.0, pytest.approx(29.98))]
-        monkeypatch.setattr(excerpts, '_EXCERPT', 3.0)
-        parts = stretches(bag, 60_000_000)
-        assert len(parts) == 3
-        assert sum(b - a for a, b in parts) == pytest.approx(29.98 / 3)
-        monkeypatch.setattr(excerpts, 'MOST_NUMBERS', 3_000)
-        found = rank(bag, survey(bag))
-    assert len(found.clock.parts) == 5
-    assert found.pairs[0].input.key == ('/twist_out', 'twist.angular.z')
-    span = np.concatenate([found.clock.time[p][[0, -1]] for p in found.clock.parts])
-    assert (np.diff(span) > 0).all()
+        assert portions.portions(bag) == [(0.0, pytest.approx(29.98))]
+        whole = survey(bag)
+        monkeypatch.setattr(portions, '_EXCERPT', 3.0)
+        monkeypatch.setattr(portions, 'MOST_BYTES', bag.size // 2)
+        parts = portions.portions(bag)
+        assert sum(b - a for a, b in parts) == pytest.approx(29.98 / 2, rel=0.01)
+        found = survey(bag)
+        assert f'only {len(parts)} portions of 4 s' in found.notes[-1]
+        for topic, other in zip(whole.topics, found.topics, strict=True):
+            if topic.info.count > 100:
+                assert other.rate == pytest.approx(topic.rate, rel=0.05)
+                assert other.stamps[-1].gaps == topic.stamps[-1].gaps == 0
+        ranking = rank(bag, found)
+    assert len(ranking.clock.parts) == len(parts)
+    assert ranking.pairs[0].input.key == ('/twist_out', 'twist.angular.z')
+    ends = np.concatenate([ranking.clock.time[p][[0, -1]] for p in ranking.clock.parts])
+    assert (np.diff(ends) > 0).all()
 
 
 def test_a_span_of_a_bag(base):

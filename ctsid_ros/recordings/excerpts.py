@@ -18,12 +18,10 @@ from ctsid_core.linear.types import Array
 from ctsid_ros.decoding.block import Columns
 from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.portions import portions
 from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
 
-MOST_BYTES = 2 << 30  # of files that are read: some seconds
 MOST_NUMBERS = 20_000_000  # that are kept: 160 MB
-_EXCERPT = 20.0  # s: shorter ones would show little of slow dynamics
-_MOST_EXCERPTS = 24
 _MOST_RATE, _MOST_TICKS = 100.0, 60_000  # of the common clock [Hz]; robots move below 20 Hz
 _LOST = 5.0  # intervals without a sample after which an output is not known
 _LOST_S = 0.3  # s: but not before
@@ -71,18 +69,6 @@ class Clock:
                 zip(self.starts, (*self.starts[1:], len(self.time)), strict=True)]
 
 
-def stretches(bag: Bag, numbers: int) -> list[tuple[float, float]]:
-    """Return which parts of a bag to read [s after its start], if it holds so many numbers."""
-    duration = (bag.end_ns - bag.start_ns) * 1e-9
-    share = min(MOST_BYTES / max(bag.size, 1), MOST_NUMBERS / max(numbers, 1))
-    if share >= 1 or duration < 2 * _EXCERPT:
-        return [(0.0, duration)]
-    count = int(np.clip(share * duration / _EXCERPT, 3, _MOST_EXCERPTS))
-    length = min(max(share * duration / count, 1.0), duration / count)
-    return [(start, start + length)
-            for start in (np.arange(count) + 0.5) * duration / count - length / 2]
-
-
 def gather(bag: Bag, survey: Survey, fields: Mapping[str, Sequence[FieldPath]]
            ) -> tuple[dict[str, Samples], list[tuple[float, float]]]:
     """
@@ -99,7 +85,8 @@ def gather(bag: Bag, survey: Survey, fields: Mapping[str, Sequence[FieldPath]]
     BagError
         If the bag cannot be read on.
     """
-    parts = stretches(bag, sum(bag.topics[t].count * len(f) for t, f in fields.items()))
+    numbers = sum(bag.topics[topic].count * len(paths) for topic, paths in fields.items())
+    parts = portions(bag, MOST_NUMBERS / max(numbers, 1))
     found: dict[str, list[Columns]] = {topic: [] for topic in fields}
     for first, last in parts:
         span = tuple(bag.start_ns + round(t * 1e9) for t in (first, last))

@@ -4,22 +4,26 @@ What is in a bag: rates, stamps as they are, and the scalars that move.
 
 The work is bounded whatever the size of the bag: stamps of the first `MOST` messages, and the
 scalars of about `DECODED` messages per topic, in runs of `RUN` that are spread over its length.
-Pictures, clouds and the like are counted, not read.
+Of files of many gigabytes only portions are read. Pictures, clouds and the like are counted, not
+read.
 """
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ctsid_core.linear.types import Array
+from ctsid_ros.decoding.block import Block, Columns, Stamps
 from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.bag import Bag, DecodeError, TopicInfo
+from ctsid_ros.recordings.bag import Bag, TopicInfo
+from ctsid_ros.recordings.portions import portions
 from ctsid_ros.recordings.survey_stats import FieldStats, StampStats, field_stats, stamp_stats
 
 MOST = 2_000_000
@@ -110,17 +114,31 @@ class Survey:
 
 @dataclass
 class _Watch:
-    """What is gathered of one topic."""
+    """What is gathered of one topic: columns, block by block."""
 
     info: TopicInfo
     paths: Sequence[FieldPath]
-    every: int  # one run of messages of so many is decoded
+    every: int  # one run of messages of so many is kept
     seen: int = 0
     undecodable: int = 0
-    log: array[int] = field(default_factory=lambda: array('q'))
-    publish: array[int] = field(default_factory=lambda: array('q'))
-    header: array[int] = field(default_factory=lambda: array('q'))
-    values: list[tuple[float, ...]] = field(default_factory=list)
+    log: list[Stamps] = field(default_factory=list)
+    publish: list[Stamps] = field(default_factory=list)
+    header: list[Stamps] = field(default_factory=list)
+    sound: list[NDArray[np.bool_]] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+    cuts: list[int] = field(default_factory=list)  # before which messages nothing was read
+
+    def add(self, rows: Columns) -> None:
+        """Take some messages."""
+        runs = (np.arange(self.seen, self.seen + len(rows)) // RUN) % self.every == 0
+        self.seen += len(rows)
+        self.undecodable += int(np.count_nonzero(~rows.sound))
+        self.log.append(rows.log_ns)
+        self.publish.append(rows.publish_ns)
+        self.sound.append(rows.sound)
+        if rows.header_ns is not None:
+            self.header.append(rows.header_ns[rows.sound])
+        self.values.append(rows.values[runs & rows.sound].astype(float))
 
 
 def survey(bag: Bag, most: int = MOST) -> Survey:
@@ -140,31 +158,38 @@ def survey(bag: Bag, most: int = MOST) -> Survey:
     """
     notes: list[str] = []
     watches, skipped = _watches(bag)
-    last_ns = bag.end_ns
-    stamp_of = {name: bag.extractor(name, []) for name in watches}
-    scalars_of = {name: bag.extractor(name, watch.paths) for name, watch in watches.items()}
-    messages = bag.messages(watches) if watches else ()
-    for seen, (topic, log_ns, publish_ns, raw) in enumerate(messages):
-        if seen == most:
-            last_ns = log_ns
+    parts = portions(bag)
+    if len(parts) > 1:
+        length = parts[0][1] - parts[0][0]
+        notes.append(f'the bag is large: only {len(parts)} portions of {length:.0f} s were '
+                     'looked at')
+    last_ns, left = bag.end_ns, most
+    for block in _blocks(bag, watches, parts):
+        inside = block.split(left)[0]
+        for rows in inside.columns:
+            watches[rows.topic].add(rows)
+        left -= len(inside)
+        if len(inside) < len(block):
+            last_ns = int(block.log_ns[len(inside)])
             notes.append(f'only the first {most} messages were looked at')
             break
-        watch = watches[topic]
-        watch.log.append(log_ns)
-        watch.publish.append(publish_ns)
-        decode = (watch.seen // RUN) % watch.every == 0
-        watch.seen += 1
-        try:
-            watch.header.append(stamp_of[topic](raw)[0] or 0)
-            if decode:
-                watch.values.append(scalars_of[topic](raw)[1])
-        except DecodeError:
-            watch.undecodable += 1
     found = [*(_finish(watch, bag.start_ns) for watch in watches.values()), *skipped]
     return Survey((bag.end_ns - bag.start_ns) * 1e-9, bag.start_ns,
                   sum(info.count for info in bag.topics.values()),
                   (last_ns - bag.start_ns) * 1e-9,
                   tuple(sorted(found, key=lambda t: t.info.name)), (*bag.notes, *notes))
+
+
+def _blocks(bag: Bag, watches: Mapping[str, _Watch], parts: Sequence[tuple[float, float]]
+            ) -> Iterator[Block]:
+    """Yield the messages of the watched topics in some parts of a bag."""
+    for first, last in parts:
+        for watch in watches.values():
+            watch.cuts.append(watch.seen)
+        span = (bag.start_ns + round(first * 1e9), bag.start_ns + round(last * 1e9))
+        for block in bag.blocks({n: w.paths for n, w in watches.items()}, span) if watches else ():
+            low, high = np.searchsorted(block.log_ns, (span[0], span[1] + 1)).tolist()
+            yield block.split(high)[0].split(low)[1]
 
 
 def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
@@ -192,23 +217,26 @@ def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
 
 
 def _finish(watch: _Watch, start_ns: int) -> TopicSurvey:
-    log = np.array(watch.log, dtype=np.int64)
-    if not len(log):
+    if not watch.seen:
         return TopicSurvey(watch.info, note='no message among those looked at')
-    header = np.array(watch.header, dtype=np.int64)
+    log, publish = np.concatenate(watch.log), np.concatenate(watch.publish)
+    header = np.concatenate(watch.header) if watch.header else np.empty(0, np.int64)
+    sound = np.concatenate(watch.sound)
     first, last = (log[[0, -1]] - start_ns) * 1e-9
-    stamps = [stamp_stats('header', header)] if watch.info.has_header else []
-    stamps.append(stamp_stats('log', log))
-    publish = np.array(watch.publish, dtype=np.int64)
+    begins = np.zeros(len(log), bool)
+    begins[[cut for cut in watch.cuts if cut < len(log)]] = True
+    stamps = [stamp_stats('header', header, begins[sound])] if watch.info.has_header else []
+    stamps.append(stamp_stats('log', log, begins))
     if (publish != log).any():
-        stamps.append(stamp_stats('publish', publish))
+        stamps.append(stamp_stats('publish', publish, begins))
     late = math.nan
-    if watch.info.has_header and stamps[0].usable and len(header) == len(log):
-        late = float(np.median(log - header)) * 1e-9
-    rows = np.array(watch.values, dtype=float).reshape(
-        len(watch.values), len(watch.values[0]) if watch.values else 0)
+    if watch.info.has_header and stamps[0].usable:
+        late = float(np.median((log[sound] - header)[header > 0])) * 1e-9
+    rows = np.concatenate(watch.values)
     fields = tuple(field_stats(path, rows[:, i], RUN) for i, path in enumerate(watch.paths)
-                   if i < rows.shape[1])
-    rate = (len(log) - 1) / (last - first) if last > first else math.nan
+                   if len(rows))
+    steps = np.diff(log)[~begins[1:]]
+    length = float(steps.sum()) * 1e-9
+    rate = len(steps) / length if length > 0 else math.nan
     return TopicSurvey(watch.info, float(first), float(last), float(rate), tuple(stamps), late,
                        fields, watch.undecodable)
