@@ -15,7 +15,7 @@ from tangled_bags import KINDS, tangled, write_tangled
 import yaml
 
 from ctsid_ros.cli import main
-from ctsid_ros.config.channels import Config
+from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.parameter_file import parse_config, read_config
 from ctsid_ros.config.parameter_text import dump_brief
 from ctsid_ros.errors import BagError
@@ -24,7 +24,7 @@ from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.coherence import lag, mean_coherence
 from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
-from ctsid_ros.recordings.guess import better, guess
+from ctsid_ros.recordings.guess import _scalars, better, guess
 from ctsid_ros.recordings.guess_candidates import no_signal
 from ctsid_ros.recordings.guess_pairs import Comparison, effective_frequencies, without_slow
 from ctsid_ros.recordings.guess_ranking import rank
@@ -237,6 +237,14 @@ def test_better_pairs_are_known(base):
                                                          field='angular_velocity.x')])
         assert better(bag, good) == []
         assert [p.input.key for p in better(bag, poor)][0] == ('/twist_out', 'twist.angular.z')
+
+
+def test_ranges_are_the_scalars_in_them():
+    path = 'euler(pose.pose.orientation)'
+    channels = [Channel('a', 'input', '/b', 'c/D', 'effort[0:2]'),
+                Channel('r', 'output', '/o', ODOMETRY, path)]
+    assert _scalars(channels) == {('/b', 'effort[0]'), ('/b', 'effort[1]'), *(
+        ('/o', f'{path}.{part}') for part in ('roll', 'pitch', 'yaw'))}
 
 
 def test_joints_with_commands(tmp_path):

@@ -13,6 +13,7 @@ import re
 
 from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
+from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excited import Stretch, excited
@@ -131,14 +132,17 @@ def better(bag: Bag, config: Config) -> list[Pair]:
         If the bag cannot be read on.
     """
     ranking = rank(bag, look_at(bag))
-    inputs, outputs = ({(c.topic, c.field) for c in channels}
-                       for channels in (config.inputs, config.outputs))
-    known = {c.key for c in ranking.found}
-    if not inputs <= known or not outputs <= known:
-        return [] if any(c.width > 1 for c in config.channels) else list(ranking.pairs[:OFFERED])
+    inputs, outputs = _scalars(config.inputs), _scalars(config.outputs)
     used = max((p.score for p in ranking.compared if p.input.key in inputs
                 and p.output.key in outputs), default=0.0)
     return [p for p in ranking.pairs[:OFFERED] if p.score > used + _CLEARLY]
+
+
+def _scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
+    """Return topic and field of each scalar of some channels."""
+    return {(c.topic, str(path)) for c in channels for path in (
+        [FieldPath(c.path.steps, (part,)) for part in c.path.euler]
+        or [FieldPath(leaf) for leaf in c.path.leaves])}
 
 
 def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool

@@ -32,7 +32,7 @@ COMMAND_NAME = re.compile(
     r'steer|voltage|drive|action', re.IGNORECASE)
 MEASURED_NAME = re.compile(
     r'imu|gyro|accel|odom|pose|position|state|measur|sensor|feedback|encoder|vel(?!.*cmd)|'
-    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|output|joint|tracking', re.IGNORECASE)
+    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking', re.IGNORECASE)
 _COMMAND_TYPE = re.compile(
     r'.*(Twist|TwistStamped|Wrench|WrenchStamped|Ackermann\w*|Joy|JointTrajectory\w*|'
     r'AttitudeTarget|PositionTarget|\w*Setpoint|\w*Command|\w*Cmd|Actuator\w*|ManualControl\w*|'
@@ -47,6 +47,7 @@ _NO_MOTION = re.compile(
 STICK = re.compile(r'joy|stick|(^|[/_])rc|manual|teleop', re.IGNORECASE)
 _DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_?point|target|'
                             r'command|cmd)($|[._\[])|temperature|voltage|current|battery')
+_HOUSEKEEPING = re.compile(r'batter|vbat|supply|temperature', re.IGNORECASE)
 FORCE_FIELD = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
 WANTED = re.compile(r'set_?point|desired|target|reference|(^|[/_])ref($|[/_])', re.IGNORECASE)
 
@@ -110,6 +111,8 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
         acts *= 0.95
     if _NO_MOTION.match(kind) or _DERIVED_FIELD.search(field):
         measures *= 0.5
+    if _NO_MOTION.match(kind) or _HOUSEKEEPING.search(field):
+        acts *= 0.5
     return acts, measures
 
 

@@ -33,6 +33,7 @@ _LIKELY = 0.1  # score below which a pair is not offered: its model would be rej
 _COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
 _ECHO = 0.9995  # of an input and what only repeats it
 _SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
+_TIE = 0.92  # factor if past and future explain the same: in a loop they nearly do
 _LONG = 20.0  # s of overlap that are enough
 _NO_HEADER = 0.97  # factor for stamps of the recording: among copies the stamped one is first
 _APART = 0.97  # factor for different name spaces: among twins the pair of one robot is first
@@ -102,7 +103,8 @@ def rank(bag: Bag, survey: Survey) -> Ranking:
         If the bag cannot be read on.
     """
     found, clock = candidates(bag, survey)
-    inputs = sorted(found, key=lambda c: -c.acts)[:_MOST_INPUTS]
+    spread = {c: effective_frequencies(c.held, clock) for c in found}
+    inputs = sorted(found, key=lambda c: -c.acts * _many(spread[c]))[:_MOST_INPUTS]
     outputs = sorted(found, key=lambda c: -c.measures)[:_MOST_OUTPUTS]
     listed = list(dict.fromkeys((*inputs, *outputs)))
     comparison = Comparison(clock, [c.smooth for c in listed]) if len(listed) > 1 else None
@@ -111,7 +113,8 @@ def rank(bag: Bag, survey: Survey) -> Ranking:
     shares = np.array([comparison.screened(u.held) for u in inputs])
     alike = Alike(listed, clock)
     pairs = [pair for i, chosen in _promising(inputs, listed, outputs, shares, alike)
-             for pair in _looked_at(inputs[i], listed, chosen, comparison, clock)]
+             for pair in _looked_at(inputs[i], listed, chosen, comparison, clock,
+                                    spread[inputs[i]])]
     pairs = [_behind(pair, pairs, listed, inputs, shares, alike) for pair in pairs]
     pairs = sorted(pairs, key=lambda p: -p.score)
     likely = [p for p in pairs if p.score >= _LIKELY]
@@ -190,20 +193,23 @@ def _apart(u: Candidate, y: Candidate, listed: Sequence[Candidate]) -> bool:
 
 
 def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
-               comparison: Comparison, clock: Clock) -> list[Pair]:
+               comparison: Comparison, clock: Clock, frequencies: float) -> list[Pair]:
     found = comparison.explained(u.held, chosen)
-    frequencies = effective_frequencies(u.held, clock)
     return [Pair(u, listed[j], e, clock, frequencies, _score(u, listed[j], e, frequencies))
             for j, e in zip(chosen, found, strict=True)]
 
 
 def _score(u: Candidate, y: Candidate, found: Explained, frequencies: float) -> float:
-    first = float(np.clip(0.8 + 0.8 * (found.past - found.future), 0.2, 1.0))
+    first = float(np.clip(_TIE + 0.8 * (found.past - found.future), 0.2, 1.0))
     stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
     spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
     together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0
     return float(found.past * first * min(found.overlap / _LONG, 1.0) * stamps * together
-                 * np.clip(frequencies / _MANY, _LEAST, 1.0) * u.acts * y.measures)
+                 * _many(frequencies) * u.acts * y.measures)
+
+
+def _many(frequencies: float) -> float:
+    return float(np.clip(frequencies / _MANY, _LEAST, 1.0))
 
 
 def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],

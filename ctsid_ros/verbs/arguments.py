@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 import json
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.recordings.guess_ranking import Pair
     from ctsid_ros.recordings.playback import Interval
     from ctsid_ros.report.headline import Run
 
@@ -151,10 +153,12 @@ def _guessed(bag: Bag) -> Config:
 
 def say_better(bags: Sequence[str], config: Config) -> None:
     """Name the pairs of which a recording says more than of those that gave no model."""
+    from ctsid_ros.errors import BagError
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.guess import better
 
-    with open_bag(bags) as bag:
+    pairs: Sequence[Pair] = ()
+    with suppress(BagError), open_bag(bags) as bag:      # the results are written already
         pairs = better(bag, config)
     if pairs:
         listed = '; '.join(f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,7 @@ def command(args: argparse.Namespace) -> int:
     line = next_command(guessed, args.bag, name)
     text = head(guessed, line) + dump_brief(guessed.config)
     if args.output == '-':
+        print(to_text([pair_section(guessed)]), file=sys.stderr)
         print(text, end='')
         return ACCEPTED
     from ctsid_core.model.storage import write_file
