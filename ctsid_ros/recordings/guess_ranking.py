@@ -31,6 +31,7 @@ _MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
 _MOST_PAIRS = 48  # that are looked at closely
 _LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
 _COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
+_AS_LIKELY = 0.8  # a copy is preferred for its stamps if it is as likely a command, or nearly
 _ECHO = 0.9995  # of an input and what only repeats it
 _SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
 _TIE = 0.92  # factor if past and future explain the same: in a loop they nearly do
@@ -40,6 +41,7 @@ _APART = 0.97  # factor for different name spaces: among twins the pair of one r
 _MANY, _LEAST = 6.0, 0.3  # effective frequencies that are enough, and the factor for one alone
 _NEARER, _DRIVES = 0.8, 0.3  # what the command nearer to the plant has to explain of that before,
 _BEHIND = 0.7  # and the factor for that before
+_SIBLINGS, _CROWD = 2, 0.8  # others of its message that explain as much, and the factor for these
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,8 @@ def rank(bag: Bag, survey: Survey) -> Ranking:
     pairs = [pair for i, chosen in _promising(inputs, listed, outputs, shares, alike)
              for pair in _looked_at(inputs[i], listed, chosen, comparison, clock,
                                     spread[inputs[i]])]
-    pairs = [_behind(pair, pairs, listed, inputs, shares, alike) for pair in pairs]
+    pairs = [_in_crowd(pair, pairs) for pair in pairs]
+    pairs = [_behind(pair, pairs, listed, inputs, shares) for pair in pairs]
     pairs = sorted(pairs, key=lambda p: -p.score)
     likely = [p for p in pairs if p.score >= _LIKELY]
     return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
@@ -212,8 +215,16 @@ def _many(frequencies: float) -> float:
     return float(np.clip(frequencies / _MANY, _LEAST, 1.0))
 
 
+def _in_crowd(pair: Pair, pairs: Sequence[Pair]) -> Pair:
+    """Put one of several motors behind what commands them all."""
+    siblings = [p for p in pairs if p.input.topic is pair.input.topic and p is not pair
+                and p.output is pair.output
+                and p.explained.past >= _NEARER * pair.explained.past]
+    return replace(pair, score=_CROWD * pair.score) if len(siblings) >= _SIBLINGS else pair
+
+
 def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
-            inputs: Sequence[Candidate], shares: Array, alike: Alike) -> Pair:
+            inputs: Sequence[Candidate], shares: Array) -> Pair:
     """Put a setpoint or a stick behind the command that it drives, if that explains as much."""
     number = inputs.index(pair.input)
     for other in pairs:
@@ -243,7 +254,9 @@ def _once(pairs: Sequence[Pair], alike: Alike) -> list[Pair]:
 
 
 def _better_stamped(pair: Pair, twin: Pair, alike: Alike) -> Pair:
-    """Return a pair, or that of a copy of its input with stamps of its own."""
-    same = alike(pair.input, twin.input) > _SAME and twin.output is pair.output
-    stamped = twin.input.topic.stamp == 'header' != pair.input.topic.stamp
-    return replace(twin, score=pair.score) if same and stamped else pair
+    """Return a pair, or that of a copy of its input with stamps of its own, but of no stick."""
+    u, copy = pair.input, twin.input
+    same = alike(u, copy) > _SAME and twin.output is pair.output
+    likely = copy.acts >= _AS_LIKELY * u.acts and (u.wanted or not copy.wanted)
+    stamped = copy.topic.stamp == 'header' != u.topic.stamp
+    return replace(twin, score=pair.score) if same and likely and stamped else pair
