@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
-VERBS = ('info', 'init', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study', 'show',
-         'export', 'plot', 'watch', 'params')  # modules of ctsid_ros.verbs
+VERBS = ('info', 'init', 'try', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study',
+         'show', 'export', 'plot', 'watch', 'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
+  ctsid try BAG                               all of the next three in one go
   ctsid info BAG                              what is in it
-  ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
+  ctsid init BAG -o params.yaml               the most promising input and output, to edit
   ctsid identify BAG --params params.yaml     one model of the whole bag
   ctsid replay BAG --params params.yaml       models in sliding windows along it
   ctsid simulate MODEL OTHER_BAG              how well a model simulates another bag

@@ -404,9 +404,10 @@ def test_info_does_not_read_pictures(ctsid, tmp_path):
 
 
 def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
-    code, _, err = ctsid('init', shared / 'bag', '-o', 'params.yaml')
+    code, out, err = ctsid('init', shared / 'bag', '-o', 'params.yaml')
     assert code == 0
-    assert 'looks like a command' in err
+    assert re.search(r'1 \*\s+/cmd data\[0\]\s+/imu angular_velocity.x\s+9\d', out)
+    assert '/cmd data[0] explains 9' in err
     config = read_config('params.yaml')
     assert [(c.topic, c.field, c.role) for c in config.channels] == [
         ('/cmd', 'data[0]', 'input'), ('/imu', 'angular_velocity.x', 'output')]
@@ -584,7 +585,7 @@ def test_wrong_usage_is_2(ctsid, words):
 
 @pytest.mark.parametrize(('word', 'hint'), [
     ('identfy', 'nearest: identify'), ('simulat', 'nearest: simulate'),
-    ('qqq', 'the verbs are info, init, identify')])
+    ('qqq', 'the verbs are info, init, try, identify')])
 def test_an_unknown_verb_gets_the_nearest(ctsid, word, hint):
     code, out, err = ctsid(word, 'bag')
     assert (code, out) == (2, '')

@@ -60,7 +60,8 @@ USERS = {
     'zstandard': ['ctsid_ros.recordings.*'],
     'numpy': ['ctsid_core*', 'ctsid_ros*'],
     'scipy': ['ctsid_core*', 'ctsid_ros.examples.*', 'ctsid_ros.studies.*', 'ctsid_ros.export.*',
-              'ctsid_ros.report.spectra', 'ctsid_ros.report.headline'],
+              'ctsid_ros.recordings.coherence', 'ctsid_ros.report.spectra',
+              'ctsid_ros.report.headline'],
 }
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of a bag, and what is guessed from it."""
+"""What is measured of a bag."""
 
 from __future__ import annotations
 
@@ -10,44 +10,26 @@ from bag_fixtures import (
     IMU,
     START,
     Sent,
-    array,
-    header,
     imu,
-    joints,
-    make,
-    vector,
     write_mcap,
 )
 from bag_fixtures import flight as flight_bag
-from flights import S, at, flight, spoilt, stamp_of
+from flights import flight, spoilt
 import numpy as np
 import pytest
-import yaml
 
-from ctsid_ros.config.parameter_file import parse_config
-from ctsid_ros.config.parameter_text import dump_config
 from ctsid_ros.decoding.field_path import parse_field
-from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.guess import guess
+from ctsid_ros.recordings.guess_ranking import rank
 from ctsid_ros.recordings.survey import RUN, survey
 from ctsid_ros.recordings.survey_stats import field_stats, stamp_stats
 
 FIELD = parse_field('x')
-TWIST, ODOMETRY = 'geometry_msgs/msg/Twist', 'nav_msgs/msg/Odometry'
 
 
 def surveyed(path, **more):
     with open_bag(path) as bag:
         return survey(bag, **more)
-
-
-def guessed(path):
-    return guess(surveyed(path))
-
-
-def fields(found, role: str) -> list[tuple[str, str]]:
-    return [(c.topic, c.field) for c in found.config.channels if c.role == role]
 
 
 # --- measurements
@@ -128,99 +110,6 @@ def test_undecodable_messages_are_counted(tmp_path):
     assert [f.field for f in topics['/imu'].moving] == ['angular_velocity.x']
 
 
-# --- guesses
-
-
-def twist(x: float, yaw: float):
-    return make(TWIST, linear=vector(x), angular=vector(0, 0, yaw))
-
-
-def odometry(stamp_ns: int, x: float, yaw: float):
-    inner = make('geometry_msgs/msg/TwistWithCovariance', twist=twist(x, yaw))
-    return make(ODOMETRY, header=header(stamp_ns), twist=inner)
-
-
-def drive(seconds: int = 20) -> list[Sent]:
-    sent = []
-    for k in range(50 * seconds):
-        stamp, x, yaw = START + k * S // 50, math.sin(k / 20), math.cos(k / 30)
-        sent.append(Sent('/odom', ODOMETRY, stamp, odometry(stamp, x, yaw)))
-        sent.append(Sent('/imu', IMU, stamp, imu(stamp, 0.01 * x)))
-        if k % 5 == 0:
-            sent.append(Sent('/cmd_vel', TWIST, stamp, twist(x, yaw)))
-    return sent
-
-
-def test_drive_base(tmp_path):
-    found = guessed(write_mcap(tmp_path / 'bag.mcap', drive()))
-    assert set(fields(found, 'input')) == {('/cmd_vel', 'linear.x'), ('/cmd_vel', 'angular.z')}
-    assert set(fields(found, 'output')) == {('/odom', 'twist.twist.linear.x'),
-                                            ('/odom', 'twist.twist.angular.z')}
-    units = {c.field: c.unit for c in found.config.channels}
-    assert units['linear.x'] == 'm/s'
-    assert units['twist.twist.angular.z'] == 'rad/s'
-    assert ('/imu', 'angular_velocity.x') in [other[:2] for other in found.others]
-    assert not found.config.settings.feedthrough
-    assert parse_config(yaml.safe_load(dump_config(found.config))) == found.config
-
-
-def test_arm_with_commands(tmp_path):
-    kind = 'sensor_msgs/msg/JointState'
-    sent = []
-    for k in range(500):
-        stamp = START + k * S // 50
-        sent.append(Sent('/joint_states', kind, stamp,
-                         joints(stamp, [math.sin(k / 20), math.cos(k / 20)])))
-        sent.append(Sent('/joint_commands', kind, stamp,
-                         joints(stamp, [math.sin(k / 20 + 0.1), math.cos(k / 20 + 0.1)])))
-    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
-    assert {topic for topic, _ in fields(found, 'input')} == {'/joint_commands'}
-    assert {topic for topic, _ in fields(found, 'output')} == {'/joint_states'}
-
-
-def test_one_topic_with_efforts(tmp_path):
-    sent = [Sent('/joint_states', 'sensor_msgs/msg/JointState', START + k * S // 50,
-                 joints(START + k * S // 50, [math.sin(k / 20)])) for k in range(500)]
-    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
-    assert fields(found, 'input') == [('/joint_states', 'effort[0]')]
-    assert fields(found, 'output')[0][0] == '/joint_states'
-    assert {c.hold for c in found.config.channels} == {'smooth'}  # measured, not held
-
-
-def test_what_looks_like_noise_is_not_an_output(tmp_path):
-    rng = np.random.default_rng(0)
-
-    def noisy(_: int, one: Sent) -> Sent:
-        changed = at(one, stamp_of(one))  # a message of its own: flights share theirs
-        changed.message.angular_velocity.y = rng.standard_normal()
-        return changed
-
-    found = guessed(write_mcap(tmp_path / 'bag.mcap', spoilt('/imu', noisy, flight(10.0))))
-    assert fields(found, 'output') == [('/imu', 'angular_velocity.x')]
-    assert ('/imu', 'angular_velocity.y') in [other[:2] for other in found.others]
-
-
-def test_two_topics_of_which_none_is_named_like_a_command(tmp_path):
-    sent = [Sent(topic, 'std_msgs/msg/Float64MultiArray', START + k * S // 50,
-                 array(math.sin(k / 20 + i))) for k in range(500) for i, topic in
-            enumerate(('/a', '/b'))]
-    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
-    assert {t for t, _ in fields(found, 'input') + fields(found, 'output')} == {'/a', '/b'}
-
-
-def test_windows_fit_into_the_bag(tmp_path):
-    for seconds, length in ((8, 4.0), (20, 10.0)):
-        found = guessed(write_mcap(tmp_path / f'{seconds}.mcap', drive(seconds)))
-        assert found.config.settings.window_length == pytest.approx(length, rel=0.05)
-
-
-def test_too_little_moves(tmp_path):
-    sent = [Sent('/cmd', 'std_msgs/msg/Float64MultiArray', START + k * S // 50,
-                 array(math.sin(k / 20), 1.0)) for k in range(100)]
-    with pytest.raises(BagError, match=r'only data\[0\] of /cmd does'):
-        guessed(write_mcap(tmp_path / 'bag.mcap', sent))
-
-
 @pytest.mark.parametrize('text', ['float64 x\nwstring name\nfloat64 y\n', 'float64 x\n'],
                          ids=['wstring', 'XCDR2'])
 def test_a_topic_that_cannot_be_decoded_leaves_the_others(tmp_path, text):
@@ -234,4 +123,5 @@ def test_a_topic_that_cannot_be_decoded_leaves_the_others(tmp_path, text):
     assert found['/odd'].undecodable == 50
     assert found['/odd'].fields == ()
     assert found['/imu'].moving
-    assert '/odd' not in {c.topic for c in guessed(tmp_path).config.channels}
+    with open_bag(tmp_path) as bag:
+        assert '/odd' not in {c.topic.info.name for c in rank(bag, survey(bag)).found}

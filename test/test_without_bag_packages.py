@@ -35,9 +35,10 @@ def ctsid(*words: object) -> subprocess.CompletedProcess[str]:
                           text=True, check=False, env=os.environ | {'PYTHONPATH': str(ROOT)})
 
 
-@pytest.mark.parametrize('verb', ['info', 'init', 'identify', 'replay', 'compare', 'advise'])
+@pytest.mark.parametrize('verb', ['info', 'init', 'try', 'identify', 'replay', 'compare',
+                                  'advise'])
 def test_what_reads_bags_says_what_to_install(verb, tmp_path):
-    more = ['--out', tmp_path / 'results'] if verb in ('identify', 'replay') else []
+    more = ['--out', tmp_path / 'results'] if verb in ('try', 'identify', 'replay') else []
     done = ctsid(verb, BAG, *more)
     assert (done.returncode, done.stdout) == (1, '')
     assert done.stderr.startswith('ctsid: error: reading bags needs the Python package ')

@@ -18,6 +18,8 @@ _HEAD = ('One file serves the node (--ros-args --params-file FILE) and the comma
          '(--params FILE).')
 LISTS = {'inputs': 'Names of the channels that act on the plant, in the order of the model.',
           'outputs': 'Names of the channels that measure it.'}
+_FIRST = ('order', 'feedthrough', 'window.length', 'window.stride',
+          'window.max_delay')
 _PLAIN = re.compile(r'[A-Za-z_/][\w./-]*', re.ASCII)
 _OTHER_MEANING = {'y', 'n', 'yes', 'no', 'on', 'off', 'true', 'false', 'null'}
 
@@ -40,6 +42,58 @@ def dump_config(config: Config, comments: bool = True) -> str:
     if not comments:
         lines = [line for line in lines if line and not line.lstrip().startswith('#')]
     return '\n'.join(lines) + '\n'
+
+
+def dump_brief(config: Config) -> str:
+    """
+    Return a parameter file of one page that reads back equal.
+
+    What was decided for these channels stands there; all else is commented out, with its default.
+    """
+    lines = _comment(_HEAD, 0) + ['/**:', '  ros__parameters:']
+    for key, channels in (('inputs', config.inputs), ('outputs', config.outputs)):
+        lines.append(f'    {key}: [{", ".join(_text(channel.name) for channel in channels)}]')
+    for channel in (*config.inputs, *config.outputs):
+        lines += ['', f'    {_text(channel.name)}:  # {channel.role}']
+        for key, declared in CHANNEL_KEYS.items():
+            if key != 'delay' or channel.role == 'input':
+                lines += _brief(key, declared, channel, 6)
+    lines += ['', *_comment('Most often changed; docs/parameters.md explains all, and `ctsid '
+                            'params` prints it.', 4)]
+    plain = {key: declared for key, declared in SETTINGS_KEYS.items() if key != 'delay'}
+    first = {key: plain[key] for key in _FIRST}
+    lines += _brief_groups(first, config.settings, shown=True)
+    lines += ['', *_comment('The rest, at its defaults; remove the # to change a value.', 4)]
+    lines += _brief_groups({key: d for key, d in plain.items() if key not in first},
+                           config.settings)
+    lines += ['', *_comment('For the node only:', 4)]
+    lines += _brief_groups(NODE_KEYS, config.node)
+    return '\n'.join(lines) + '\n'
+
+
+def _brief_groups(keys: Mapping[str, Field[Any]], owner: object, shown: bool = False
+                  ) -> list[str]:
+    """Return entries group by group; a group of which nothing is set is commented out too."""
+    groups: dict[str, list[str]] = {'': []}
+    for name, declared in keys.items():
+        group, _, key = name.rpartition('.')
+        groups.setdefault(group, []).extend(
+            _brief(key, declared, owner, 6 if group else 4, shown))
+    lines = groups.pop('')
+    for group, entries in groups.items():
+        hidden = all(line.lstrip().startswith('#') for line in entries)
+        lines += [f'    {"# " * hidden}{group}:', *entries]
+    return lines
+
+
+def _brief(key: str, declared: Field[Any], owner: object, indent: int, shown: bool = False
+           ) -> list[str]:
+    """Return an entry, commented out if it has its default and need not be shown."""
+    value = getattr(owner, declared.name)
+    usual = declared.default if declared.name != 'hold' else 'zoh' if getattr(
+        owner, 'role', '') == 'input' else 'smooth'
+    hidden = not shown and declared.default is not MISSING and value == usual
+    return [f'{" " * indent}{"# " * hidden}{key}: {value_text(declared, value)}']
 
 
 def _grouped(keys: Mapping[str, Field[Any]], owner: object) -> list[str]:

@@ -60,12 +60,14 @@ class Bag:
         First and last log time of all messages; 0 if there are none.
     own_clock : bool
         Whether these count from a start of their own, as autopilots do.
+    size : int
+        Of its files [bytes].
     """
 
     def __init__(self, recordings: Sequence[Recording], notes: Iterable[str],
-                 resources: ExitStack) -> None:
+                 resources: ExitStack, size: int = 0) -> None:
         self._recordings = tuple(recordings)
-        self._resources = resources
+        self._resources, self.size = resources, size
         joined = join_topics(self._recordings)
         self._types, self._names = joined.types, joined.names
         self._notes = dict.fromkeys([*notes, *joined.notes])
@@ -82,7 +84,8 @@ class Bag:
         """What was damaged, recovered, skipped or odd; may grow while messages are read."""
         return tuple(self._notes)
 
-    def blocks(self, fields: Mapping[str, Sequence[FieldPath]]) -> Iterator[Block]:
+    def blocks(self, fields: Mapping[str, Sequence[FieldPath]],
+               span_ns: tuple[int, int] | None = None) -> Iterator[Block]:
         """
         Iterate over the messages of some topics as columns, a few thousand rows at a time.
 
@@ -90,6 +93,8 @@ class Bag:
         ----------
         fields : mapping of str to sequence of FieldPath
             Wanted of each topic; they are the columns, in this order.
+        span_ns : (int, int), optional
+            First and last log time that matter: what lies far outside is not read.
 
         Returns
         -------
@@ -101,24 +106,9 @@ class Bag:
         BagError
             If a topic or field is not in the bag, or it cannot be read on.
         """
-        return self.decoded({topic: self.extractor(topic, [
-            self.bind(topic, path) for path in paths]).columns for topic, paths in fields.items()})
-
-    def decoded(self, decoders: Mapping[str, Decode]) -> Iterator[Block]:
-        """
-        Iterate over the messages of some topics as columns of what decoders make of them.
-
-        Parameters
-        ----------
-        decoders : mapping of str to Decode
-            By topic.
-
-        Raises
-        ------
-        BagError
-            If a topic is not in the bag, or it cannot be read on.
-        """
-        return self._blocks({topic: unpacking(decode) for topic, decode in decoders.items()})
+        return self._blocks({topic: unpacking(self.extractor(topic, [
+            self.bind(topic, path) for path in paths]).columns)
+            for topic, paths in fields.items()}, span_ns)
 
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
@@ -134,14 +124,15 @@ class Bag:
         wanted = dict.fromkeys(self.topics if topics is None else topics, unpacking(raw))
         return (message for block in self._blocks(wanted) for message in _rows(block))
 
-    def _blocks(self, decoders: Mapping[str, Decode]) -> Iterator[Block]:
+    def _blocks(self, decoders: Mapping[str, Decode],
+                span_ns: tuple[int, int] | None = None) -> Iterator[Block]:
         names = list(decoders)
         slots = {self.topic(name).name: slot for slot, name in enumerate(names)}
         streams: list[tuple[int, Callable[[], Iterator[Block]]]] = []
         for recording, topics in zip(self._recordings, self._names, strict=True):
             chosen = {number: slots[name] for number, name in topics.items() if name in slots}
-            if chosen:
-                wanted = Wanted(chosen, names, list(decoders.values()))
+            wanted = Wanted(chosen, names, list(decoders.values()), span_ns)
+            if chosen and wanted.overlaps(recording.start_ns, recording.end_ns):
                 streams.append((recording.start_ns, partial(self._stream, recording, wanted)))
         return merge_in_time(streams) if len(streams) != 1 else streams[0][1]()
 
@@ -316,7 +307,8 @@ def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
         if time and not any(recording.alone for recording in recordings.values()):
             raise BagError(f'{" and ".join(time)} would be the time of a table (CSV, Parquet), '
                            'but there is none; leave --time out')
-        return Bag(tuple(recordings.values()), notes, resources.pop_all())
+        size = sum(path.stat().st_size for path in recordings)
+        return Bag(tuple(recordings.values()), notes, resources.pop_all(), size)
 
 
 def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],

@@ -150,7 +150,8 @@ def blocks_in_order(
     locate : callable
         Finds the wanted messages in the contents of some chunks.
     """
-    batches = list(_batches(sorted((c for c in chunks if c.holds(wanted.slots)),
+    batches = list(_batches(sorted((c for c in chunks if c.holds(wanted.slots)
+                                    and wanted.overlaps(c.start_ns, c.end_ns)),
                                    key=attrgetter('start_ns'))))
     pending = wanted.block(())
     free: list[Room] = []

@@ -1,55 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A first guess of channels, for people to correct.
+A first guess of channels, for people to correct: the best pair of `guess_ranking.py`, or another.
 
-What acts on a robot and what is measured of it is guessed by message types and by the words in
-topic and field names; of those, only scalars that move are taken.
+Where no pair stands out, names and types of messages decide alone, and the guess says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-import math
 import re
 
 from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
+from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.survey import Survey, TopicSurvey
-from ctsid_ros.recordings.survey_stats import FieldStats
+from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.excited import Stretch, excited
+from ctsid_ros.recordings.guess_candidates import Candidate
+from ctsid_ros.recordings.guess_pairs import Explained
+from ctsid_ros.recordings.guess_ranking import Pair, Ranking, rank
+from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
+from ctsid_ros.recordings.survey import survey as look_at
 
-MOST_INPUTS, MOST_OUTPUTS = 4, 3
-_SMALL = 0.15  # of the largest movement of its group: below, a field is left out
-_CLOCKS = 0.5  # header and log apart by more than this are two clocks [s]
-
-_INPUT_NAME = re.compile(
-    r'cmd|command|set_?point|target|desired|reference|(^|[/_])ref($|[/_])|control(?!ler_state)|'
-    r'effort|torque|wrench|thrust|throttle|joy|stick|(^|[/_])rc|pwm|servo|motor|actuator|input|'
-    r'steer|voltage|drive|action', re.IGNORECASE)
-_OUTPUT_NAME = re.compile(
-    r'imu|gyro|accel|odom|pose|position|state|measur|sensor|feedback|encoder|vel(?!.*cmd)|'
-    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|output|joint|tracking', re.IGNORECASE)
-_INPUT_TYPE = re.compile(
-    r'.*(Twist|TwistStamped|Wrench|WrenchStamped|Ackermann\w*|Joy|JointTrajectory\w*|'
-    r'AttitudeTarget|PositionTarget|\w*Setpoint|\w*Command|\w*Cmd|Actuator\w*|ManualControl\w*|'
-    r'RCIn|RCOut|RcChannels|Thrust|MultiArray|JointJog|MotorSpeed|\w*Control)$')
-_OUTPUT_TYPE = re.compile(
-    r'.*(Imu|Odometry|Pose\w*|Transform\w*|TwistWithCovariance\w*|JointState|\w*State|\w*Status|'
-    r'VehicleOdometry|VehicleAttitude|VehicleAngularVelocity|SensorCombined|MagneticField|'
-    r'NavSatFix|Range|FluidPressure|Accel\w*|Altitude|\w*Measurement)$')
-# Groups of fields (all up to the last name or index), the most telling first.
-_OUTPUT_FIELDS = (r'angular_velocity|gyro', r'twist|velocity|linear$|angular$', r'euler',
-                  r'position', r'acceleration', r'')
-_INPUT_FIELDS = (r'torque|moment|effort', r'force|thrust', r'angular|linear|twist|velocity',
-                 r'axes|channels|data|control|position', r'')
-_MEASURED_INPUT = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control|'
-                             r'^u(_|\d|\[|$)|[ROPY]Out$')
+OFFERED = 3  # pairs that are shown
+_MOST_STRETCHES = 3  # that are identified from: more take long and tell little more
+_BY_NAMES = ('no scalar of this bag explains the motion of another one: the channels are only '
+             'guessed by their names: check them, and whether there is an experiment')
+_CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
+_FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
           ('force', 'N'), (r'angular\.', 'rad/s'), (r'linear\.', 'm/s'), ('euler', 'rad'),
           (r'position\.[xyz]$', 'm'), (r'^velocity\[', 'rad/s'), (r'^position\[', 'rad'),
           (r'^effort\[', 'N m'), ('steering_angle', 'rad'), ('speed$', 'm/s'))
-_Choice = tuple[TopicSurvey, list[FieldStats]]
 
 
 @dataclass(frozen=True)
@@ -60,133 +43,169 @@ class Guess:
     Parameters
     ----------
     config : Config
+    pairs : tuple of Pair
+        What was to be chosen from, the best first.
+    pick : int
+        Which of them was taken, from 1.
     reasons : tuple of str
         A sentence on each thing that was decided, or is doubtful.
     others : tuple of (topic, field, standard deviation)
         What moves as well and was not chosen.
+    stretches : tuple of Stretch
+        Where the input excites the plant; empty if it does so all the time.
     """
 
     config: Config
+    pairs: tuple[Pair, ...]
+    pick: int
     reasons: tuple[str, ...]
     others: tuple[tuple[str, str, float], ...]
+    stretches: tuple[Stretch, ...]
+
+    @property
+    def pair(self) -> Pair:
+        """The pair that was taken."""
+        return self.pairs[self.pick - 1]
+
+    @property
+    def best_stretches(self) -> tuple[Stretch, ...]:
+        """The stretches to identify from: those with most energy, in order of time."""
+        best = sorted(self.stretches, key=lambda s: -s.energy)[:_MOST_STRETCHES]
+        return tuple(s for s in self.stretches if s in best and s.energy > _FEEBLE)
 
 
-def guess(survey: Survey) -> Guess:
+def guess(bag: Bag, survey: Survey, pick: int = 1) -> Guess:
     """
     Choose channels and windows for a bag.
+
+    Parameters
+    ----------
+    bag : Bag
+    survey : Survey
+        Of this bag.
+    pick : int, optional
+        Which of the offered pairs to take, from 1.
 
     Raises
     ------
     BagError
-        If fewer than two scalars move in it.
+        If fewer than two scalars move in it, or there are not so many pairs.
     """
-    topics = [topic for topic in survey.topics if topic.moving]
-    count = sum(len(topic.moving) for topic in topics)
-    if count < 2:
+    guesses = all_guesses(bag, survey, strict=True)
+    if pick > len(guesses):
+        raise BagError(f'there {"is" if len(guesses) == 1 else "are"} only {len(guesses)} to pick '
+                       'from; `ctsid init` without --pick shows them')
+    return guesses[pick - 1]
+
+
+def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False) -> list[Guess]:
+    """
+    Return the guesses that are offered for a bag, the best first.
+
+    Parameters
+    ----------
+    bag : Bag
+    survey : Survey
+        Of this bag.
+    strict : bool, optional
+        Whether names alone may decide, and it is an error if there is nothing to choose from.
+
+    Raises
+    ------
+    BagError
+        Like `guess`, if it is strict.
+    """
+    ranking = rank(bag, survey)
+    by_names = strict and not ranking.pairs
+    pairs = _by_names(ranking, survey) if by_names else ranking.pairs[:OFFERED]
+    return [_guess(ranking, survey, pairs, number, by_names)
+            for number in range(1, len(pairs) + 1)]
+
+
+def better(bag: Bag, config: Config) -> list[Pair]:
+    """
+    Return pairs of which the data of a bag say clearly more than of those of a config.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read on.
+    """
+    ranking = rank(bag, look_at(bag))
+    inputs, outputs = _scalars(config.inputs), _scalars(config.outputs)
+    used = max((p.score for p in ranking.compared if p.input.key in inputs
+                and p.output.key in outputs), default=0.0)
+    return [p for p in ranking.pairs[:OFFERED] if p.score > used + _CLEARLY]
+
+
+def _scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
+    """Return topic and field of each scalar of some channels."""
+    return {(c.topic, str(path)) for c in channels for path in (
+        [FieldPath(c.path.steps, (part,)) for part in c.path.euler]
+        or [FieldPath(leaf) for leaf in c.path.leaves])}
+
+
+def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool
+           ) -> Guess:
+    pair = pairs[pick - 1]
+    reasons = [_BY_NAMES if by_names else _why(pair)]
+    config = Config(_channels(pair, reasons), _settings(survey, pair))
+    used = (pair.input.key, pair.output.key)
+    others = tuple((*c.key, c.field.std) for c in ranking.found if c.key not in used)
+    return Guess(config, pairs, pick, tuple(reasons), others,
+                 excited(pair.input.held, ranking.clock))
+
+
+def _why(pair: Pair) -> str:
+    found = pair.explained
+    sentence = (f'{words(pair.input)} explains {100 * found.past:.0f} % of the motion of '
+                f'{words(pair.output)}, from its past and in data held out')
+    return sentence if found.past > found.future else (
+        f'{sentence}; but its future would explain {100 * found.future:.0f} %: a loop may be '
+        'closed around them, or the roles are the other way round')
+
+
+def words(signal: Candidate) -> str:
+    """Return topic and field."""
+    return ' '.join(signal.key)
+
+
+def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
+    """Return pairs where the data do not say: what is named like a command, a measurement."""
+    found = ranking.found
+    pairs = sorted((Pair(u, y, Explained(), ranking.clock)
+                    for u in found for y in found if u is not y),
+                   key=lambda p: (p.input.key[0] == p.output.key[0], p.output.field.white,
+                                  -p.input.acts * p.output.measures))
+    if not pairs:
         raise BagError('a model needs an input and an output that move, but '
-                       + (f'only {topics[0].moving[0].field} of {topics[0].info.name} does'
-                          if count else 'nothing in this bag does')
-                       + '; `ctsid info` shows what is there')
-    reasons: list[str] = []
-    inputs, outputs = _choose(topics, reasons)
-    taken: set[str] = set()
-    chosen = [*_channels(inputs, 'input', taken), *_channels(outputs, 'output', taken)]
-    if inputs[0] is outputs[0]:  # measured together: not a command that is held
-        chosen = [replace(c, hold='smooth') if c.role == 'input' else c for c in chosen]
-    if _clocks_differ(inputs, outputs):
-        chosen = [replace(c, stamp='log') for c in chosen]
+                       + _what_moves(found, survey) + '; `ctsid info` shows what is there')
+    return tuple(pairs[:OFFERED])
+
+
+def _what_moves(found: Sequence[Candidate], survey: Survey) -> str:
+    if found:
+        return f'only {found[0].key[1]} of {found[0].key[0]} does'
+    moving = [(t, f.field) for t in survey.topics for f in t.moving]
+    few = ', '.join(f'{field} of {topic.info.name} ({topic.info.count} messages)'
+                    for topic, field in moving[:4])
+    return f'what changes is a switch, a clock or too short: {few}' if few else \
+        'nothing in this bag does'
+
+
+def _channels(pair: Pair, reasons: list[str]) -> tuple[Channel, ...]:
+    u, y = pair.input, pair.output
+    stamp = 'auto'
+    if u.topic.stamp != y.topic.stamp and any(abs(c.topic.late) > CLOCKS for c in (u, y)):
+        stamp = 'log'
         reasons.append('the headers are of another clock than the recording, and not all '
                        'messages have one: all stamps are those of the recording')
-    accelerations = any('acceleration' in c.field for c in chosen if c.role == 'output')
-    config = Config(tuple(chosen), _settings(survey, accelerations))
-    used = {(c.topic, c.field) for c in chosen}
-    others = [(t.info.name, f.field, f.std) for t in topics for f in t.moving
-              if (t.info.name, f.field) not in used]
-    return Guess(config, tuple(reasons), tuple(others))
-
-
-def _choose(topics: Sequence[TopicSurvey], reasons: list[str]) -> tuple[_Choice, _Choice]:
-    """Return topic and fields of the inputs and of the outputs."""
-    acting = max(topics, key=_acts)
-    rest = [topic for topic in topics if topic is not acting]
-    if not rest:
-        return _split(acting, reasons)
-    measured = max(rest, key=lambda topic: _measures(topic, acting))
-    if _acts(acting) <= 0:
-        both = max(topics, key=lambda topic: any(
-            _MEASURED_INPUT.search(f.field) for f in topic.moving))
-        if any(_MEASURED_INPUT.search(f.field) for f in both.moving) and len(both.moving) > 1:
-            return _split(both, reasons)
-        reasons.append(f'nothing is named like a command: whether {acting.info.name} acts on the '
-                       'robot is only a guess: check it')
-    inputs = acting, _fields(acting.moving, _INPUT_FIELDS, MOST_INPUTS)
-    outputs = measured, _fields(measured.moving, _OUTPUT_FIELDS, MOST_OUTPUTS, noise=False)
-    reasons.append(f'{acting.info.name} looks like a command, {measured.info.name} like a '
-                   'measurement, by their names and types')
-    return inputs, outputs
-
-
-def _split(topic: TopicSurvey, reasons: list[str]) -> tuple[_Choice, _Choice]:
-    """Choose inputs and outputs among the fields of one topic."""
-    acting = [f for f in topic.moving if _MEASURED_INPUT.search(f.field)]
-    if not acting or len(acting) == len(topic.moving):
-        acting = [topic.moving[0]]
-    rest = [f for f in topic.moving if f not in acting]
-    reasons.append(f'inputs and outputs are both of {topic.info.name}: which of its fields act '
-                   'on the robot is guessed by their names: check it')
-    return ((topic, _fields(acting, _INPUT_FIELDS, MOST_INPUTS)),
-            (topic, _fields(rest, _OUTPUT_FIELDS, MOST_OUTPUTS, noise=False)))
-
-
-def _acts(topic: TopicSurvey) -> float:
-    name, kind = topic.info.name, topic.info.type
-    score = 3.0 * bool(_INPUT_NAME.search(name)) + 2.0 * bool(_INPUT_TYPE.match(kind))
-    score -= 1.0 * bool(_OUTPUT_NAME.search(name)) + 1.5 * bool(_OUTPUT_TYPE.match(kind))
-    score += 0.5 * ('torque' in name)  # that acts on the body itself
-    return score + 1e-3 * min(len(topic.moving), 8) - 1e-9 * len(name)
-
-
-def _measures(topic: TopicSurvey, acting: TopicSurvey) -> float:
-    name, kind = topic.info.name, topic.info.type
-    score = 3.0 * bool(_OUTPUT_TYPE.match(kind)) + 2.0 * bool(_OUTPUT_NAME.search(name))
-    score -= 3.0 * bool(_INPUT_NAME.search(name)) + 1.0 * bool(_INPUT_TYPE.match(kind))
-    likely = 'Odometry' if 'Twist' in acting.info.type or 'Ackermann' in acting.info.type \
-        else 'Joint' if 'Joint' in acting.info.type else 'Imu'
-    # A rate rather than nothing in particular; the common name space counts a little.
-    score += 1.0 * (likely in kind or 'AngularVelocity' in kind)
-    score += 0.5 * any('velocity' in f.field for f in topic.moving)
-    same = topic.info.name.split('/')[1] == acting.info.name.split('/')[1] \
-        if topic.info.name.count('/') > 1 and acting.info.name.count('/') > 1 else False
-    return score + 0.25 * same + min(topic.rate, 1e3) * 1e-5 if topic.rate > 0 else score - 1.0
-
-
-def _fields(moving: Iterable[FieldStats], groups: Sequence[str], most: int,
-            noise: bool = True) -> list[FieldStats]:
-    """Return the fields of the first group that moves, without what moves little in it."""
-    moving = list(moving)
-    lively = [f for f in moving if not f.white]
-    candidates = moving if noise or not lively else lively
-    for pattern in groups:
-        found = [f for f in candidates if re.search(pattern, _group(f.field))]
-        # An angle that winds up or a heading has no operating point to be linear about.
-        found = [f for f in found if f.high - f.low < 2 * math.pi] or found \
-            if pattern == 'euler' else found
-        if found:
-            largest = max(f.std for f in found)
-            kept = [f for f in found if f.std >= _SMALL * largest]
-            return kept[:most]
-    return candidates[:most]
-
-
-def _group(text: str) -> str:
-    """Return a field without its last name or index; all of an angle."""
-    return text if text.startswith('euler') else re.sub(r'(\.[xyzw]|\[\d+\])$', '', text)
-
-
-def _channels(choice: _Choice, role: Role, taken: set[str]) -> list[Channel]:
-    topic, fields = choice
-    return [Channel(_name(topic, f.field, taken), role, topic.info.name, topic.info.type,
-                    f.field, _unit(f.field)) for f in fields]
+    measured = u.topic is y.topic or u.acts < u.measures    # not a command that is held
+    taken: set[str] = set()
+    roles: tuple[tuple[Candidate, Role], ...] = ((u, 'input'), (y, 'output'))
+    channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
+                        c.key[1], _unit(c.key[1]), stamp=stamp) for c, role in roles]
+    return tuple(replace(c, hold='smooth') if measured else c for c in channels)
 
 
 def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
@@ -209,16 +228,11 @@ def _unit(text: str) -> str:
     return next((unit for pattern, unit in _UNITS if re.search(pattern, text)), '')
 
 
-def _clocks_differ(*choices: _Choice) -> bool:
-    sources = {topic.stamp for topic, _ in choices}
-    return len(sources) > 1 and any(abs(topic.late) > _CLOCKS for topic, _ in choices)
-
-
-def _settings(survey: Survey, accelerations: bool) -> Settings:
+def _settings(survey: Survey, pair: Pair) -> Settings:
     """Return windows that a newcomer can start with: a tenth of the bag, 10 to 60 s."""
     length = min(max(survey.duration / 10.0, 10.0), 60.0)
     if survey.duration < 2 * length:
         length = survey.duration / 2.0
     length = max(float(f'{length:.2g}'), 0.01)
-    return Settings(feedthrough=accelerations, window_length=length,
+    return Settings(feedthrough='acceleration' in pair.output.key[1], window_length=length,
                     window_stride=float(f'{max(length / 10.0, 0.001):.2g}'))

@@ -59,11 +59,19 @@ class Wanted(NamedTuple):
         Number of the topic, by connection.
     topics : sequence of str
     decoders : sequence of Decode
+    span_ns : (int, int), optional
+        Log times outside of which nothing is wanted; a reader may give more.
     """
 
     slots: Mapping[int, int]
     topics: Sequence[str]
     decoders: Sequence[Decode]
+    span_ns: tuple[int, int] | None = None
+
+    def overlaps(self, start_ns: int, end_ns: int) -> bool:
+        """Whether anything is wanted of a piece with these first and last log times."""
+        return self.span_ns is None or (start_ns <= self.span_ns[1]
+                                        and end_ns >= self.span_ns[0])
 
     def block(self, found: Sequence[Located]) -> Block:
         """Decode what a reader has found."""

@@ -122,8 +122,9 @@ def _sound(database: sqlite3.Connection) -> str:
 def _blocks(path: Path, database: sqlite3.Connection, sound: str, wanted: Wanted, note: Note
             ) -> Iterator[Block]:
     marks = ', '.join('?' * len(wanted.slots))
+    within = 'AND timestamp BETWEEN {} AND {}'.format(*wanted.span_ns) if wanted.span_ns else ''
     query = (f'SELECT timestamp, topic_id, data FROM messages WHERE topic_id IN ({marks}) '
-             f'AND {sound} ORDER BY timestamp, id')
+             f'AND {sound} {within} ORDER BY timestamp, id')
     given, count = 0, _ROWS
     try:
         cursor = database.execute(query, tuple(wanted.slots))

@@ -4,12 +4,13 @@ What is in a bag: rates, stamps as they are, and the scalars that move.
 
 The work is bounded whatever the size of the bag: stamps of the first `MOST` messages, and the
 scalars of about `DECODED` messages per topic, in runs of `RUN` that are spread over its length.
-Pictures, clouds and the like are counted, not read.
+Of files of many gigabytes only portions are read. Pictures, clouds and the like are counted, not
+read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import re
@@ -18,13 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
-from ctsid_ros.decoding.block import Columns, Decoded, Located, Stamps
-from ctsid_ros.decoding.cdr import Extractor, chosen
+from ctsid_ros.decoding.block import Block, Columns, Stamps
+from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag, TopicInfo
+from ctsid_ros.recordings.portions import portions
 from ctsid_ros.recordings.survey_stats import FieldStats, StampStats, field_stats, stamp_stats
 
 MOST = 2_000_000
+CLOCKS = 0.5  # header and log apart by more than this are two clocks [s]
 DECODED = 2048
 RUN = 32
 _BULKY = re.compile(
@@ -33,7 +36,8 @@ _BULKY = re.compile(
     r'ParameterEvent|ParameterDescriptions|Config|RobotDescription|Clock)$')
 # Numbers that are no signals: bookkeeping, and what says how sure the others are.
 _NOT_A_SIGNAL = re.compile(
-    r'covariance|(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|'
+    r'covariance|variance|(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
+    r'(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|buttons|flags|'
     r'checksum|crc|height|width|step|data_offset)($|[._\[])')
 
 
@@ -110,43 +114,31 @@ class Survey:
 
 @dataclass
 class _Watch:
-    """What is gathered of one topic."""
+    """What is gathered of one topic: columns, block by block."""
 
     info: TopicInfo
-    stamp_of: Extractor
-    scalars_of: Extractor
-    every: int  # one run of messages of so many is decoded
-    seen: int = 0  # by the decoder: up to a batch ahead of what is gathered
-    decoded: int = 0
+    paths: Sequence[FieldPath]
+    every: int  # one run of messages of so many is kept
+    seen: int = 0
     undecodable: int = 0
     log: list[Stamps] = field(default_factory=list)
     publish: list[Stamps] = field(default_factory=list)
     header: list[Stamps] = field(default_factory=list)
-    chosen: list[Array] = field(default_factory=list)  # scalars, in the order of the decoder
-    places: list[NDArray[np.intp]] = field(default_factory=list)  # theirs, in the order of time
+    sound: list[NDArray[np.bool_]] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+    cuts: list[int] = field(default_factory=list)  # before which messages nothing was read
 
-    def decode(self, parts: Sequence[Located]) -> Decoded:
-        """Read the stamps of all messages and the scalars of some; values are their places."""
-        found = self.stamp_of.columns(parts)
-        count = len(found.sound)
-        some = (np.arange(self.seen, self.seen + count) // RUN) % self.every == 0
-        self.seen += count
-        places, sound = np.full(count, -1), found.sound.copy()
-        _, values, whole = self.scalars_of.columns(chosen(parts, np.flatnonzero(some)))
-        sound[some] &= whole
-        places[some & sound] = np.arange(self.decoded, self.decoded + (some & sound).sum())
-        self.chosen.append(values[sound[some]])
-        self.decoded += len(self.chosen[-1])
-        return Decoded(found.header_ns, places, sound)
-
-    def take(self, rows: Columns) -> None:
-        """Gather messages in the order of time."""
+    def add(self, rows: Columns) -> None:
+        """Take some messages."""
+        runs = (np.arange(self.seen, self.seen + len(rows)) // RUN) % self.every == 0
+        self.seen += len(rows)
+        self.undecodable += int(np.count_nonzero(~rows.sound))
         self.log.append(rows.log_ns)
         self.publish.append(rows.publish_ns)
+        self.sound.append(rows.sound)
         if rows.header_ns is not None:
             self.header.append(rows.header_ns[rows.sound])
-        self.places.append(rows.values[rows.values >= 0])
-        self.undecodable += int(np.count_nonzero(~rows.sound))
+        self.values.append(rows.values[runs & rows.sound].astype(float))
 
 
 def survey(bag: Bag, most: int = MOST) -> Survey:
@@ -166,17 +158,19 @@ def survey(bag: Bag, most: int = MOST) -> Survey:
     """
     notes: list[str] = []
     watches, skipped = _watches(bag)
-    last_ns = bag.end_ns
-    left = most
-    blocks = bag.decoded({name: watch.decode for name, watch in watches.items()}) \
-        if watches else iter(())
-    for block in blocks:
-        inside, rest = block.split(left)
+    parts = portions(bag)
+    if len(parts) > 1:
+        length = parts[0][1] - parts[0][0]
+        notes.append(f'the bag is large: only {len(parts)} portions of {length:.0f} s were '
+                     'looked at')
+    last_ns, left = bag.end_ns, most
+    for block in _blocks(bag, watches, parts):
+        inside = block.split(left)[0]
         for rows in inside.columns:
-            watches[rows.topic].take(rows)
+            watches[rows.topic].add(rows)
         left -= len(inside)
-        if len(rest):
-            last_ns = int(rest.log_ns[0])
+        if len(inside) < len(block):
+            last_ns = int(block.log_ns[len(inside)])
             notes.append(f'only the first {most} messages were looked at')
             break
     found = [*(_finish(watch, bag.start_ns) for watch in watches.values()), *skipped]
@@ -184,6 +178,18 @@ def survey(bag: Bag, most: int = MOST) -> Survey:
                   sum(info.count for info in bag.topics.values()),
                   (last_ns - bag.start_ns) * 1e-9,
                   tuple(sorted(found, key=lambda t: t.info.name)), (*bag.notes, *notes))
+
+
+def _blocks(bag: Bag, watches: Mapping[str, _Watch], parts: Sequence[tuple[float, float]]
+            ) -> Iterator[Block]:
+    """Yield the messages of the watched topics in some parts of a bag."""
+    for first, last in parts:
+        for watch in watches.values():
+            watch.cuts.append(watch.seen)
+        span = (bag.start_ns + round(first * 1e9), bag.start_ns + round(last * 1e9))
+        for block in bag.blocks({n: w.paths for n, w in watches.items()}, span) if watches else ():
+            low, high = np.searchsorted(block.log_ns, (span[0], span[1] + 1)).tolist()
+            yield block.split(high)[0].split(low)[1]
 
 
 def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
@@ -203,32 +209,34 @@ def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
             continue
         try:
             paths = [p for p in bag.scalar_fields(name) if not _NOT_A_SIGNAL.search(str(p))]
-            stamp_of, scalars_of = bag.extractor(name, []), bag.extractor(name, paths)
         except BagError as error:
             skipped.append(TopicSurvey(info, note=str(error)))
             continue
-        watches[name] = _Watch(info, stamp_of, scalars_of, max(-(-info.count // DECODED), 1))
+        watches[name] = _Watch(info, paths, max(-(-info.count // DECODED), 1))
     return watches, skipped
 
 
 def _finish(watch: _Watch, start_ns: int) -> TopicSurvey:
-    if not sum(map(len, watch.log)):
+    if not watch.seen:
         return TopicSurvey(watch.info, note='no message among those looked at')
     log, publish = np.concatenate(watch.log), np.concatenate(watch.publish)
+    header = np.concatenate(watch.header) if watch.header else np.empty(0, np.int64)
+    sound = np.concatenate(watch.sound)
     first, last = (log[[0, -1]] - start_ns) * 1e-9
-    stamps = []
-    late = math.nan
-    if watch.info.has_header:
-        header = np.concatenate(watch.header)
-        stamps = [stamp_stats('header', header)]
-        if stamps[0].usable and len(header) == len(log):
-            late = float(np.median(log - header)) * 1e-9
-    stamps.append(stamp_stats('log', log))
+    begins = np.zeros(len(log), bool)
+    begins[[cut for cut in watch.cuts if cut < len(log)]] = True
+    stamps = [stamp_stats('header', header, begins[sound])] if watch.info.has_header else []
+    stamps.append(stamp_stats('log', log, begins))
     if (publish != log).any():
-        stamps.append(stamp_stats('publish', publish))
-    rows = np.concatenate(watch.chosen)[np.concatenate(watch.places)]
-    fields = tuple(field_stats(path, rows[:, i], RUN)
-                   for i, path in enumerate(watch.scalars_of.fields) if len(rows))
-    rate = (len(log) - 1) / (last - first) if last > first else math.nan
+        stamps.append(stamp_stats('publish', publish, begins))
+    late = math.nan
+    if watch.info.has_header and stamps[0].usable:
+        late = float(np.median((log[sound] - header)[header > 0])) * 1e-9
+    rows = np.concatenate(watch.values)
+    fields = tuple(field_stats(path, rows[:, i], RUN) for i, path in enumerate(watch.paths)
+                   if len(rows))
+    steps = np.diff(log)[~begins[1:]]
+    length = float(steps.sum()) * 1e-9
+    rate = len(steps) / length if length > 0 else math.nan
     return TopicSurvey(watch.info, float(first), float(last), float(rate), tuple(stamps), late,
                        fields, watch.undecodable)

@@ -82,15 +82,17 @@ class FieldStats:
     finite: float
 
 
-def stamp_stats(source: str, stamps: NDArray[np.int64]) -> StampStats:
-    """Measure the stamps [ns] of a topic."""
+def stamp_stats(source: str, stamps: NDArray[np.int64], begins: NDArray[np.bool_] | None = None
+                ) -> StampStats:
+    """Measure the stamps [ns] of a topic; `begins` tells which follow on nothing that was read."""
+    begins = np.zeros(len(stamps), bool) if begins is None else begins
     zeros = int(np.count_nonzero(stamps <= 0))
     if zeros:
         share = 'all' if zeros == len(stamps) else f'{zeros} of {len(stamps)}'
         if 2 * zeros > len(stamps):
             return StampStats(source, False, f'{share} are zero')
-        stamps = stamps[stamps > 0]
-    step = np.diff(stamps) * 1e-9
+        begins, stamps = begins[stamps > 0], stamps[stamps > 0]
+    step = np.diff(stamps)[~begins[1:]] * 1e-9
     if not len(step):
         return StampStats(source, bool(len(stamps)))
     period = float(np.median(step))

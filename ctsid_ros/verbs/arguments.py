@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 import json
 import math
 from pathlib import Path
+import shlex
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.recordings.guess_ranking import Pair
     from ctsid_ros.recordings.playback import Interval
     from ctsid_ros.report.headline import Run
 
@@ -97,6 +100,12 @@ def add_params(parser: argparse.ArgumentParser) -> None:
                         'settings; `ctsid init` writes one [default: its guess]')
 
 
+def add_pick(parser: argparse.ArgumentParser) -> None:
+    """Add which of the guessed pairs to take."""
+    parser.add_argument('--pick', type=steps, default=1, metavar='N',
+                        help='which of the pairs to take that are shown [default: 1, the best]')
+
+
 def add_budget(parser: argparse.ArgumentParser) -> None:
     """Add the budget of an identification."""
     parser.add_argument('--budget', type=seconds, metavar='S', help='processor time that one '
@@ -144,12 +153,28 @@ def _guessed(bag: Bag) -> Config:
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.survey import survey
 
-    guessed = guess(survey(bag))
+    guessed = guess(bag, survey(bag))
     inputs, outputs = (', '.join(f'{c.topic} {c.field}' for c in channels) for channels in
                        (guessed.config.inputs, guessed.config.outputs))
     say(f'no --params given, so the channels are guessed: {inputs} acts, {outputs} is measured; '
         '`ctsid init` writes this guess to a file, to correct it')
     return guessed.config
+
+
+def say_better(bags: Sequence[str], config: Config) -> None:
+    """Name the pairs of which a recording says more than of those that gave no model."""
+    from ctsid_ros.errors import BagError
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.guess import better
+
+    pairs: Sequence[Pair] = ()
+    with suppress(BagError), open_bag(bags) as bag:      # the results are written already
+        pairs = better(bag, config)
+    if pairs:
+        listed = '; '.join(f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
+                           f'({100 * p.explained.past:.0f} % explained)' for p in pairs)
+        say(f'the data say more about other signals: {listed}; they are shown and written by:\n  '
+            + shlex.join(('ctsid', 'init', *bags, '-o', 'other.yaml')))
 
 
 def read_params(path: str) -> Config:

@@ -43,6 +43,7 @@ from ctsid_ros.verbs.arguments import (
     read_truth,
     run_of,
     say,
+    say_better,
     seconds,
     span,
     tell,
@@ -204,6 +205,8 @@ def command(args: argparse.Namespace) -> int:
     else:
         print(to_text(_sections(outcome, truth)))
         print(f'\nResults: {out}/ ({PAGE} has the plots)')
+    if not outcome.estimate.ok:
+        say_better(groups[0], outcome.config)
     return ACCEPTED if outcome.estimate.ok else NO_MODEL
 
 

@@ -22,10 +22,11 @@ from ctsid_ros.verbs.arguments import (
 )
 
 if TYPE_CHECKING:
+    from ctsid_ros.recordings.guess import Guess
     from ctsid_ros.recordings.survey import Survey, TopicSurvey
     from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
 
-HELP = 'show topics, rates, stamps and the fields that could be signals'
+HELP = 'show topics, rates, stamps, fields that could be signals, and excited stretches'
 EPILOG = 'example: ctsid info flight.mcap'
 _MOST_FIELDS = 12  # of a topic, on the terminal
 
@@ -39,18 +40,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def command(args: argparse.Namespace) -> int:
     """Look at the bag and print."""
     from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.guess import all_guesses
     from ctsid_ros.recordings.survey import survey
 
     with open_bag(args.bag, args.time) as bag:
         found = survey(bag)
+        guesses = all_guesses(bag, found)
     if args.json:
-        tell(_document(found, args.bag))
+        tell(_document(found, guesses, args.bag))
     else:
-        print(to_text(list(_sections(found, args.bag, bag_words(args)))))
+        print(to_text(list(_sections(found, guesses, args.bag, bag_words(args)))))
     return ACCEPTED
 
 
-def _document(found: Survey, bags: list[str]) -> dict[str, Any]:
+def _document(found: Survey, guesses: Sequence[Guess], bags: list[str]) -> dict[str, Any]:
     topics = [{'name': t.info.name, 'type': t.info.type, 'count': t.info.count,
                'has_header': t.info.has_header, 'rate': t.rate, 'first': t.first, 'last': t.last,
                'stamp': t.stamp if t.stamps else None, 'late': t.late,
@@ -58,13 +61,35 @@ def _document(found: Survey, bags: list[str]) -> dict[str, Any]:
                'undecodable': t.undecodable, 'note': t.note} for t in found.topics]
     return {'verb': 'info', 'bag': bags, 'duration': found.duration, 'start_ns': found.start_ns,
             'messages': found.messages, 'covered': found.covered, 'topics': topics,
-            'notes': list(found.notes)}
+            'stretches': [{'input': g.pair.input.key, **asdict(s)} for g in _by_input(guesses)
+                          for s in g.stretches], 'notes': list(found.notes)}
 
 
-def _sections(found: Survey, bags: list[str], words: Sequence[str]) -> Iterable[Section]:
+def topic_section(found: Survey, bags: list[str]) -> Section:
+    """Return what a bag is, and its topics."""
     begun = date(found.start_ns)
-    yield Section(f'{named(bags)}: {found.duration:.1f} s, {found.messages} messages'
-                  + (f', recorded {begun}' if begun else ''), (_topics(found.topics),))
+    return Section(f'{named(bags)}: {found.duration:.1f} s, {found.messages} messages'
+                   + (f', recorded {begun}' if begun else ''), (_topics(found.topics),))
+
+
+def stretch_section(guesses: Sequence[Guess]) -> Section:
+    """Return where the inputs of some guesses excite the plant."""
+    rows = tuple((' '.join(g.pair.input.key), f'{s.start:.1f}:{s.end:.1f}',
+                  f'{s.end - s.start:.1f}', number(s.power, 2), f'{100 * s.energy:.0f}')
+                 for g in _by_input(guesses) for s in g.stretches)
+    return Section('Stretches worth identifying (--interval START:END)', (Table(
+        ('input', 'interval [s]', 'length [s]', 'power over quiet', 'energy [%]'), rows,
+        ('input',)),) if rows else ())
+
+
+def _by_input(guesses: Sequence[Guess]) -> Iterable[Guess]:
+    """Return one guess for each input."""
+    return {g.pair.input.key: g for g in reversed(guesses)}.values()
+
+
+def _sections(found: Survey, guesses: Sequence[Guess], bags: list[str],
+              words: Sequence[str]) -> Iterable[Section]:
+    yield topic_section(found, bags)
     stamps = [(t, s) for t in found.topics for s in t.stamps]
     if stamps:
         yield Section('Time stamps (`stamp: auto` takes the first usable one of a topic)',
@@ -82,6 +107,7 @@ def _sections(found: Survey, bags: list[str], words: Sequence[str]) -> Iterable[
             *([Bullets(tuple(more))] if more else [])))
     else:
         yield Section('No field moves: there is nothing to identify from', ())
+    yield stretch_section(guesses)
     still = [f'{t.info.name}: {len(quiet)} more do not move'
              for t in found.topics if (quiet := [f for f in t.fields if not f.moves])]
     torn = [f'{t.info.name}: {t.undecodable} messages cannot be decoded or lack some fields'

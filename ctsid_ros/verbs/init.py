@@ -6,19 +6,29 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 import shlex
+import sys
 import textwrap
 from typing import TYPE_CHECKING
 
-from ctsid_ros.report.tables import number
+from ctsid_ros.report.document import Bullets, Command, Section, to_text
+from ctsid_ros.report.tables import Table, number
 from ctsid_ros.report.words import cell, printable
-from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, bag_words, say
+from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_pick, bag_words, say
 
 if TYPE_CHECKING:
-    from ctsid_ros.recordings.guess import Guess
+    from collections.abc import Sequence
 
-HELP = 'write a commented parameter file with a first guess of the channels'
-EPILOG = 'example: ctsid init flight.mcap -o params.yaml'
-_MOST_OTHERS = 30
+    from ctsid_ros.recordings.guess import Guess
+    from ctsid_ros.recordings.guess_ranking import Pair
+
+HELP = 'write a parameter file with the most promising input and output of a bag'
+EPILOG = """example: ctsid init flight.mcap -o params.yaml
+         (shows the three best pairs, and writes the first)
+example: ctsid init flight.mcap -o params.yaml --pick 2 --force
+         (writes the second)
+
+How the pairs are found, and what the columns mean: docs/choosing_signals.md."""
+_MOST_OTHERS = 8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,45 +37,81 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('-o', '--output', metavar='FILE', default='-',
                         help='parameter file to write [default: standard output]')
     parser.add_argument('--force', action='store_true', help='replace the file if it exists')
+    add_pick(parser)
 
 
 def command(args: argparse.Namespace) -> int:
-    """Guess, and write."""
-    from ctsid_ros.config.parameter_text import dump_config
+    """Guess, show, and write."""
+    from ctsid_ros.config.parameter_text import dump_brief
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.survey import survey
 
     with open_bag(args.bag, args.time) as bag:
-        guessed = guess(survey(bag))
+        guessed = guess(bag, survey(bag), args.pick)
     name = 'params.yaml' if args.output == '-' else args.output
-    text = _head(guessed, bag_words(args), name) + dump_config(guessed.config)
+    line = next_command(guessed, bag_words(args), name)
+    text = head(guessed, line) + dump_brief(guessed.config)
     if args.output == '-':
+        print(to_text([pair_section(guessed)]), file=sys.stderr)
         print(text, end='')
         return ACCEPTED
     from ctsid_core.model.storage import write_file
 
     write_file(args.output, text.encode(), force=args.force)
+    print(to_text([pair_section(guessed), Section('', (
+        f'Wrote {args.output} with pair {guessed.pick}; look it over, then run:',
+        Command(line)))]))
     for reason in guessed.reasons:
         say(reason)
-    say(f'wrote {args.output}; look it over, then run:\n  {_next(bag_words(args), name)}')
     return ACCEPTED
 
 
-def _next(words: Sequence[str], name: str) -> str:
-    return f'ctsid identify {shlex.join(words)} --params {shlex.quote(name)}'
+def next_command(guessed: Guess, bags: Sequence[str], params: str) -> str:
+    """Return the command that identifies what was guessed, where the input excites it."""
+    intervals = [word for s in guessed.best_stretches
+                 for word in ('--interval', f'{s.start:.1f}:{s.end:.1f}')]
+    return shlex.join(('ctsid', 'identify', *bags, '--params', params, *intervals))
 
 
-def _head(guessed: Guess, words: Sequence[str], name: str) -> str:
+def pair_section(guessed: Guess) -> Section:
+    """Return the pairs that were found, with the figures behind them."""
+    rows = tuple(_row(i, pair, guessed.pick) for i, pair in enumerate(guessed.pairs, 1))
+    remarks = tuple(f'pair {i}: {cell(pair.input.key[0])} drives {cell(pair.nearer)}, which is '
+                    'nearer to the plant' for i, pair in enumerate(guessed.pairs, 1)
+                    if pair.nearer)
+    return Section('Inputs and outputs, the most promising pair first', (
+        Table(('pair', 'input', 'output', 'explained [%]', 'from future [%]', 'coherence',
+               'lag [s]', 'frequencies', 'both [s]', 'rates [Hz]'), rows, ('input', 'output')),
+        *([Bullets(remarks)] if remarks else [])))
+
+
+def _row(index: int, pair: Pair, pick: int) -> tuple[str, ...]:
+    from ctsid_ros.recordings.coherence import lag, mean_coherence
+
+    u, y, clock = pair.input, pair.output, pair.clock
+    found = pair.explained
+    return (f'{index}{" *" if index == pick else ""}', ' '.join(u.key), ' '.join(y.key),
+            f'{100 * found.past:.0f}', f'{100 * found.future:.0f}',
+            number(mean_coherence(u.held, y.smooth, clock), 2),
+            number(lag(u.held, y.smooth, clock), 2), f'{pair.frequencies:.0f}',
+            f'{found.overlap:.0f}',
+            f'{number(u.rate, 3)} / {number(y.rate, 3)}')
+
+
+def head(guessed: Guess, line: str) -> str:
     """Return comments: what was guessed and why, and what else moves."""
-    lines = _comment('A first guess, to be corrected: which channels act on the robot (inputs) '
-                     'and which are measured (outputs). Try it:')
-    lines += ['#', f'#   {_next(words, name)}', '#']
+    lines = ['# A first guess, to be corrected. Try it:', '#', f'#   {printable(line)}', '#']
     for reason in guessed.reasons:
         lines += _comment(f'- {reason[0].upper()}{reason[1:]}.')
+    for i, pair in enumerate(guessed.pairs, 1):
+        if i != guessed.pick:
+            lines += _comment(f'- Other pair (--pick {i}): {" ".join(pair.input.key)} -> '
+                              f'{" ".join(pair.output.key)}, '
+                              f'{100 * pair.explained.past:.0f} % explained.')
     others = guessed.others[:_MOST_OTHERS]
     if others:
-        lines += ['#', *_comment('These move as well (standard deviation in brackets):'), '#']
+        lines += ['#', '# These move as well (standard deviation in brackets):']
         lines += [f'#   {cell(topic)}  {cell(path)}  ({number(std, 3)})'
                   for topic, path, std in others]
         if len(guessed.others) > len(others):

@@ -39,6 +39,7 @@ from ctsid_ros.verbs.arguments import (
     read_truth,
     run_of,
     say,
+    say_better,
     tell,
     zero_ns,
 )
@@ -99,6 +100,8 @@ def command(args: argparse.Namespace) -> int:
     if interrupted:
         say(f'interrupted: the results are those of the first {len(run.results)} windows')
         return INTERRUPTED
+    if run.best is None:
+        say_better(args.bag, run.played.config)
     return NO_MODEL if run.best is None else ACCEPTED
 
 

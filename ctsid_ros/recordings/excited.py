@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where an input excites a plant: the intervals of a recording that are worth identifying."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_ros.recordings.excerpts import Clock
+from ctsid_ros.recordings.guess_pairs import moving_sum
+
+_SMOOTH = 0.05  # s: an input is averaged so long to either side; what is faster moves no robot
+_POWER = 1.0  # s: and the power of its derivative so long
+_MERGE = 15.0  # s: a shorter pause is part of an experiment; to keep it costs little
+_SHORTEST = 5.0  # s
+_BEFORE, _AFTER = 1.0, 3.0  # s: added, for the trim and for the response to the last move
+_CONTRAST = 10.0  # loud over quiet power, below which all is one experiment
+_FLOOR = 1e-4  # of the loud power: what is quieter counts as at rest
+_ALL = 0.8  # of the time: an experiment that lasts longer is all of the recording
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """
+    An interval in which an input moves.
+
+    Parameters
+    ----------
+    start, end : float
+        After the start of the bag [s].
+    power : float
+        Of the input's derivative, over that of its quiet part.
+    energy : float
+        Share of the energy of the input's derivative that is in this interval.
+    """
+
+    start: float
+    end: float
+    power: float
+    energy: float
+
+
+def excited(u: Array, clock: Clock) -> tuple[Stretch, ...]:
+    """
+    Return the stretches in which an input moves much more than at rest, in order of time.
+
+    Parameters
+    ----------
+    u : ndarray, shape (N,)
+        At the ticks of the clock; NaN where not known.
+    clock : Clock
+
+    Returns
+    -------
+    tuple of Stretch
+        None if the input moves alike all the time, or nearly so.
+    """
+    power = _power(u, clock)
+    loud, quiet = np.quantile(power, (0.95, 0.1))
+    quiet = max(float(quiet), _FLOOR * float(loud))
+    if loud <= 0.0 or loud < _CONTRAST * quiet:
+        return ()
+    active = power > np.sqrt(loud * quiet)
+    found = []
+    for part in clock.parts:
+        for start, end in _merged(clock.time[part][active[part]], clock.step):
+            low, high = clock.time[part][[0, -1]]
+            inside = (clock.time >= start) & (clock.time <= end)
+            found.append(Stretch(max(start - _BEFORE, float(low)), min(end + _AFTER, float(high)),
+                                 float(power[inside].mean() / quiet),
+                                 float(power[inside].sum() / power.sum())))
+    found = [s for s in found if s.end - s.start >= _SHORTEST]
+    total = len(clock.time) * clock.step
+    return () if sum(s.end - s.start for s in found) > _ALL * total else tuple(found)
+
+
+def _power(u: Array, clock: Clock) -> Array:
+    """Return the power of the derivative of the input below 10 Hz, a second around each tick."""
+    power = np.zeros(len(u))
+    near, wide = (max(int(t / clock.step), 1) for t in (_SMOOTH, _POWER))
+    for part in clock.parts:
+        own = u[part]
+        known = np.flatnonzero(np.isfinite(own))
+        if len(known) > 2 * near:
+            filled = np.interp(np.arange(len(own)), known, own[known])
+            smooth = moving_sum(filled, near) / moving_sum(np.ones(len(own)), near)
+            power[part] = moving_sum(np.gradient(smooth, clock.step) ** 2, wide)
+    return power
+
+
+def _merged(times: Array, step: float) -> list[tuple[float, float]]:
+    """Return intervals that hold these ticks; those with short pauses between them are one."""
+    if not len(times):
+        return []
+    cuts = np.flatnonzero(np.diff(times) > max(_MERGE, 2 * step))
+    starts, ends = times[np.r_[0, cuts + 1]], times[np.r_[cuts, len(times) - 1]]
+    return [(float(a), float(b)) for a, b in zip(starts, ends, strict=True)]

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which scalars of a bag could be inputs or outputs of a plant, before they are compared.
+
+Names and types of messages only say how likely that is: what the data say about pairs of them
+(`guess_pairs.py`) counts more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import re
+
+import numpy as np
+
+from ctsid_core.linear.types import Array
+from ctsid_ros.decoding.field_path import FieldPath, parse_field
+from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, gather, held
+from ctsid_ros.recordings.survey import Survey, TopicSurvey
+from ctsid_ros.recordings.survey_stats import FieldStats
+
+FEWEST = 30  # messages: fewer show no dynamics
+_MOST_OF_TOPIC = 40  # fields: a longer list is of no use to anybody
+_LEVELS, _SWITCHES = 3, 12  # a whole number with so few levels and changes is a switch or a mode
+_RAMP = 1e-4  # of its range: what leaves a straight line by less is a clock
+
+COMMAND_NAME = re.compile(
+    r'cmd|command|set_?point|target|desired|reference|(^|[/_])ref($|[/_])|control(?!ler_state)|'
+    r'effort|torque|wrench|thrust|throttle|joy|stick|(^|[/_])rc|pwm|servo|motor|actuator|input|'
+    r'steer|voltage|drive|action', re.IGNORECASE)
+MEASURED_NAME = re.compile(
+    r'imu|gyro|accel|odom|pose|position|state|measur|sensor|feedback|encoder|vel(?!.*cmd)|'
+    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking', re.IGNORECASE)
+_COMMAND_TYPE = re.compile(
+    r'.*(Twist|TwistStamped|Wrench|WrenchStamped|Ackermann\w*|Joy|JointTrajectory\w*|'
+    r'AttitudeTarget|PositionTarget|\w*Setpoint|\w*Command|\w*Cmd|Actuator\w*|ManualControl\w*|'
+    r'RCIn|RCOut|RcChannels|Thrust|MultiArray|JointJog|\w*Control)$')
+_MEASURED_TYPE = re.compile(
+    r'.*(Imu|Odometry|Pose\w*|Transform\w*|TwistWithCovariance\w*|JointState|\w*State|\w*Status|'
+    r'VehicleOdometry|VehicleAttitude|VehicleAngularVelocity|VehicleLocalPosition|'
+    r'SensorCombined|NavSatFix|Range|Accel\w*|Altitude|\w*Measurement)$')
+_NO_MOTION = re.compile(
+    r'.*(Battery\w*|Temperature|MagneticField|FluidPressure|Diagnostic\w*|\w*Health\w*|Cpu\w*|'
+    r'EstimatorStatus|TimeReference|Power\w*)$')
+STICK = re.compile(r'joy|stick|(^|[/_])rc|manual|teleop', re.IGNORECASE)
+_DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_?point|target|'
+                            r'command|cmd)($|[._\[])|temperature|voltage|current|battery')
+_HOUSEKEEPING = re.compile(r'batter|vbat|supply|temperature', re.IGNORECASE)
+FORCE_FIELD = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
+WANTED = re.compile(r'set_?point|desired|target|reference|(^|[/_])ref($|[/_])', re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """
+    A scalar that could be an input or an output.
+
+    Parameters
+    ----------
+    topic : TopicSurvey
+    field : FieldStats
+    path : FieldPath
+    acts, measures : float
+        How likely name and type make it an input, an output: 0 to 1.
+    held, smooth : ndarray
+        Its values at the ticks of the common clock, held or averaged; NaN where not known.
+    first, last : float
+        Its first and last sample [s].
+    rate : float
+        Samples per second while they come [Hz].
+    """
+
+    topic: TopicSurvey
+    field: FieldStats
+    path: FieldPath
+    acts: float
+    measures: float
+    held: Array
+    smooth: Array
+    first: float
+    last: float
+    rate: float
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Topic and field."""
+        return self.topic.info.name, self.field.field
+
+    @property
+    def wanted(self) -> bool:
+        """Whether it is named like a setpoint or a stick: what acts on the plant comes after."""
+        return bool(WANTED.search(self.key[0]) or STICK.search(self.key[0]))
+
+
+def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
+    """Return how likely name and type alone make a field an input, and an output: 0 to 1."""
+    name, kind = topic.info.name, topic.info.type
+    command = 1.5 * bool(COMMAND_NAME.search(name)) + bool(_COMMAND_TYPE.match(kind))
+    command += 0.5 * bool(COMMAND_NAME.search(field))
+    measured = bool(MEASURED_NAME.search(name)) + 1.5 * bool(_MEASURED_TYPE.match(kind))
+    measured += 0.5 * bool(MEASURED_NAME.search(field))
+    lean = float(np.clip((command - measured) / 1.5, -1.0, 1.0))
+    acts, measures = 0.65 + 0.35 * lean, 0.65 - 0.35 * lean
+    if lean < 0 and FORCE_FIELD.search(field):     # an effort that was measured
+        acts = max(acts, 0.5)
+    if STICK.search(name) or kind.endswith(('/Joy', '/ManualControl')):
+        acts *= 0.9
+    if WANTED.search(name):
+        acts *= 0.95
+    if _NO_MOTION.match(kind) or _DERIVED_FIELD.search(field):
+        measures *= 0.5
+    if _NO_MOTION.match(kind) or _HOUSEKEEPING.search(field):
+        acts *= 0.5
+    return acts, measures
+
+
+def candidates(bag: Bag, survey: Survey) -> tuple[list[Candidate], Clock]:
+    """
+    Return the scalars that could be signals, on a common clock.
+
+    Parameters
+    ----------
+    bag : Bag
+    survey : Survey
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read on.
+    """
+    topics = [t for t in survey.topics if t.moving and t.info.count >= FEWEST]
+    fields = {t.info.name: [parse_field(f.field) for f in t.moving[:_MOST_OF_TOPIC]]
+              for t in topics}
+    read, parts = gather(bag, survey, fields)
+    clock = clock_for([_rate(samples.time) for samples in read.values()], parts)
+    found = [one for topic in topics
+             for one in _of_topic(topic, fields[topic.info.name], read[topic.info.name], clock)]
+    return found, clock
+
+
+def _rate(time: Array) -> float:
+    step = np.diff(time)
+    step = step[step > 0]
+    return 1.0 / float(np.median(step)) if len(step) else np.nan
+
+
+def _of_topic(topic: TopicSurvey, paths: Sequence[FieldPath], samples: Samples, clock: Clock
+              ) -> list[Candidate]:
+    stats: Mapping[str, FieldStats] = {f.field: f for f in topic.moving}
+    found = []
+    for i, path in enumerate(paths):
+        good = np.isfinite(samples.values[:, i])
+        time, values = samples.time[good], samples.values[good, i]
+        if len(time) < FEWEST or no_signal(time, values):
+            continue
+        acts, measures = likely_roles(topic, str(path))
+        found.append(Candidate(
+            topic, stats[str(path)], path, acts, measures, held(time, values, clock),
+            averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time)))
+    return found
+
+
+def no_signal(time: Array, values: Array) -> bool:
+    """Whether it is a constant, a switch, a mode or a clock."""
+    changes = np.count_nonzero(np.diff(values))
+    if changes < 2:
+        return True
+    if changes < _SWITCHES and (values == np.round(values)).all() \
+            and len(np.unique(values)) <= _LEVELS:
+        return True
+    line = np.polynomial.Polynomial.fit(time, values, 1)
+    return bool(np.abs(values - line(time)).max() < _RAMP * np.ptp(values))

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Pairs of input and output of a bag, the most promising first.
+
+Most counts what the past of the input explains of the output's motion in unseen data, then which
+of the two comes first, how long they overlap, whose stamps are better; names and types of
+messages come last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.linear.types import Array
+from ctsid_ros.recordings.bag import Bag
+from ctsid_ros.recordings.excerpts import Clock
+from ctsid_ros.recordings.guess_candidates import FORCE_FIELD, Candidate, candidates
+from ctsid_ros.recordings.guess_pairs import (
+    Comparison,
+    Explained,
+    effective_frequencies,
+    without_slow,
+)
+from ctsid_ros.recordings.survey import Survey
+
+_MOST_INPUTS, _MOST_OUTPUTS = 32, 80  # that are compared with each other
+_MOST_PAIRS = 48  # that are looked at closely
+_LIKELY = 0.1  # score below which a pair is not offered: its model would be rejected
+_COPY, _SAME = 0.97, 0.99  # correlations of signals that are offered once, that are the same
+_AS_LIKELY = 0.8  # a copy is preferred for its stamps if it is as likely a command, or nearly
+_ECHO = 0.9995  # of an input and what only repeats it
+_SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
+_TIE = 0.92  # factor if past and future explain the same: in a loop they nearly do
+_LONG = 20.0  # s of overlap that are enough
+_NO_HEADER = 0.97  # factor for stamps of the recording: among copies the stamped one is first
+_APART = 0.97  # factor for different name spaces: among twins the pair of one robot is first
+_MANY, _LEAST = 6.0, 0.3  # effective frequencies that are enough, and the factor for one alone
+_NEARER, _DRIVES = 0.8, 0.3  # what the command nearer to the plant has to explain of that before,
+_BEHIND = 0.7  # and the factor for that before
+_SIBLINGS, _CROWD = 2, 0.8  # others of its message that explain as much, and the factor for these
+
+
+@dataclass(frozen=True)
+class Pair:
+    """
+    An input and an output.
+
+    Parameters
+    ----------
+    input, output : Candidate
+    explained : Explained
+    clock : Clock
+        Of their values.
+    frequencies : float
+        Over how many lines the spectrum of the input is spread.
+    score : float
+        The share of the output's motion that is explained, times factors of at most 1.
+    nearer : str
+        Topic of a command that this input drives, if that explains the output as well.
+    """
+
+    input: Candidate
+    output: Candidate
+    explained: Explained
+    clock: Clock
+    frequencies: float = 0.0
+    score: float = 0.0
+    nearer: str = ''
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """
+    What could be identified from a bag.
+
+    Parameters
+    ----------
+    pairs : tuple of Pair
+        The most promising first; of those that differ by copies of a signal only one.
+    compared : tuple of Pair
+        All that were looked at closely, with copies.
+    found : tuple of Candidate
+        All scalars that could be signals.
+    clock : Clock
+        Of their values.
+    """
+
+    pairs: tuple[Pair, ...]
+    compared: tuple[Pair, ...]
+    found: tuple[Candidate, ...]
+    clock: Clock
+
+
+def rank(bag: Bag, survey: Survey) -> Ranking:
+    """
+    Rank the pairs of inputs and outputs of a bag.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read on.
+    """
+    found, clock = candidates(bag, survey)
+    spread = {c: effective_frequencies(c.held, clock) for c in found}
+    inputs = sorted(found, key=lambda c: -c.acts * _many(spread[c]))[:_MOST_INPUTS]
+    outputs = sorted(found, key=lambda c: -c.measures)[:_MOST_OUTPUTS]
+    listed = list(dict.fromkeys((*inputs, *outputs)))
+    comparison = Comparison(clock, [c.smooth for c in listed]) if len(listed) > 1 else None
+    if comparison is None or not comparison.possible:
+        return Ranking((), (), tuple(found), clock)
+    shares = np.array([comparison.screened(u.held) for u in inputs])
+    alike = Alike(listed, clock)
+    pairs = [pair for i, chosen in _promising(inputs, listed, outputs, shares, alike)
+             for pair in _looked_at(inputs[i], listed, chosen, comparison, clock,
+                                    spread[inputs[i]])]
+    pairs = [_in_crowd(pair, pairs) for pair in pairs]
+    pairs = [_behind(pair, pairs, listed, inputs, shares) for pair in pairs]
+    pairs = sorted(pairs, key=lambda p: -p.score)
+    likely = [p for p in pairs if p.score >= _LIKELY]
+    return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
+
+
+class Alike:
+    """
+    How far the signals of a list are copies of each other.
+
+    They are compared where the slower one has a new sample: between those it only repeats.
+
+    Parameters
+    ----------
+    listed : sequence of Candidate
+    clock : Clock
+    """
+
+    def __init__(self, listed: Sequence[Candidate], clock: Clock) -> None:
+        self._signals = np.nan_to_num(np.array([without_slow(c.held, clock) for c in listed]))
+        self._numbers = {c: i for i, c in enumerate(listed)}
+        self._fresh = [fresh_ticks(c.held) for c in listed]
+        self._shifts = np.unique(np.round(_SHIFTS / clock.step).astype(int))
+        self._known: dict[tuple[int, int], float] = {}
+
+    def __call__(self, one: Candidate, other: Candidate) -> float:
+        """Return the largest correlation of two, one shifted a little."""
+        pair = sorted((self._numbers[one], self._numbers[other]),
+                      key=lambda i: (len(self._fresh[i]), i))
+        slow, fast = pair
+        if slow == fast:
+            return 1.0
+        if (slow, fast) not in self._known:
+            rows = self._fresh[slow]
+            x, at = self._signals[slow][rows], np.add.outer(self._shifts, rows)
+            y = self._signals[fast][np.clip(at, 0, len(self._signals[fast]) - 1)]
+            size = np.sqrt(np.sum(x ** 2) * np.sum(y ** 2, axis=1))
+            self._known[slow, fast] = float(np.max(np.abs(y @ x) / np.maximum(size, 1e-300)))
+        return self._known[slow, fast]
+
+
+def fresh_ticks(values: Array) -> NDArray[np.intp]:
+    """Return the ticks at which a held signal has changed."""
+    return np.flatnonzero(np.diff(values, prepend=np.nan) != 0) if len(values) else np.empty(
+        0, np.intp)
+
+
+def _promising(inputs: Sequence[Candidate], listed: Sequence[Candidate],
+               outputs: Sequence[Candidate], shares: Array, alike: Alike
+               ) -> Iterator[tuple[int, list[int]]]:
+    """Yield numbers of inputs, each with those of the outputs that are worth a closer look."""
+    likely = []
+    for i, u in enumerate(inputs):
+        for j, y in enumerate(listed):
+            score = shares[i, j] * u.acts * y.measures
+            if y in outputs and score > 0.5 * _LIKELY and _apart(u, y, listed):
+                likely.append((score, i, j))
+    likely = sorted(likely, reverse=True)[:_MOST_PAIRS]
+    for i, u in enumerate(inputs):
+        chosen = [j for _, number, j in likely if number == i and alike(u, listed[j]) < _ECHO]
+        if chosen:
+            yield i, chosen
+
+
+def _apart(u: Candidate, y: Candidate, listed: Sequence[Candidate]) -> bool:
+    """
+    Whether two scalars can be input and output.
+
+    Those of one message are one sensor's, and know each other by kinematics, unless one of them
+    is a force, or there is no other topic.
+    """
+    if u.key[0] != y.key[0]:
+        return True
+    forced = bool(FORCE_FIELD.search(u.key[1])) > bool(FORCE_FIELD.search(y.key[1]))
+    return u is not y and (forced or len({c.key[0] for c in listed}) == 1)
+
+
+def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
+               comparison: Comparison, clock: Clock, frequencies: float) -> list[Pair]:
+    found = comparison.explained(u.held, chosen)
+    return [Pair(u, listed[j], e, clock, frequencies, _score(u, listed[j], e, frequencies))
+            for j, e in zip(chosen, found, strict=True)]
+
+
+def _score(u: Candidate, y: Candidate, found: Explained, frequencies: float) -> float:
+    first = float(np.clip(_TIE + 0.8 * (found.past - found.future), 0.2, 1.0))
+    stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
+    spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
+    together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0
+    return float(found.past * first * min(found.overlap / _LONG, 1.0) * stamps * together
+                 * _many(frequencies) * u.acts * y.measures)
+
+
+def _many(frequencies: float) -> float:
+    return float(np.clip(frequencies / _MANY, _LEAST, 1.0))
+
+
+def _in_crowd(pair: Pair, pairs: Sequence[Pair]) -> Pair:
+    """Put one of several motors behind what commands them all."""
+    siblings = [p for p in pairs if p.input.topic is pair.input.topic and p is not pair
+                and p.output is pair.output
+                and p.explained.past >= _NEARER * pair.explained.past]
+    return replace(pair, score=_CROWD * pair.score) if len(siblings) >= _SIBLINGS else pair
+
+
+def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
+            inputs: Sequence[Candidate], shares: Array) -> Pair:
+    """Put a setpoint or a stick behind the command that it drives, if that explains as much."""
+    number = inputs.index(pair.input)
+    for other in pairs:
+        if (pair.input.wanted and not other.input.wanted
+                and other.input.acts > other.input.measures
+                and other.output.topic is pair.output.topic
+                and other.explained.past >= _NEARER * pair.explained.past
+                and shares[number, listed.index(other.input)] >= _DRIVES):
+            return replace(pair, score=_BEHIND * pair.score, nearer=other.input.key[0])
+    return pair
+
+
+def _once(pairs: Sequence[Pair], alike: Alike) -> list[Pair]:
+    """Return of the pairs that differ by copies the first only, those of siblings behind."""
+    kept: list[Pair] = []
+    siblings: list[Pair] = []
+    for pair in pairs:
+        same = [k for k in (*kept, *siblings) if alike(pair.output, k.output) > _COPY]
+        twin = next((k for k in same if alike(pair.input, k.input) > _COPY), None)
+        if twin:
+            for own in (kept, siblings):
+                own[:] = [_better_stamped(k, pair, alike) if k is twin else k for k in own]
+            continue
+        brother = any(k.input.topic is pair.input.topic for k in same)
+        (siblings if brother else kept).append(pair)
+    return [*kept, *siblings]
+
+
+def _better_stamped(pair: Pair, twin: Pair, alike: Alike) -> Pair:
+    """Return a pair, or that of a copy of its input with stamps of its own, but of no stick."""
+    u, copy = pair.input, twin.input
+    same = alike(u, copy) > _SAME and twin.output is pair.output
+    likely = copy.acts >= _AS_LIKELY * u.acts and (u.wanted or not copy.wanted)
+    stamped = copy.topic.stamp == 'header' != u.topic.stamp
+    return replace(twin, score=pair.score) if same and likely and stamped else pair

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ctsid try`: all that a bag says about itself, in one go."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import shlex
+from typing import TYPE_CHECKING
+
+from ctsid_ros.verbs.arguments import (
+    ACCEPTED,
+    add_bag,
+    add_budget,
+    add_pick,
+    add_results,
+    add_style,
+    say,
+)
+
+if TYPE_CHECKING:
+    from ctsid_ros.recordings.guess import Guess
+
+HELP = 'look at a bag, choose input and output, identify, and write the report'
+EPILOG = """example: ctsid try flight.mcap
+
+Does what `ctsid info`, `ctsid init` and `ctsid identify` do one after the other. The input is used
+where it excites the plant. The folder of results has the parameter file as well, to correct and
+to go on with."""
+PARAMS = 'params.yaml'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_bag(parser)
+    add_pick(parser)
+    add_budget(parser)
+    add_results(parser)
+    add_style(parser)
+
+
+def command(args: argparse.Namespace) -> int:
+    """Look, guess, identify, write, print."""
+    from ctsid_core.model.storage import write_file
+    from ctsid_ros.config.parameter_text import dump_brief
+    from ctsid_ros.progress import working
+    from ctsid_ros.recordings.bag import open_bag
+    from ctsid_ros.recordings.guess import guess
+    from ctsid_ros.recordings.survey import survey
+    from ctsid_ros.replay.results import results_folder
+    from ctsid_ros.report.document import to_text
+    from ctsid_ros.verbs.info import stretch_section, topic_section
+    from ctsid_ros.verbs.init import head, next_command, pair_section
+
+    with open_bag(args.bag) as bag, working('looking at the bag', quiet=args.quiet):
+        found = survey(bag)
+        guessed = guess(bag, found, args.pick)
+    if not args.json:
+        print(to_text([topic_section(found, args.bag), pair_section(guessed),
+                       stretch_section([guessed])]) + '\n')
+    for reason in guessed.reasons:
+        say(reason)
+    with results_folder(args.out, args.bag, guessed.config.settings.method,
+                        force=args.force) as out:
+        params = out / PARAMS
+        line = next_command(guessed, args.bag, str(params))
+        text = head(guessed, line) + dump_brief(guessed.config)
+        write_file(params, text.encode(), force=True)
+        code = _identify(line, args, out)
+    if not args.json:
+        print(_next(guessed, args, out, code))
+    return code
+
+
+def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
+    """Run the command that `ctsid init` would have named."""
+    from ctsid_ros.verbs import identify
+
+    parser = argparse.ArgumentParser()
+    identify.add_arguments(parser)
+    words = [*shlex.split(line)[2:], '--out', str(out), '--force']
+    words += ['--budget', str(args.budget)] if args.budget is not None else []
+    own = parser.parse_args([*words, *('--json',) * args.json, *('--quiet',) * args.quiet])
+    own.command_line = shlex.join(('ctsid', 'identify', *words))
+    return identify.command(own)
+
+
+def _next(guessed: Guess, args: argparse.Namespace, out: Path, code: int) -> str:
+    """Return what to do next, as a line."""
+    from ctsid_ros.replay.results import MODEL
+
+    if code == ACCEPTED:
+        return f'Next: ctsid simulate {shlex.quote(str(out / MODEL))} ANOTHER_BAG'
+    if guessed.pick < len(guessed.pairs):
+        return f'Next: {shlex.join(("ctsid", "try", *args.bag, "--pick", str(guessed.pick + 1)))}'
+    return f'Next: correct {out / PARAMS}, then ' \
+           f'{shlex.join(("ctsid", "identify", *args.bag, "--params", str(out / PARAMS)))}'

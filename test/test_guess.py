@@ -1,0 +1,398 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which input and output are guessed of a bag, and where it is worth identifying."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from pathlib import Path
+
+from bag_fixtures import IMU, START, Sent, array, header, imu, joints, make, vector, write_mcap
+from flights import S, at, flight, spoilt, stamp_of
+from marks import slow
+import numpy as np
+import pytest
+from tangled_bags import KINDS, tangled, write_tangled
+import yaml
+
+from ctsid_ros.cli import main
+from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.config.parameter_file import parse_config, read_config
+from ctsid_ros.config.parameter_text import dump_brief
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings import portions
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.coherence import lag, mean_coherence
+from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
+from ctsid_ros.recordings.excited import excited
+from ctsid_ros.recordings.guess import _scalars, better, guess
+from ctsid_ros.recordings.guess_candidates import no_signal
+from ctsid_ros.recordings.guess_pairs import Comparison, effective_frequencies, without_slow
+from ctsid_ros.recordings.guess_ranking import rank
+from ctsid_ros.recordings.survey import survey
+
+ROOT = Path(__file__).resolve().parent.parent
+TWIST, ODOMETRY = 'geometry_msgs/msg/Twist', 'nav_msgs/msg/Odometry'
+
+
+def guessed(path, pick: int = 1):
+    with open_bag(path) as bag:
+        return guess(bag, survey(bag), pick)
+
+
+def ranked(path):
+    with open_bag(path) as bag:
+        return rank(bag, survey(bag))
+
+
+def keys(found) -> list[tuple[tuple[str, str], tuple[str, str]]]:
+    return [(p.input.key, p.output.key) for p in found.pairs]
+
+
+def lagged(u: np.ndarray, pole: float, step: float) -> np.ndarray:
+    """Return a held input behind a first-order low-pass."""
+    y, share = np.zeros(len(u)), math.exp(-pole * step)
+    for k in range(1, len(u)):
+        y[k] = share * y[k - 1] + (1 - share) * u[k - 1]
+    return y
+
+
+def moves(rng, count: int, every: int = 25) -> np.ndarray:
+    """Return random levels, each held for so many samples."""
+    return np.repeat(rng.uniform(-1, 1, count // every + 1), every)[:count]
+
+
+# --- measures
+
+
+def clock(seconds: float, rate: float = 100.0) -> Clock:
+    return clock_for([rate], [(0.0, seconds)])
+
+
+def test_a_plant_explains_from_the_past_and_its_inverse_from_the_future():
+    rng, ticks = np.random.default_rng(1), clock(40.0)
+    u = moves(rng, len(ticks.time))
+    y = lagged(u, 4.0, ticks.step) + 0.02 * rng.standard_normal(len(u))
+    noise = rng.standard_normal(len(u))
+    compare = Comparison(ticks, [y, u, noise, np.full(len(u), np.nan)])
+    forth, _, nothing, unknown = compare.explained(u, range(4))
+    (back,) = compare.explained(y, [1])
+    assert forth.past > 0.95
+    assert forth.future < 0.3
+    assert back.past < back.future
+    assert nothing.past < 0.05
+    assert unknown.overlap == 0.0
+    assert forth.overlap == pytest.approx(40.0)
+    np.testing.assert_allclose(compare.screened(u)[[0, 2]], [forth.past, 0.0], atol=0.05)
+
+
+def test_a_short_experiment_in_a_long_rest_is_found():
+    """All of it may lie in one of the parts that are held out, if those are of equal length."""
+    rng, ticks = np.random.default_rng(2), clock(200.0, 50.0)
+    u = moves(rng, len(ticks.time)) * ((ticks.time > 100) & (ticks.time < 115))
+    y = lagged(u, 4.0, ticks.step) + 0.01 * rng.standard_normal(len(u))
+    assert Comparison(ticks, [y]).explained(u, [0])[0].past > 0.9
+
+
+def test_slow_drift_and_what_is_lost_do_no_harm():
+    rng, ticks = np.random.default_rng(3), clock(60.0)
+    u = moves(rng, len(ticks.time))
+    y = lagged(u, 4.0, ticks.step) + 0.1 * ticks.time
+    y[2000:2300] = np.nan
+    assert np.isnan(without_slow(y, ticks)).sum() == 300
+    found = Comparison(ticks, [y]).explained(u, [0])[0]
+    assert found.past > 0.9
+    assert found.overlap == pytest.approx(57.0, abs=1.0)
+
+
+def test_coherence_and_lag():
+    rng, ticks = np.random.default_rng(4), clock(60.0)
+    u = moves(rng, len(ticks.time), 5)
+    late = np.roll(u, 20)
+    assert mean_coherence(u, late, ticks) > 0.9
+    assert mean_coherence(u, rng.standard_normal(len(u)), ticks) < 0.3
+    assert lag(u, late, ticks) == pytest.approx(0.2)
+    assert lag(u, -np.roll(u, -7), ticks) == pytest.approx(-0.07)
+
+
+def test_frequencies_are_counted():
+    ticks = clock(60.0)
+    assert effective_frequencies(np.sin(3 * ticks.time), ticks) < 3
+    assert effective_frequencies(moves(np.random.default_rng(5), len(ticks.time)), ticks) > 20
+
+
+def test_switches_modes_clocks_and_constants_are_no_signals():
+    t = np.arange(100.0)
+    assert no_signal(t, 0 * t)
+    assert no_signal(t, (t > 40).astype(float))
+    assert no_signal(t, np.floor(t / 40))
+    assert no_signal(t, 5 + 0.1 * t)
+    assert not no_signal(t, (np.sin(t) > 0).astype(float))      # a pseudo-random binary input
+    assert not no_signal(t, 0.25 * (t > 40) + 0.1 * (t > 70))   # two steps
+    assert not no_signal(t, np.sin(t / 10))
+
+
+def test_signals_on_a_clock():
+    ticks = clock_for([10.0], [(0.0, 1.0), (5.0, 6.0)])
+    assert len(ticks.time) == 20
+    assert ticks.parts == [slice(0, 10), slice(10, 20)]
+    time = np.array([0.25, 0.55, 5.0])
+    np.testing.assert_array_equal(held(time, time, ticks)[:7], [np.nan] * 3 + [0.25] * 3 + [0.55])
+    known = averaged(np.arange(0.005, 1.0, 0.01), np.arange(100.0), ticks)
+    np.testing.assert_allclose(known[1:9], 10.0 * np.arange(1, 9) - 0.5)
+    assert np.isnan(known[10:]).all()
+    gap = averaged(np.r_[0:0.3:0.01, 0.8:1.0:0.01], np.ones(50), clock(1.0))
+    assert np.isnan(gap[35:75]).all()
+
+
+# --- stretches
+
+
+def test_excited_stretches():
+    rng, ticks = np.random.default_rng(6), clock(200.0, 50.0)
+    inside = [(20.0, 40.0), (45.0, 60.0), (120.0, 150.0)]
+    on = np.any([(ticks.time > a) & (ticks.time < b) for a, b in inside], axis=0)
+    u = np.where(on, moves(rng, len(ticks.time), 10), 0.01 * rng.standard_normal(len(ticks.time)))
+    first, second = excited(u, ticks)
+    assert (first.start, first.end) == pytest.approx((18.5, 63.5), abs=1.5)   # a pause of 5 s
+    assert (second.start, second.end) == pytest.approx((118.5, 153.5), abs=1.5)
+    assert first.power > 100
+    assert first.energy + second.energy > 0.95
+    assert excited(moves(rng, len(ticks.time)), ticks) == ()      # all the time
+    assert excited(np.zeros(len(ticks.time)), ticks) == ()
+    late = np.where(ticks.time > 100, moves(rng, len(ticks.time)), np.nan)
+    assert [s.start for s in excited(late, ticks)] == pytest.approx([98.5], abs=1.5)
+
+
+# --- guesses
+
+
+def twist(x: float, yaw: float):
+    return make(TWIST, linear=vector(x), angular=vector(0, 0, yaw))
+
+
+def drive(seconds: int = 30, *, pause: float = 0.0) -> list[Sent]:
+    """Return a drive base: commands with and without header, odometry, an IMU of noise."""
+    rng, count, sent = np.random.default_rng(7), 50 * seconds, []
+    u = moves(rng, count) * (np.arange(count) >= 50 * pause), moves(rng, count, 40)
+    x, yaw = lagged(u[0], 3.0, 0.02), lagged(u[1], 6.0, 0.02)
+    for k in range(count):
+        stamp, noise = START + k * S // 50, 0.01 * rng.standard_normal(3)
+        inner = make('geometry_msgs/msg/TwistWithCovariance', twist=twist(
+            x[k] + noise[0], yaw[k] + noise[1]), covariance=np.abs(rng.standard_normal(36)))
+        sent.append(Sent('/odom', ODOMETRY, stamp, make(ODOMETRY, header=header(stamp),
+                                                        twist=inner)))
+        sent.append(Sent('/imu', IMU, stamp, imu(stamp, noise[2])))
+        if k % 5 == 0:
+            command = twist(u[0][k], u[1][k])
+            sent.append(Sent('/cmd_vel', TWIST, stamp, command))
+            sent.append(Sent('/twist_out', f'{TWIST}Stamped', stamp, make(
+                f'{TWIST}Stamped', header=header(stamp), twist=command)))
+        if k in (100, 900):
+            sent.append(Sent('/joy', 'sensor_msgs/msg/Joy', stamp, make(
+                'sensor_msgs/msg/Joy', buttons=np.array([k // 500, 1], np.int32))))
+    return sent
+
+
+@pytest.fixture(scope='module')
+def base(tmp_path_factory):
+    return write_mcap(tmp_path_factory.mktemp('drive') / 'base.mcap', drive(pause=12.0),
+                      chunk_size=1 << 18)
+
+
+def test_drive_base(base):
+    found = guessed(base)
+    turn = ('/twist_out', 'twist.angular.z'), ('/odom', 'twist.twist.angular.z')
+    push = ('/twist_out', 'twist.linear.x'), ('/odom', 'twist.twist.linear.x')
+    assert keys(found) == [turn, push]             # the copy without stamps is not offered
+    assert [c.unit for c in found.config.channels] == ['rad/s', 'rad/s']
+    assert [c.hold for c in found.config.channels] == ['zoh', 'smooth']
+    assert not found.config.settings.feedthrough
+    assert found.pair.explained.past > 0.9
+    assert not any('covariance' in field or topic == '/joy' for topic, field, _ in found.others)
+    second = guessed(base, 2)
+    assert [(c.topic, c.field) for c in second.config.channels] == list(push)
+    (stretch,) = second.stretches
+    assert stretch.start == pytest.approx(11.0, abs=1.5)
+    with pytest.raises(BagError, match='only 2 to pick'):
+        guessed(base, 3)
+
+
+def test_the_file_is_short_and_reads_back(base):
+    config = guessed(base).config
+    text = dump_brief(config)
+    assert parse_config(yaml.safe_load(text)) == config
+    shown = [line for line in text.splitlines() if line and not line.lstrip().startswith('#')]
+    assert len(shown) < 30
+    bare = '\n'.join(line.replace('# ', '', 1) if line.lstrip().startswith('# ') and ': ' in line
+                     or line.endswith(':') else line for line in text.splitlines()
+                     if not line.lstrip().startswith(('# The rest', '# For', '# Most', '# One')))
+    assert parse_config(yaml.safe_load(bare)) == config  # comments are defaults
+    held = config.with_channels([replace(c, hold='smooth') for c in config.channels])
+    assert parse_config(yaml.safe_load(dump_brief(held))) == held
+
+
+def test_better_pairs_are_known(base):
+    with open_bag(base) as bag:
+        good = guess(bag, survey(bag)).config
+        poor = good.with_channels([*good.inputs, replace(good.outputs[0], topic='/imu', type=IMU,
+                                                         field='angular_velocity.x')])
+        assert better(bag, good) == []
+        assert [p.input.key for p in better(bag, poor)][0] == ('/twist_out', 'twist.angular.z')
+
+
+def test_ranges_are_the_scalars_in_them():
+    path = 'euler(pose.pose.orientation)'
+    channels = [Channel('a', 'input', '/b', 'c/D', 'effort[0:2]'),
+                Channel('r', 'output', '/o', ODOMETRY, path)]
+    assert _scalars(channels) == {('/b', 'effort[0]'), ('/b', 'effort[1]'), *(
+        ('/o', f'{path}.{part}') for part in ('roll', 'pitch', 'yaw'))}
+
+
+def test_joints_with_commands(tmp_path):
+    """Positions that follow commands; the efforts among the measurements are not those."""
+    kind, rng, sent = 'sensor_msgs/msg/JointState', np.random.default_rng(8), []
+    u = np.array([moves(rng, 1500, 30), moves(rng, 1500, 45)])
+    y = np.array([lagged(one, 5.0, 0.02) for one in u]) + 0.005 * rng.standard_normal(u.shape)
+    for k in range(1500):
+        stamp = START + k * S // 50
+        sent += [Sent('/a', kind, stamp, joints(stamp, y[:, k])),
+                 Sent('/b', kind, stamp, joints(stamp, u[:, k]))]
+    found = keys(guessed(write_mcap(tmp_path / 'bag.mcap', sent)))
+    assert {(u[0], y[0], u[1][-2], y[1][-2]) for u, y in found[:2]} == {
+        ('/b', '/a', '0', '0'), ('/b', '/a', '1', '1')}      # whatever the names
+
+
+def test_one_topic_with_efforts(tmp_path):
+    rng = np.random.default_rng(9)
+    u = moves(rng, 1000)
+    y = lagged(u, 4.0, 0.02) + 0.01 * rng.standard_normal(len(u))
+    kind = 'sensor_msgs/msg/JointState'
+    sent = [Sent('/joint_states', kind, START + k * S // 50, make(
+        kind, header=header(START + k * S // 50), name=['a'], position=np.zeros(1),
+        velocity=y[k:k + 1], effort=u[k:k + 1])) for k in range(1000)]
+    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+    assert keys(found)[0] == (('/joint_states', 'effort[0]'), ('/joint_states', 'velocity[0]'))
+    assert {c.hold for c in found.config.channels} == {'smooth'}  # measured, not held
+
+
+def test_what_looks_like_noise_is_not_an_output(tmp_path):
+    rng = np.random.default_rng(0)
+
+    def noisy(_: int, one: Sent) -> Sent:
+        changed = at(one, stamp_of(one))  # a message of its own: flights share theirs
+        changed.message.angular_velocity.y = rng.standard_normal()
+        return changed
+
+    found = guessed(write_mcap(tmp_path / 'bag.mcap', spoilt('/imu', noisy, flight(10.0))))
+    assert keys(found) == [(('/cmd', 'data[0]'), ('/imu', 'angular_velocity.x'))]
+    assert ('/imu', 'angular_velocity.y') in [other[:2] for other in found.others]
+
+
+def test_windows_fit_into_the_bag(base, tmp_path):
+    for path, length in ((base, 10.0), (write_mcap(tmp_path / 'bag.mcap', drive(8)), 4.0)):
+        assert guessed(path).config.settings.window_length == pytest.approx(length, rel=0.05)
+
+
+def test_where_nothing_explains_anything_names_decide_and_that_is_said(tmp_path):
+    rng = np.random.default_rng(10)
+    sent = [Sent(topic, 'std_msgs/msg/Float64MultiArray', START + k * S // 50,
+                 array(rng.standard_normal())) for k in range(500) for topic in ('/x', '/cmd')]
+    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+    assert keys(found)[0] == (('/cmd', 'data[0]'), ('/x', 'data[0]'))
+    assert 'only guessed by their names' in found.reasons[0]
+
+
+def test_too_little_moves(tmp_path):
+    kind = 'std_msgs/msg/Float64MultiArray'
+    sent = [Sent('/cmd', kind, START + k * S // 50, array(math.sin(k / 20), 1.0))
+            for k in range(100)]
+    with pytest.raises(BagError, match=r'only data\[0\] of /cmd does'):
+        guessed(write_mcap(tmp_path / 'a.mcap', sent))
+    with pytest.raises(BagError, match=r'too short: data\[0\] of /cmd \(7 messages\)'):
+        guessed(write_mcap(tmp_path / 'b.mcap', sent[:7]))
+
+
+def test_large_bags_are_read_in_portions(base, monkeypatch):
+    with open_bag(base) as bag:
+        assert portions.portions(bag) == [(0.0, pytest.approx(29.98))]
+        whole = survey(bag)
+        monkeypatch.setattr(portions, '_EXCERPT', 3.0)
+        monkeypatch.setattr(portions, 'MOST_BYTES', bag.size // 2)
+        parts = portions.portions(bag)
+        assert sum(b - a for a, b in parts) == pytest.approx(29.98 / 2, rel=0.01)
+        found = survey(bag)
+        assert f'only {len(parts)} portions of 4 s' in found.notes[-1]
+        for topic, other in zip(whole.topics, found.topics, strict=True):
+            if topic.info.count > 100:
+                assert other.rate == pytest.approx(topic.rate, rel=0.05)
+                assert other.stamps[-1].gaps == topic.stamps[-1].gaps == 0
+        ranking = rank(bag, found)
+    assert len(ranking.clock.parts) == len(parts)
+    assert ranking.pairs[0].input.key == ('/twist_out', 'twist.angular.z')
+    ends = np.concatenate([ranking.clock.time[p][[0, -1]] for p in ranking.clock.parts])
+    assert (np.diff(ends) > 0).all()
+
+
+@pytest.mark.parametrize('name', ['quadrotor_roll', 'quadrotor_roll_sqlite3',
+                                  'quadrotor_roll.bag'])
+def test_a_span_of_a_bag(name):
+    with open_bag(ROOT / 'bags' / name) as bag:
+        span = bag.start_ns + 5 * S, bag.start_ns + 6 * S
+        times = np.concatenate([b.log_ns for b in bag.blocks({'/imu': []}, span)])
+        inside = np.count_nonzero((times >= span[0]) & (times <= span[1]))
+    assert inside == pytest.approx(200, abs=10)
+    assert inside <= len(times) < 4000      # of 7949: the chunk that it lies in, of 13 s
+
+
+# --- recordings as tangled as real ones
+
+
+@pytest.mark.parametrize(('kind', 'seed', 'duration'), [('wheel', 101, 20.0), *slow(
+    *((kind, seed, 60.0) for kind in KINDS for seed in (102, 103)))])
+def test_tangled_recordings(tmp_path, kind, seed, duration):
+    """The pair of the plant is the first, or at least one of the three that are shown."""
+    path, truth = write_tangled(tmp_path / 'bag.mcap', seed, kind, duration)
+    found = keys(ranked(path))[:3]
+    assert any(truth.holds(u, y) for u, y in found), found
+    assert truth.holds(*found[0], setpoint=True), found
+
+
+def test_the_tangles_are_drawn_by_the_seed():
+    one, same, other = (tangled(seed, 'wheel', 1.0) for seed in (1, 1, 2))
+    assert [s.log_ns for s in one.sent] == [s.log_ns for s in same.sent]
+    assert [s.log_ns for s in one.sent] != [s.log_ns for s in other.sent]
+
+
+def test_a_real_aircraft(data_folder):
+    found = guessed(data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap')
+    assert keys(found)[0] == (('/cub1/joy_serial_status', 'data[0]'),
+                              ('/cub1/pose', 'euler(pose.orientation).roll'))
+
+
+# --- the command
+
+
+def test_try_does_all_in_one_go(base, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(['try', str(base), '--pick', '2', '--out', 'res', '--quiet']) == 0
+    out = capsys.readouterr().out
+    for words in ('most promising pair first', 'Stretches worth identifying', 'GOOD', 'pole',
+                  'Next: ctsid simulate res/model.json ANOTHER_BAG'):
+        assert words in out
+    assert (tmp_path / 'res/report.html').exists()
+    config: Config = read_config('res/params.yaml')
+    assert config.inputs[0].field == 'twist.linear.x'
+    report = (tmp_path / 'res/report.md').read_text(encoding='utf-8')
+    assert '--params res/params.yaml --interval 1' in report
+
+
+def test_a_rejected_run_names_better_pairs(base, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    good = guessed(base).config
+    poor = good.with_channels([*good.inputs, replace(good.outputs[0], topic='/imu', type=IMU,
+                                                     field='angular_velocity.x')])
+    (tmp_path / 'p.yaml').write_text(dump_brief(poor))
+    assert main(['identify', str(base), '--params', 'p.yaml', '--out', 'res', '--quiet']) == 3
+    err = capsys.readouterr().err
+    assert 'the data say more about other signals: /twist_out twist.angular.z -> /odom' in err
