@@ -32,9 +32,9 @@ PACKAGES = {
     'ctsid_core': ['errors', 'effort', 'linear', 'settings', 'signals', 'model', 'bases',
                    'subspace', 'likelihood', 'search', 'judge', 'advice', 'identify',
                    'sequence'],
-    'ctsid_ros': ['errors', 'blas', 'interrupts', 'progress', 'decoding', 'config', 'ingest',
-                  'recordings', 'replay', 'messages', 'report', 'export', 'node', 'studies',
-                  'examples', 'verbs', 'cli'],
+    'ctsid_ros': ['errors', 'blas', 'workers', 'interrupts', 'progress', 'decoding', 'config',
+                  'ingest', 'recordings', 'replay', 'messages', 'report', 'export', 'node',
+                  'studies', 'examples', 'verbs', 'cli'],
 }
 ROS = ('rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
        'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs')

@@ -30,6 +30,7 @@ from ctsid_ros.verbs.arguments import (
     add_bag,
     add_budget,
     add_interval,
+    add_jobs,
     add_params,
     add_results,
     add_style,
@@ -54,7 +55,8 @@ EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results
 
 The windows are those of the parameter file (window.length, window.stride). None is skipped; each
 model is tested on the first later window that shares no data with it ("next fit"). Ctrl-C ends
-the run early and keeps the results so far.
+the run early and keeps the results so far. Long windows are identified on all cores, with the same
+results to the last bit.
 
 estimates.mcap has what the node would have published, stamped at the ends of the windows; config/
 has layouts that plot it in Foxglove and PlotJuggler."""
@@ -71,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')
     add_budget(parser)
+    add_jobs(parser)
     add_results(parser)
     add_style(parser)
 
@@ -79,12 +82,13 @@ def command(args: argparse.Namespace) -> int:
     """Replay, write, print."""
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.replay.replay import Replay
+    from ctsid_ros.workers import cores
 
     truth = read_truth(args)
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
-            run = Replay(bag, config, interval_of(args))
+            run = Replay(bag, config, interval_of(args), args.jobs or cores())
             interrupted = _run(run, args.quiet)
             if not run.results:
                 say('interrupted before the first window was complete: there are no results')
