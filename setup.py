@@ -7,7 +7,8 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
-TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'colcon-core',
+BATCH = ['distributed', 'pyarrow']  # distributed brings dask along
+TEST = [*BATCH, 'pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'colcon-core',
         'colcon-ros', 'setuptools>=70.1']  # builds wheels without the package `wheel`
 
 setup(
@@ -33,6 +34,7 @@ setup(
                       'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly'],
     extras_require={
         'ros': ROS,
+        'batch': BATCH,
         'test': TEST,
         'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
         'dev': [*TEST, 'ruff', 'mypy'],

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
-VERBS = ('info', 'init', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study', 'show',
-         'export', 'plot', 'params')  # modules of ctsid_ros.verbs
+VERBS = ('info', 'init', 'identify', 'replay', 'batch', 'simulate', 'advise', 'compare', 'study',
+         'show', 'export', 'plot', 'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
   ctsid info BAG                              what is in it
   ctsid init BAG -o params.yaml               a first guess of inputs and outputs, to edit
   ctsid identify BAG --params params.yaml     one model of the whole bag
   ctsid replay BAG --params params.yaml       models in sliding windows along it
+  ctsid batch BAGS --params P.yaml --out DIR  many bags, each by itself, and a page over all
   ctsid simulate MODEL OTHER_BAG              how well a model simulates another bag
   ctsid export MODEL --to c --rate 200 -o F.c the model as C, .mat, Simulink, YAML, ...
   ctsid advise BAG --params params.yaml       which excitation a better model needs

@@ -33,8 +33,8 @@ PACKAGES = {
                    'subspace', 'likelihood', 'search', 'judge', 'advice', 'identify',
                    'sequence'],
     'ctsid_ros': ['errors', 'blas', 'workers', 'interrupts', 'progress', 'decoding', 'config',
-                  'ingest', 'recordings', 'replay', 'messages', 'report', 'export', 'node',
-                  'studies', 'examples', 'verbs', 'cli'],
+                  'ingest', 'recordings', 'replay', 'messages', 'report', 'export', 'batch',
+                  'node', 'studies', 'examples', 'verbs', 'cli'],
 }
 ROS = ('rosgraph_msgs', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
        'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs')
@@ -52,6 +52,8 @@ USERS = {
     'markupsafe': ['ctsid_ros.report.page'],
     'matplotlib': ['ctsid_ros.report.static', 'ctsid_ros.studies.network'],
     'plotly': ['ctsid_ros.report.interactive'],
+    **dict.fromkeys(('dask', 'distributed'), ['ctsid_ros.batch.scheduling']),
+    'pyarrow': ['ctsid_ros.batch.rows'],
     'yaml': ['ctsid_ros.config.parameter_file', 'ctsid_ros.recordings.*', 'ctsid_ros.export.*'],
     'zstandard': ['ctsid_ros.recordings.*'],
     'numpy': ['ctsid_core*', 'ctsid_ros*'],

@@ -85,6 +85,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.workers import cores
 
     truth = read_truth(args)
+    _look_for_several(args)
     with open_bag(args.bag) as bag:
         config = config_for(args, bag)
         with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
@@ -104,6 +105,17 @@ def command(args: argparse.Namespace) -> int:
         say(f'interrupted: the results are those of the first {len(run.results)} windows')
         return INTERRUPTED
     return NO_MODEL if run.best is None else ACCEPTED
+
+
+def _look_for_several(args: argparse.Namespace) -> None:
+    """Say so if bags are several recordings: windows between them have gaps."""
+    from ctsid_ros.recordings.grouping import recordings
+
+    groups = recordings(args.bag, (), say)
+    if len(groups) > 1:
+        say(f'these are {len(groups)} recordings, apart in time, replayed one after the other: '
+            + '; '.join(named(group) for group in groups)
+            + '; `ctsid batch` replays each by itself, on all cores')
 
 
 def _run(run: Replay, quiet: bool) -> bool:
