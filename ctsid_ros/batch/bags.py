@@ -14,6 +14,7 @@ from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.files import SUFFIXES
 
 _LIST = '.txt'
+_METADATA = 'metadata.yaml'
 
 
 def find_bags(given: Sequence[str]) -> list[str]:
@@ -79,8 +80,10 @@ def _bags(word: str) -> Iterator[str]:
     if path.is_dir():
         yield from _inside(path)
     elif has_magic(word) and not path.exists():
-        for match in sorted(glob(str(path), recursive=True)):
-            yield from _bags(match)
+        for match in map(Path, sorted(glob(str(path), recursive=True))):
+            # of a file that a bag is made of, the pattern means the bag
+            part = match.is_file() and (match.parent / _METADATA).exists()
+            yield from _bags(str(match.parent if part else match))
     else:
         yield str(path)  # if there is no such file, its task will say so
 
@@ -89,7 +92,7 @@ def _inside(folder: Path) -> Iterator[str]:
     """Yield the bags in a folder: a folder with metadata.yaml is one, else its files are."""
     for place, folders, files in os.walk(folder):
         folders.sort()
-        if 'metadata.yaml' in files:
+        if _METADATA in files:
             folders.clear()
             yield place
             continue

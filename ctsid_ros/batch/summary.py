@@ -261,7 +261,7 @@ def words(flights: Sequence[Flight]) -> list[dict[str, Any]]:
 
 def explained() -> Section:
     """Return how outliers are found."""
-    return Section('', (f'A bag has other poles than most if one is more than {FAR:g} times the '
-                        'usual distance (the median over the bags, and its own standard '
-                        'deviation) from the median; bags of the same vehicle are compared, if '
-                        f'it has at least {FEWEST}.',), brief=False)
+    return Section('', (f'A bag has other poles than most if one is more than {FAR:g} standard '
+                        'deviations (of the bags, robust, and its own, together) from the median; '
+                        'bags of the same vehicle are compared, if at least '
+                        f'{FEWEST} have a model, else all.',), brief=False)

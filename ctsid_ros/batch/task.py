@@ -38,7 +38,8 @@ from ctsid_ros.replay.results import bag_name
 
 _CODE = ('ctsid_core', 'ctsid_ros.decoding', 'ctsid_ros.ingest', 'ctsid_ros.recordings',
          'ctsid_ros.replay', 'ctsid_ros.batch')
-_PAGES = ('summary', 'scheduling', 'bags')  # modules that rows do not depend on
+# Modules that rows do not depend on.
+_PAGES = ('summary', 'scheduling', 'bags', 'outliers', 'store')
 
 
 @dataclass(frozen=True)

@@ -163,8 +163,8 @@ def _near(path: Path) -> str:
 
 def _inner(folder: Path) -> str:
     inner = sorted({p.parent.name for p in folder.glob('*/*') if p.name.endswith(SUFFIXES)})
-    return f'; there are bags in its subfolders {", ".join(inner[:5])}: name one of them, or give ' \
-        'the folder to `ctsid batch`, for models of each' if inner else ''
+    return f'; there are bags in its subfolders {", ".join(inner[:5])}: name one of them, or ' \
+        'give the folder to `ctsid batch`, for models of each' if inner else ''
 
 
 def _look(start: bytes) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
 from time import monotonic
 
@@ -60,6 +60,7 @@ class Ahead:
             How many may still come.
         """
         if self._workers is None:
+            yield from self.rest()  # of processes that were killed
             start = monotonic()
             estimate = identify(record, self._settings)
             if self._jobs > 1 and not self.killed and (monotonic() - start) * left > _WORTH:
@@ -67,7 +68,7 @@ class Ahead:
             self.given += 1
             yield record, estimate
             return
-        self._queue.append((record, self._workers.submit(identify, record, self._settings)))
+        self._queue.append((record, self._submitted(self._workers, record)))
         while self._queue and (self._queue[0][1].done()
                                or len(self._queue) > _AHEAD * self._jobs):
             yield self._next()
@@ -79,7 +80,7 @@ class Ahead:
 
     def done(self) -> Iterator[Identified]:
         """Yield what needs no waiting."""
-        while self._queue and self._queue[0][1].done() and not self._queue[0][1].exception():
+        while self._queue and self._queue[0][1].done() and not _lost(self._queue[0][1]):
             yield self._next()
 
     def end(self) -> None:
@@ -88,14 +89,30 @@ class Ahead:
             self._workers.end()
             self._workers = None
 
+    def _submitted(self, workers: Workers, record: Record) -> Future[Estimate]:
+        try:
+            return workers.submit(identify, record, self._settings)
+        except BrokenProcessPool:
+            lost: Future[Estimate] = Future()
+            lost.cancel()
+            return lost
+
     def _next(self) -> Identified:
         record, future = self._queue[0]
-        try:
-            estimate = future.result()
-        except BrokenProcessPool:
+        if _lost(future):
             self.killed = True
             self.end()
             estimate = identify(record, self._settings)
+        else:
+            estimate = future.result()
         self._queue.popleft()
         self.given += 1
         return record, estimate
+
+
+def _lost(future: Future[Estimate]) -> bool:
+    """Wait for a future; return whether the processes were killed before it was done."""
+    try:
+        return isinstance(future.exception(), BrokenProcessPool)
+    except CancelledError:
+        return True

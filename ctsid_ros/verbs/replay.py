@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctsid_ros.errors import BagError
 from ctsid_ros.progress import progress
 from ctsid_ros.replay.results import (
     MODEL,
@@ -85,8 +87,8 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.workers import cores
 
     truth = read_truth(args)
-    _look_for_several(args)
     with open_bag(args.bag) as bag:
+        _look_for_several(args.bag)
         config = config_for(args, bag)
         with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
             run = Replay(bag, config, interval_of(args), args.jobs or cores())
@@ -107,11 +109,13 @@ def command(args: argparse.Namespace) -> int:
     return NO_MODEL if run.best is None else ACCEPTED
 
 
-def _look_for_several(args: argparse.Namespace) -> None:
-    """Say so if bags are several recordings: windows between them have gaps."""
+def _look_for_several(bags: Sequence[str]) -> None:
+    """Say so if a folder has several recordings: windows across their ends have gaps."""
     from ctsid_ros.recordings.grouping import recordings
 
-    groups = recordings(args.bag, (), say)
+    groups: list[tuple[str, ...]] = []
+    with suppress(BagError):  # which a replay does not mind
+        groups = recordings(bags) if len(bags) == 1 else []
     if len(groups) > 1:
         say(f'these are {len(groups)} recordings, apart in time, replayed one after the other: '
             + '; '.join(named(group) for group in groups)
