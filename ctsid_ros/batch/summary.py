@@ -27,6 +27,7 @@ _COLUMNS = ('recorded', 'window', 'verdict', 'reason', 'best', 'order', 'poles',
 _MOST_ROWS = 300    # of a table on the page; bags.csv has all
 _MOST_NAMED = 40    # bags in a list
 _DAY = 86_400e9     # [ns]
+_APART = 5.0        # frequencies that differ by more have a logarithmic axis
 
 
 @dataclass(frozen=True)
@@ -226,8 +227,10 @@ def _figures(flights: Sequence[Flight], shown: Mapping[str, str]) -> list[Sectio
                              np.array([p['im'] for _, p in own], float), name or '-', color,
                              'cross', texts=texts))
     across = f'days after {day}'
+    sizes = [p['natural_frequency'] for f in known for p in f.poles if p['natural_frequency']]
+    apart = bool(sizes) and max(sizes) > _APART * min(sizes)
     along = Drawing((
-        Axes(curves['natural_frequency'], 'natural frequency [rad/s]', y_log=True),
+        Axes(curves['natural_frequency'], 'natural frequency [rad/s]', y_log=apart),
         Axes(curves['damping'], 'damping ratio', across)), wide=True)
     plane = Drawing((Axes(crosses, 'imaginary part [rad/s]', 'real part [rad/s]',
                           marks=[(0.0, '')], height=300.0),))
