@@ -18,12 +18,11 @@ import numpy as np
 
 from ctsid_core.errors import StorageError
 from ctsid_core.linear.types import Array
-from ctsid_core.model.estimate import Estimate
-from ctsid_core.model.storage import write_file
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from ctsid_core.model.estimate import Estimate
     from ctsid_ros.replay.replay import Result
 
 SUFFIX = '.parquet'
@@ -105,6 +104,8 @@ def write_rows(path: Path, rows: Rows, made: Made) -> None:
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
+
+    from ctsid_core.model.storage import write_file
 
     columns = {name: [row.get(name) for row in rows] for name in schema().names}
     table = pa.table(columns, schema().with_metadata(

@@ -28,7 +28,10 @@ _LOCAL = {
     'distributed.scheduler.allowed-failures': 0,  # tries are counted here
     # Rows are small, and what a bag takes cannot be spilled: a worker that would take too much
     # memory is ended (at 95 % of its share), and never waits for better times.
-    f'{_MEMORY}.target': False, f'{_MEMORY}.spill': False, f'{_MEMORY}.pause': False}
+    f'{_MEMORY}.target': False, f'{_MEMORY}.spill': False, f'{_MEMORY}.pause': False,
+    # What only a dashboard shows takes some per cent of a core in each process.
+    'distributed.worker.profile.enabled': False, 'distributed.admin.tick.interval': '1s',
+    'distributed.admin.system-monitor.interval': '5s'}
 KILLED = (f'given up: the process that identified it was killed {TRIES} times, as the system does '
           'where memory is short; try it by itself with `ctsid replay`, or a part of it')
 
@@ -73,7 +76,7 @@ def cluster(jobs: int, scheduler: str = '') -> Iterator[Client]:
         stack.enter_context(dask.config.set(_LOCAL))
         with interrupts_held_back():  # in all threads and processes that are started from here
             local = stack.enter_context(LocalCluster(
-                n_workers=jobs, threads_per_worker=1, dashboard_address=None,
+                n_workers=jobs, threads_per_worker=1, dashboard_address='127.0.0.1:0',
                 silence_logs=logging.CRITICAL))
             client = stack.enter_context(Client(local))
         stack.callback(_end, before)
