@@ -11,7 +11,8 @@ ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 FILES = {'px4': ['pyulog'], 'ardupilot': ['pymavlink'], 'parquet': ['pyarrow'],
          'remote': ['fsspec[http]']}
 EVERY_FILE = [library for libraries in FILES.values() for library in libraries]
-TEST = [*EVERY_FILE, 'pytest>=8', 'pytest-xdist', 'hypothesis', 'mpmath', 'control',
+BATCH = ['distributed', 'pyarrow']  # distributed brings dask along
+TEST = [*EVERY_FILE, *BATCH, 'pytest>=8', 'pytest-xdist', 'hypothesis', 'mpmath', 'control',
         'jsonschema', 'playwright', 'colcon-core', 'colcon-ros',
         'setuptools>=70.1']  # builds wheels without the package `wheel`
 
@@ -40,6 +41,7 @@ setup(
         'ros': ROS,
         **FILES,
         'files': EVERY_FILE,
+        'batch': BATCH,
         'test': TEST,
         'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
         'dev': [*TEST, 'ruff', 'mypy'],

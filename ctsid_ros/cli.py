@@ -24,14 +24,15 @@ if TYPE_CHECKING:
 
 use_one_thread()  # before NumPy is imported, hence here and not in main()
 
-VERBS = ('info', 'init', 'try', 'identify', 'replay', 'simulate', 'advise', 'compare', 'study',
-         'show', 'export', 'plot', 'watch', 'params')  # modules of ctsid_ros.verbs
+VERBS = ('info', 'init', 'try', 'identify', 'replay', 'batch', 'simulate', 'advise', 'compare',
+         'study', 'show', 'export', 'plot', 'watch', 'params')  # modules of ctsid_ros.verbs
 _EPILOG = """first steps:
   ctsid try BAG                               all of the next three in one go
   ctsid info BAG                              what is in it
   ctsid init BAG -o params.yaml               the most promising input and output, to edit
   ctsid identify BAG --params params.yaml     one model of the whole bag
   ctsid replay BAG --params params.yaml       models in sliding windows along it
+  ctsid batch BAGS --params P.yaml --out DIR  many bags, each by itself, and a page over all
   ctsid simulate MODEL OTHER_BAG              how well a model simulates another bag
   ctsid export MODEL --to c --rate 200 -o F.c the model as C, .mat, Simulink, YAML, ...
   ctsid advise BAG --params params.yaml       which excitation a better model needs

@@ -31,7 +31,7 @@ def silent(fraction: float, text: str) -> None:
 def progress(title: str, *, quiet: bool = False, stream: TextIO | None = None
              ) -> Iterator[Advance]:
     """
-    Give a function that shows how far a run is, and on a terminal how long it will go on.
+    Give a function that shows how far a run is, and how long it will go on.
 
     Parameters
     ----------
@@ -93,15 +93,17 @@ def time_left(done: float, seconds: float) -> str:
 
 
 def _lines(title: str, stream: TextIO) -> Advance:
-    shown, since = 0, monotonic()
+    start = since = monotonic()
+    shown = 0
 
     def advance(fraction: float, text: str) -> None:
         nonlocal shown, since
-        tenths = int(10 * min(max(fraction, 0.0), 1.0) + 1e-9)
+        done = min(max(fraction, 0.0), 1.0)
+        tenths = int(10 * done + 1e-9)
         if tenths > shown and monotonic() - since > _PATIENCE:
             shown, since = tenths, monotonic()
-            print(f'{title}: {10 * tenths} %' + (f', {text}' if text else ''), file=stream,
-                  flush=True)
+            words = (f'{title}: {10 * tenths} %', text, time_left(done, since - start))
+            print(', '.join(word for word in words if word), file=stream, flush=True)
 
     return advance
 

@@ -479,6 +479,7 @@ def test_recordings_apart_in_time_are_several_records(ctsid, shared, days):
                            'res', '--truth', shared / 'truth.json', '--quiet')
     assert code == 0, err
     assert 'these are 2 recordings of their own' in err
+    assert '`ctsid batch` makes models of each by itself' in err
     assert 'Model of 2 records' in out
     assert sorted(p.name for p in Path('res').iterdir()) == FILES
     estimate = load_estimate('res/model.json')
@@ -497,6 +498,14 @@ def test_recordings_apart_in_time_are_several_records(ctsid, shared, days):
     page = Path('res/report.html').read_text()
     assert 'Measured and simulated, record 2' in page
     assert re.search(r'(?m)^\s+2\s+\S*tuesday_1.mcap and 1 more\s+0.0\s+8.0', out)
+
+
+def test_replay_of_a_folder_with_several_recordings_points_to_batch(ctsid, shared, days):
+    code, _, err = ctsid('replay', days[0].parent, '--params', shared / 'params.yaml', '--out',
+                         'res', '--duration', 6, '--quiet')
+    assert code == 0
+    assert 'these are 2 recordings, apart in time, replayed one after the other' in err
+    assert '`ctsid batch` replays each by itself' in err
 
 
 def test_several_records_as_json_with_a_test_of_each(ctsid, shared, days):

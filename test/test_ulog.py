@@ -167,7 +167,7 @@ def test_the_guess_is_torque_and_rate(tmp_path):
             log.data(number, 1_000_000 + 10_000 * i, struct.pack('<3f', *values))
     (tmp_path / 'a.ulg').write_bytes(log.bytes())
     with open_bag(tmp_path / 'a.ulg') as bag:
-        config = guess(survey(bag)).config
+        config = guess(bag, survey(bag)).config
     assert {c.topic for c in config.inputs} == {'vehicle_torque_setpoint'}
     assert {c.topic for c in config.outputs} == {'vehicle_angular_velocity'}
 

@@ -128,9 +128,31 @@ class Tracker:
             If `cancelled` said so.
         """
         past = self._past
+        return self._joined(past, record, identify(record, self.settings, cancelled=cancelled))
+
+    def join(self, record: Record, estimate: Estimate) -> Tracked:
+        """
+        Take a window that is identified already, as by another process.
+
+        What a window is identified from does not depend on those before it, so that several can
+        be identified at a time; they have to be joined in their order. The same bits as of `take`.
+
+        Parameters
+        ----------
+        record : Record
+        estimate : Estimate
+            Of `identify` for this record and these settings.
+
+        Raises
+        ------
+        DataError
+            As of `take`.
+        """
+        return self._joined(self._past, record, estimate)
+
+    def _joined(self, past: _Past, record: Record, estimate: Estimate) -> Tracked:
         test = _fresh(past, record, self.settings)
-        estimate = self._reject_straddling(
-            identify(record, self.settings, cancelled=cancelled))
+        estimate = self._reject_straddling(estimate)
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
         if estimate.model is None:

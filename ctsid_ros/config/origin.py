@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,30 @@ def package_version() -> str:
         return version('ctsid')
     except PackageNotFoundError:
         return 'unknown (not installed)'
+
+
+def code_digest(packages: Sequence[str], without: Collection[str] = ()) -> str:
+    """
+    Return a digest of code, and of the versions of NumPy and SciPy, that results depend on.
+
+    Parameters
+    ----------
+    packages : sequence of str
+        Names, like ctsid_core.
+    without : collection of str
+        Names of modules in them that do not matter.
+    """
+    import hashlib
+    from importlib import import_module
+    from importlib.metadata import version
+    from pathlib import Path
+
+    digest = hashlib.sha256(f'{version("numpy")} {version("scipy")}'.encode())
+    for package in packages:
+        folder = Path(str(import_module(package).__file__)).parent
+        for path in sorted(p for p in folder.rglob('*.py') if p.stem not in without):
+            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def described(config: Config) -> list[dict[str, object]]:

@@ -211,7 +211,8 @@ def _near(path: Path) -> str:
 
 def _inner(folder: Path) -> str:
     inner = sorted({p.name for p in folder.iterdir() if p.is_dir() and files_in(p)})
-    return f'; there are bags in its subfolders {", ".join(inner[:5])}' if inner else ''
+    return f'; there are bags in its subfolders {", ".join(inner[:5])}: name one of them, or ' \
+        'give the folder to `ctsid batch`, for models of each' if inner else ''
 
 
 def _look(start: bytes) -> str:

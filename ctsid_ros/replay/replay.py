@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -31,6 +31,7 @@ from ctsid_ros.recordings.playback import (
     read_record,
     why_nothing,
 )
+from ctsid_ros.replay.ahead import KILLED, Ahead, Identified
 
 _LIKE = 1.0  # fits [%] that differ by less are alike
 
@@ -75,6 +76,9 @@ class Replay:
     bag : Bag
     config : Config
     interval : Interval, optional
+    jobs : int
+        How many windows are identified at a time, by processes of their own where they take long.
+        The results are the same, to the bit.
 
     Attributes
     ----------
@@ -88,11 +92,14 @@ class Replay:
         If topics, fields or types are not in the bag.
     """
 
-    def __init__(self, bag: Bag, config: Config, interval: Interval | None = None) -> None:
+    def __init__(self, bag: Bag, config: Config, interval: Interval | None = None,
+                 jobs: int = 1) -> None:
         self._bag, self._interval = bag, interval or Interval()
         self.config = fit_config(bag, config)
         self._ingest = Ingest(self.config)
         self._tracker = Tracker(self.config.settings.for_windows())
+        self._ahead = Ahead(self._tracker.settings, jobs)
+        self._kept: dict[int, Record] = {}  # of results that may become the best
         self._untested: deque[int] = deque()  # results that wait for data of their own future
         self.results: list[Result] = []
         self.broken = ''
@@ -102,6 +109,7 @@ class Replay:
         """What became of the messages so far."""
         end = [f'the bag could not be read to its end, and these are the windows before: '
                f'{self.broken}'] if self.broken else []
+        end += [KILLED] if self._ahead.killed else []
         return Played(self.config, self._ingest.counts(), (*end, *self._ingest.report()))
 
     @property
@@ -127,36 +135,52 @@ class Replay:
                 advance(min(done, 0.99), self._news(total))
 
         try:
-            for record in self._windows(self._ingest, moved, spans):
-                self._take(record)
-                moved()
-        except BagError as error:
-            self._salvage(error)
+            self._identify(spans, total, moved)
+        finally:
+            self._ahead.end()
         if advance:
             advance(1.0, self._news(total))
+        if self.broken and not self.results:
+            raise BagError(self.broken)
         if self.best is None and apart(spans):
             raise BagError(why_nothing(self._bag, self.config, self._ingest, spans,
                                         self.played.complaints))
         if not self.results:
             raise BagError(self._why_no_window())
 
-    def _salvage(self, error: BagError) -> None:
-        """Keep what came before a bag could not be read on; raise if it is nothing."""
-        self.broken = str(error)
-        for record in self._ingest.flush():
-            self._take(record)
-        if not self.results:
-            raise error
+    def _identify(self, spans: Spans, total: int, moved: Callable[..., None]) -> None:
+        """Read, identify and join; what is done when it is interrupted is joined as well."""
+        read = 0
+        try:
+            for record in self._read(spans, moved):
+                read += 1
+                self._join(self._ahead.take(record, total - read), moved)
+            self._join(self._ahead.rest(), moved)
+        except KeyboardInterrupt:
+            if self._ahead.given == len(self.results):  # else within the joining of one
+                self._join(self._ahead.done(), moved)
+            raise
+
+    def _read(self, spans: Spans, moved: Callable[..., None]) -> Iterator[Record]:
+        """Yield the windows; those before it, where the bag cannot be read on."""
+        try:
+            yield from self._windows(self._ingest, moved, spans)
+        except BagError as error:
+            self.broken = str(error)
+        if self.broken:
+            yield from self._ingest.flush()
 
     def record(self, number: int) -> Record:
         """
-        Return the data of a result, read anew: they are not kept, for bags are long.
+        Return the data of a result: those of the best are kept, others are read anew.
 
         Raises
         ------
         BagError
             If the bag cannot be read again.
         """
+        if number in self._kept:
+            return self._kept[number]
         for record in islice(self._windows(Ingest(self.config), None, None), number, None):
             return record
         raise BagError('the bag does not give the same windows when it is read again')
@@ -167,14 +191,33 @@ class Replay:
             yield from ingest.due()
         yield from ingest.flush()
 
-    def _take(self, record: Record) -> None:
-        start_ns = record.epoch_ns + round(record.start * 1e9)
-        while self._untested and self.results[self._untested[0]].estimate.end_ns <= start_ns:
-            self._test(self._untested.popleft(), record)
-        tracked = self._tracker.take(record)
-        self.results.append(Result(tracked, np.full(record.ny, np.nan)))
-        if tracked.estimate.ok:
-            self._untested.append(len(self.results) - 1)
+    def _join(self, identified: Iterable[Identified], moved: Callable[[], None]) -> None:
+        """Put windows behind those before them; test models on what is new."""
+        for record, estimate in identified:
+            start_ns = record.epoch_ns + round(record.start * 1e9)
+            while self._untested and self.results[self._untested[0]].estimate.end_ns <= start_ns:
+                self._test(self._untested.popleft(), record)
+            tracked = self._tracker.join(record, estimate)
+            self.results.append(Result(tracked, np.full(record.ny, np.nan)))
+            if tracked.estimate.ok:
+                self._untested.append(len(self.results) - 1)
+            self._keep(record)
+            moved()
+
+    def _keep(self, record: Record) -> None:
+        """Keep the last record, and of the others those whose models may become the best."""
+        last = len(self.results) - 1
+        self._kept[last] = record
+        wanted = {last, *self._untested}
+        orders: dict[int, list[int]] = {}
+        for number in self._kept:
+            model = self.results[number].estimate.model
+            if model:
+                orders.setdefault(model.n, []).append(number)
+        for numbers in orders.values():  # whatever comes, no other of this order is the best
+            best = best_of([self.results[number] for number in numbers])
+            wanted |= {numbers[best]} if best is not None else set()
+        self._kept = {number: self._kept[number] for number in sorted(wanted)}
 
     def _test(self, number: int, record: Record) -> None:
         result = self.results[number]

@@ -160,15 +160,7 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
 
 def _hash(bags: Sequence[str]) -> str | None:
     """Return the SHA-256 of all files of a bag in the order of their names, if it is small."""
-    from ctsid_ros.recordings.remote import local
+    from ctsid_ros.recordings.content import all_files, content_hash, size
 
-    files = [f for bag in map(local, bags) for f in
-             (sorted(p for p in bag.iterdir() if p.is_file()) if bag.is_dir() else [bag])]
-    if sum(f.stat().st_size for f in files) > _HASHED:
-        return None
-    import hashlib
-
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+    files = all_files(bags)
+    return None if size(files) > _HASHED else content_hash(files)

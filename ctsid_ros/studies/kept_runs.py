@@ -13,16 +13,14 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 import csv
 from functools import cache
-import hashlib
-from importlib import import_module
 import io
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-import scipy
 
 from ctsid_core.model.statespace import StateSpace
+from ctsid_ros.config.origin import code_digest
 from ctsid_ros.studies.monte_carlo import Outcome
 
 COLUMNS = ('experiment', 'code', 'seed', 'order', 'status', 'error', 'deviation',
@@ -72,12 +70,7 @@ class KeptRuns:
 @cache
 def code() -> str:
     """Return a digest of the code that results depend on."""
-    digest = hashlib.sha256(f'{np.__version__} {scipy.__version__}'.encode())
-    for package in ('ctsid_core', 'ctsid_ros.studies'):
-        folder = Path(str(import_module(package).__file__)).parent
-        for path in sorted(p for p in folder.rglob('*.py') if p.stem not in DRAWING):
-            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:12]
+    return code_digest(('ctsid_core', 'ctsid_ros.studies'), DRAWING)
 
 
 def _as_text(rows: Iterable[Sequence[str]]) -> str:

@@ -5,21 +5,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import partial
-import multiprocessing
-import os
 from pathlib import Path
-import signal
 from typing import Protocol, TypeVar
 
-from ctsid_ros.blas import use_one_thread
 from ctsid_ros.progress import progress
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.kept_runs import KeptRuns
 from ctsid_ros.studies.monte_carlo import Outcome
+from ctsid_ros.workers import Workers, cores
 
 Task = Callable[[int], Outcome]
 T = TypeVar('T')
@@ -66,12 +61,6 @@ def runs(task: Callable[[int], T], title: str, count: int, jobs: int = 1,
     return [done[seed] for seed in range(count)]
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') \
-        else os.cpu_count() or 1
-
-
 def conclude(given: argparse.Namespace, name: str, table: Table, words: str = '') -> None:
     """
     Write the table of a study and print it.
@@ -95,39 +84,11 @@ def _each(task: Callable[[int], T], seeds: Sequence[int], jobs: int) -> Iterator
     if jobs == 1 or len(seeds) < 2:
         yield from map(task, seeds)
         return
-    use_one_thread()        # of every process that is started from here
-    chunk = max(1, min(4, len(seeds) // jobs))
-    pool = ProcessPoolExecutor(jobs, mp_context=_context())
+    workers = Workers(jobs, 'ctsid_ros.studies.monte_carlo')
     try:
-        with _interrupts_held_back():
-            found = pool.map(task, seeds, chunksize=chunk)
-        yield from found
+        yield from workers.map(task, seeds, max(1, min(4, len(seeds) // jobs)))
     finally:
-        with _interrupts_held_back():
-            pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """
-    Let Ctrl-C count as soon as this ends, and not at all in processes that are started here.
-
-    These are ended by this one, which nothing may keep from it.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _context() -> multiprocessing.context.BaseContext:
-    """Return a way to start processes that import the library once for all of them."""
-    if 'forkserver' not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context('spawn')
-    context = multiprocessing.get_context('forkserver')
-    context.set_forkserver_preload(['ctsid_ros.studies.monte_carlo'])
-    return context
+        workers.end()
 
 
 def arguments(doc: str | None, name: str, count: int | None,

@@ -112,6 +112,12 @@ def add_budget(parser: argparse.ArgumentParser) -> None:
                         'identification may take [s, default: that of the parameter file]')
 
 
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """Add how many processes compute."""
+    parser.add_argument('--jobs', type=steps, metavar='N',
+                        help='processes that identify [default: one for each core]')
+
+
 def add_results(parser: argparse.ArgumentParser) -> None:
     """Add the folder of results."""
     parser.add_argument('--out', metavar='DIR', help='folder for the results [default '

@@ -191,7 +191,8 @@ def command(args: argparse.Namespace) -> int:
         config = config_for(args, bag)
     if len(groups) > 1:
         say(f'these are {len(groups)} recordings of their own: one model of all, with a trim of '
-            'each: ' + '; '.join(named(group) for group in groups))
+            'each: ' + '; '.join(named(group) for group in groups)
+            + '; `ctsid batch` makes models of each by itself')
     with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
         with progress('reading', quiet=args.quiet) as advance:
             sources = [_read(group, args.time, config, interval, args.test_from, advance)

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctsid_ros.errors import BagError
 from ctsid_ros.progress import progress
 from ctsid_ros.replay.results import (
     MODEL,
@@ -30,6 +32,7 @@ from ctsid_ros.verbs.arguments import (
     add_bag,
     add_budget,
     add_interval,
+    add_jobs,
     add_params,
     add_results,
     add_style,
@@ -55,7 +58,8 @@ EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results
 
 The windows are those of the parameter file (window.length, window.stride). None is skipped; each
 model is tested on the first later window that shares no data with it ("next fit"). Ctrl-C ends
-the run early and keeps the results so far.
+the run early and keeps the results so far. Long windows are identified on all cores, with the same
+results to the last bit.
 
 estimates.mcap has what the node would have published, stamped at the ends of the windows; config/
 has layouts that plot it in Foxglove and PlotJuggler."""
@@ -72,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')
     add_budget(parser)
+    add_jobs(parser)
     add_results(parser)
     add_style(parser)
 
@@ -80,12 +85,14 @@ def command(args: argparse.Namespace) -> int:
     """Replay, write, print."""
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.replay.replay import Replay
+    from ctsid_ros.workers import cores
 
     truth = read_truth(args)
     with open_bag(args.bag, args.time) as bag:
+        _look_for_several(args.bag)
         config = config_for(args, bag)
         with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
-            run = Replay(bag, config, interval_of(args))
+            run = Replay(bag, config, interval_of(args), args.jobs or cores())
             interrupted = _run(run, args.quiet)
             if not run.results:
                 say('interrupted before the first window was complete: there are no results')
@@ -103,6 +110,19 @@ def command(args: argparse.Namespace) -> int:
     if run.best is None:
         say_better(args.bag, run.played.config)
     return NO_MODEL if run.best is None else ACCEPTED
+
+
+def _look_for_several(bags: Sequence[str]) -> None:
+    """Say so if a folder has several recordings: windows across their ends have gaps."""
+    from ctsid_ros.recordings.grouping import recordings
+
+    groups: list[tuple[str, ...]] = []
+    with suppress(BagError):  # which a replay does not mind
+        groups = recordings(bags) if len(bags) == 1 else []
+    if len(groups) > 1:
+        say(f'these are {len(groups)} recordings, apart in time, replayed one after the other: '
+            + '; '.join(named(group) for group in groups)
+            + '; `ctsid batch` replays each by itself, on all cores')
 
 
 def _run(run: Replay, quiet: bool) -> bool:

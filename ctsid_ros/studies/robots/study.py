@@ -23,7 +23,8 @@ from ctsid_ros.studies.robots.kept_rows import KeptRows
 from ctsid_ros.studies.robots.scoring import Row
 from ctsid_ros.studies.robots.sitting import Reach, sat
 from ctsid_ros.studies.robots.tables import by_family, by_kind
-from ctsid_ros.studies.runner import cores, positive, runs
+from ctsid_ros.studies.runner import positive, runs
+from ctsid_ros.workers import cores
 
 
 def one(number: int, family: str, seed: int, folder: Path) -> Row:
