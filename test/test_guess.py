@@ -124,8 +124,9 @@ def test_frequencies_are_counted():
 def test_switches_modes_clocks_and_constants_are_no_signals():
     t = np.arange(100.0)
     assert no_signal(t, 0 * t)
-    assert no_signal(t, (t > 40).astype(float))
-    assert no_signal(t, np.floor(t / 40))
+    assert no_signal(t, (t > 40).astype(float), counts=True)
+    assert no_signal(t, np.floor(t / 40), counts=True)
+    assert not no_signal(t, (t > 40).astype(float))             # a step, as people fly it
     assert no_signal(t, 5 + 0.1 * t)
     assert not no_signal(t, (np.sin(t) > 0).astype(float))      # a pseudo-random binary input
     assert not no_signal(t, 0.25 * (t > 40) + 0.1 * (t > 70))   # two steps

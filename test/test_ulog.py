@@ -14,8 +14,6 @@ from recording_files import ULogWriter, flight, ulog_message, write_ulog
 from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
-from ctsid_ros.recordings.guess import guess
-from ctsid_ros.recordings.survey import survey
 
 pytest.importorskip('pyulog')
 T_U, U, T_Y, Y = flight(5.0)
@@ -151,25 +149,6 @@ def test_attitudes_have_angles(tmp_path):
             'euler(q_xyzw).yaw']
     np.testing.assert_allclose(numbers(path, 'vehicle_attitude', 'euler(q_xyzw).roll'),
                                angles[:, None], atol=1e-6)
-
-
-def test_the_guess_is_torque_and_rate(tmp_path):
-    """Among the setpoints and measurements that a log is full of."""
-    log = ULogWriter()
-    names = ('trajectory_setpoint', 'vehicle_torque_setpoint', 'vehicle_rates_setpoint',
-             'actuator_motors', 'vehicle_attitude', 'vehicle_angular_velocity', 'sensor_combined',
-             'vehicle_odometry', 'manual_control_setpoint')
-    rng = np.random.default_rng(0)
-    for name in names:
-        log.format(name, 'uint64_t timestamp;float[3] xyz;')
-        number = log.subscribe(name)
-        for i, values in enumerate(np.cumsum(rng.normal(size=(200, 3)), axis=0)):
-            log.data(number, 1_000_000 + 10_000 * i, struct.pack('<3f', *values))
-    (tmp_path / 'a.ulg').write_bytes(log.bytes())
-    with open_bag(tmp_path / 'a.ulg') as bag:
-        config = guess(bag, survey(bag)).config
-    assert {c.topic for c in config.inputs} == {'vehicle_torque_setpoint'}
-    assert {c.topic for c in config.outputs} == {'vehicle_angular_velocity'}
 
 
 def test_messages_without_time_are_no_topic(tmp_path):

@@ -16,6 +16,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_ros.decoding.field_path import FieldPath, parse_field
+from ctsid_ros.decoding.message_types import MessageType
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, gather, held
 from ctsid_ros.recordings.survey import Survey, TopicSurvey
@@ -23,7 +24,7 @@ from ctsid_ros.recordings.survey_stats import FieldStats
 
 FEWEST = 30  # messages: fewer show no dynamics
 _MOST_OF_TOPIC = 40  # fields: a longer list is of no use to anybody
-_LEVELS, _SWITCHES = 3, 12  # a whole number with so few levels and changes is a switch or a mode
+_LEVELS, _SWITCHES = 3, 12  # an integer or bool with so few levels and changes is a switch, a mode
 _RAMP = 1e-4  # of its range: what leaves a straight line by less is a clock
 
 COMMAND_NAME = re.compile(
@@ -136,7 +137,8 @@ def candidates(bag: Bag, survey: Survey) -> tuple[list[Candidate], Clock]:
     read, parts = gather(bag, survey, fields)
     clock = clock_for([_rate(samples.time) for samples in read.values()], parts)
     found = [one for topic in topics
-             for one in _of_topic(topic, fields[topic.info.name], read[topic.info.name], clock)]
+             for one in _of_topic(topic, bag.message_type(topic.info.name),
+                                  fields[topic.info.name], read[topic.info.name], clock)]
     return found, clock
 
 
@@ -146,14 +148,15 @@ def _rate(time: Array) -> float:
     return 1.0 / float(np.median(step)) if len(step) else np.nan
 
 
-def _of_topic(topic: TopicSurvey, paths: Sequence[FieldPath], samples: Samples, clock: Clock
-              ) -> list[Candidate]:
+def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath], samples: Samples,
+              clock: Clock) -> list[Candidate]:
     stats: Mapping[str, FieldStats] = {f.field: f for f in topic.moving}
     found = []
+    whole = [path for path in paths if not is_real(kind, path)]
     for i, path in enumerate(paths):
         good = np.isfinite(samples.values[:, i])
         time, values = samples.time[good], samples.values[good, i]
-        if len(time) < FEWEST or no_signal(time, values):
+        if len(time) < FEWEST or no_signal(time, values, counts=path in whole):
             continue
         acts, measures = likely_roles(topic, str(path))
         found.append(Candidate(
@@ -162,13 +165,25 @@ def _of_topic(topic: TopicSurvey, paths: Sequence[FieldPath], samples: Samples, 
     return found
 
 
-def no_signal(time: Array, values: Array) -> bool:
-    """Whether it is a constant, a switch, a mode or a clock."""
+def is_real(kind: MessageType, path: FieldPath) -> bool:
+    """Whether a field is declared as a real number, not as a whole one or a bool."""
+    name = kind.name
+    for step in path.leaves[0]:
+        if isinstance(step, str):
+            name = kind.types[name][step].base
+    return name.startswith('float')
+
+
+def no_signal(time: Array, values: Array, *, counts: bool = False) -> bool:
+    """
+    Whether it is a constant, a clock or, of whole numbers by declaration, a switch or a mode.
+
+    A command that steps between a few levels is a signal.
+    """
     changes = np.count_nonzero(np.diff(values))
-    if changes < 2:
+    if changes == 0:
         return True
-    if changes < _SWITCHES and (values == np.round(values)).all() \
-            and len(np.unique(values)) <= _LEVELS:
+    if counts and changes < _SWITCHES and len(np.unique(values)) <= _LEVELS:
         return True
     line = np.polynomial.Polynomial.fit(time, values, 1)
     return bool(np.abs(values - line(time)).max() < _RAMP * np.ptp(values))
