@@ -176,9 +176,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
     before, after, rival = (np.array([_power((side,)) for side in both])
                             for both in (one, two, larger))
     power, rest = parts @ rival, parts @ after
-    counts = samples.counts[0]
-    n_eff = counts * independent(tuple(two)) / [
-        sum(len(e) for e in own) for own in zip(*two, strict=True) for _ in range(own[0].shape[1])]
+    n_eff = independent(tuple(two))
     count, of_whole = (_numbers(samples, m, free) for m in (model, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
     price = max(2 * count - of_whole, 1)            # fewer numbers are no evidence of a change
@@ -188,7 +186,10 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
         return Change()
     where = int(np.argmax(parts @ before - rest))
     left = _coloured(tuple(two))[where] / max(float(_coloured(tuple(one))[where]), 1e-300)
-    missed = np.sqrt(np.maximum(before - after, 0.0))
+    # Of noise alone two models miss less, too: by what their numbers are fitted to it.
+    sizes = np.array([[len(e) for e in side for _ in range(e.shape[1])] for side in two])
+    by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
+    missed = np.sqrt(np.maximum(before - by_chance, 0.0))
     return Change(place, share, 100.0 * float(np.max(missed)), gain, float(left), *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))

@@ -133,12 +133,14 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
         Gain of -2 log likelihood that another step has to promise, and the last one to have
         brought.
     """
-    best, damping, gain = start, _DAMPING, np.inf
+    best, damping, gain, total = start, _DAMPING, np.inf, float(np.sum(samples.counts))
     for taken in range(steps):
         gradient, curvature, scale, places = _slopes(samples, best, free)
         promise = _promise(gradient, curvature)
         moved = None
-        hopeless = best.cost - 5.0 * max(promise, gain if taken else 0.0) > rival
+        # Errors that shrink to nothing gain without bound: cost is the logarithm of their power.
+        hope = -total * float(np.log1p(-min(promise / total, 1.0 - ROUNDING)))
+        hopeless = best.cost - 5.0 * max(hope, gain if taken else 0.0) > rival
         if hopeless or min(promise, gain) < least:
             break
         for _ in range(6):
