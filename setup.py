@@ -8,7 +8,9 @@ from setuptools import find_packages, setup
 PACKAGE = 'ctsid'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 TEST = ['pytest>=8', 'pytest-xdist', 'mpmath', 'control', 'jsonschema', 'colcon-core',
-        'colcon-ros', 'setuptools>=70.1']  # builds wheels without the package `wheel`
+        'colcon-ros', 'nlohmann-json',
+        'setuptools>=70.1']  # builds wheels without the package `wheel`
+DOCS = ['sphinx', 'myst-parser', 'furo']
 
 setup(
     name=PACKAGE,
@@ -34,6 +36,7 @@ setup(
     extras_require={
         'ros': ROS,
         'test': TEST,
+        'docs': DOCS,
         'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
         'dev': [*TEST, 'ruff', 'mypy'],
     },
