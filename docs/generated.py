@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib.resources import files
 import json
 from pathlib import Path
+import re
 from typing import Any
 
 from ctsid_core.model.estimate import Status
@@ -45,13 +46,28 @@ def topics() -> str:
 def model_json() -> str:
     """Return the page of the keys of `model.json`, and of the statuses."""
     schema = json.loads((files('ctsid_core.model') / 'model.schema.json').read_text('utf-8'))
+    meanings = _meanings()
+    rows = ((f'`{path}`', kind, words or meanings.get(path, ''))
+            for path, kind, words in _keys(schema, schema['$defs'], ''))
     return _page(
         '# Keys of `model.json`', '', schema['description'], '',
         'Made from the JSON Schema [`model.schema.json`](../ctsid_core/model/model.schema.json); '
-        'the quantities are explained in [glossary.md](glossary.md).', '',
-        *_table(('key', 'type', 'meaning'), _keys(schema, schema['$defs'], '')), '',
+        'more on the quantities is in [glossary.md](glossary.md).', '',
+        *_table(('key', 'type', 'meaning'), rows), '',
         '## Statuses', '', 'The value of `status`, and the sentence in `message`.', '',
         *_table(('status', 'message'), ((f'`{s.name}`', s.value) for s in Status)))
+
+
+def _meanings() -> dict[str, str]:
+    """Return what the glossary says of keys that the schema does not describe."""
+    found, column = {}, 0
+    for line in (FOLDER / 'glossary.md').read_text('utf-8').splitlines():
+        cells = line.split('|')
+        if line.startswith('| quantity'):
+            column = [cell.strip() for cell in cells].index('meaning')
+        elif match := re.search(r'JSON `(verdict\.[\w.\[\]]+)`', cells[-2] if cells[2:] else ''):
+            found[match[1]] = f'{cells[1].strip()}: {cells[column].strip()}'
+    return found
 
 
 def _keys(schema: Mapping[str, Any], known: Mapping[str, Any], prefix: str
@@ -61,7 +77,7 @@ def _keys(schema: Mapping[str, Any], known: Mapping[str, Any], prefix: str
         path = f'{prefix}{key}'
         inner, kind = _resolved(of, known)
         words = of.get('description', '') if isinstance(of, dict) else ''
-        yield f'`{path}`', kind, words or inner.get('description', '')
+        yield path, kind, words or inner.get('description', '')
         if path != 'rejected_model':  # as model
             yield from _keys(inner, known, f'{path}{"[]" if kind.startswith("list") else ""}.')
 
