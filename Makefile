@@ -34,6 +34,7 @@ lint: $(VENV)/.installed-dev
 
 # Pages from declarations first; a link inside that leads nowhere, or any other warning, is an error.
 docs: $(VENV)/.installed-docs
+	@rm -rf build/docs
 	$(PY) docs/generated.py
 	$(PY) -m sphinx --builder html --fail-on-warning --keep-going --quiet --fresh-env \
 	  --doctree-dir build/doctrees docs build/docs
