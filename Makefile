@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# make demo | demo-live | test | test-all | lint | bench | studies | study-table1 | bags | clean
+# make demo | demo-live | test | test-all | lint | bench | docs | studies | study-table1 | bags | clean
 # Everything happens in $(VENV); PYTHON= chooses the interpreter that makes it (3.11 or later).
 
 # On a sourced ROS 2 the environment is another one, which sees ROS and the NumPy it was built for.
@@ -11,7 +11,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
 PYTHON ?=
 PACKAGING := setup.py setup.cfg pyproject.toml
 
-.PHONY: demo demo-live test test-all lint bench studies study-table1 bags clean
+.PHONY: demo demo-live test test-all lint bench docs studies study-table1 bags clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/.installed
@@ -31,6 +31,14 @@ test-all: $(VENV)/.installed-test $(VENV)/.tried-ros
 lint: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
+
+# Pages from declarations first; a link inside that leads nowhere, or any other warning, is an error.
+docs: $(VENV)/.installed-docs
+	@rm -rf build/docs
+	$(PY) docs/generated.py
+	$(PY) -m sphinx --builder html --fail-on-warning --keep-going --quiet --fresh-env \
+	  --doctree-dir build/doctrees docs build/docs
+	@echo 'The documentation is in build/docs/index.html.'
 
 # Ten minutes on two cores; goes on where it was if it is interrupted.
 studies: $(VENV)/.installed

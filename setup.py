@@ -13,8 +13,9 @@ FILES = {'px4': ['pyulog'], 'ardupilot': ['pymavlink'], 'parquet': ['pyarrow'],
 EVERY_FILE = [library for libraries in FILES.values() for library in libraries]
 BATCH = ['distributed', 'pyarrow']  # distributed brings dask along
 TEST = [*EVERY_FILE, *BATCH, 'pytest>=8', 'pytest-xdist', 'hypothesis', 'mpmath', 'control',
-        'jsonschema', 'playwright', 'colcon-core', 'colcon-ros',
+        'jsonschema', 'nlohmann-json', 'playwright', 'colcon-core', 'colcon-ros',
         'setuptools>=70.1']  # builds wheels without the package `wheel`
+DOCS = ['sphinx', 'myst-parser', 'furo']
 
 setup(
     name=PACKAGE,
@@ -43,6 +44,7 @@ setup(
         'files': EVERY_FILE,
         'batch': BATCH,
         'test': TEST,
+        'docs': DOCS,
         'bench': ['ctrlsys', 'nfoursid', 'sippy_unipi'],
         'dev': [*TEST, 'ruff', 'mypy'],
     },

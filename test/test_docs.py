@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The generated documents are those of the code, and the README keeps its promises."""
 
+import json
 from pathlib import Path
 import re
+from runpy import run_path
 
 import pytest
 
+from ctsid_core.model.estimate import Status
 from ctsid_ros.cli import main
+from ctsid_ros.config.origin import package_version
+from ctsid_ros.messages.interface import OUTPUTS, SERVICES, SHARED
 
 ROOT = Path(__file__).resolve().parent.parent
+GENERATED = run_path(str(ROOT / 'docs/generated.py'))['PAGES']
 
 
 @pytest.mark.parametrize(('words', 'file'), [
@@ -19,6 +25,62 @@ def test_generated_files_are_up_to_date(words, file, capsys):
     assert main(words) == 0
     assert (ROOT / file).read_text() == capsys.readouterr().out, \
         f'run: ctsid {" ".join(words)} > {file}'
+
+
+@pytest.mark.parametrize('name', GENERATED)
+def test_generated_pages_are_up_to_date(name):
+    assert (ROOT / 'docs' / name).read_text() == GENERATED[name](), 'run: make docs'
+
+
+def test_the_page_of_topics_has_all_that_is_declared():
+    page = (ROOT / 'docs/topics.md').read_text()
+    for name, of in OUTPUTS.items():
+        assert f'| `~/{name}` | `{of.type}` | {of.when} |' in page
+    assert all(f'| `~/{name}` |' in page for name in SERVICES)
+    assert re.findall(r'^\| `~?/(\w+)`', page, re.M) == [*OUTPUTS, *(
+        name.strip('/') for name in SHARED), *SERVICES]
+
+
+def keys_of(schema: dict, known: dict) -> set[str]:
+    """Return the names of all keys below a schema."""
+    found = set()
+    for key, of in schema.get('properties', {}).items():
+        found |= {key} | (keys_of(of, known) if isinstance(of, dict) else set())
+    for inner in (schema.get('items'), *schema.get('anyOf', ())):
+        found |= keys_of(inner, known) if isinstance(inner, dict) else set()
+    name = schema.get('$ref', '').rpartition('/')[2]
+    return found | (keys_of(known[name], known) if name else set())
+
+
+def test_the_page_of_model_json_has_all_keys():
+    schema = json.loads((ROOT / 'ctsid_core/model/model.schema.json').read_text())
+    page = (ROOT / 'docs/model_json.md').read_text()
+    shown = {path.rpartition('.')[2].removesuffix('[]')
+             for path in re.findall(r'^\| `([\w.\[\]]+)` \|', page, re.M)}
+    assert shown == keys_of(schema, schema['$defs']) | {status.name for status in Status}
+
+
+def test_the_glossary_explains_every_number_of_a_verdict():
+    schema = json.loads((ROOT / 'ctsid_core/model/model.schema.json').read_text())
+    glossary = (ROOT / 'docs/glossary.md').read_text()
+    for key in schema['$defs']['verdict']['properties']:
+        assert f'verdict.{key}' in glossary, key
+    known = keys_of(schema, schema['$defs'])
+    named = set(re.findall(r'JSON `([\w.\[\]]+)`', glossary))
+    assert len(named) > 20
+    wrong = [path for path in named if not path.startswith(('statistics.', 'deviations.'))
+             and not {part.removesuffix('[]') for part in path.split('.')} <= known]
+    assert wrong == []
+
+
+def test_the_site_is_of_this_version():
+    assert run_path(str(ROOT / 'docs/conf.py'))['release'] == package_version()
+
+
+def test_every_page_can_be_reached():
+    listed = re.findall(r'^\w+$', (ROOT / 'docs/index.md').read_text(), re.M)
+    pages = {path.stem for path in (ROOT / 'docs').iterdir() if path.suffix in ('.md', '.rst')}
+    assert sorted(listed) == sorted(pages - {'index'})
 
 
 def test_readme_is_short_and_its_links_exist():

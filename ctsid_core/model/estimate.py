@@ -123,7 +123,8 @@ class Estimate:
         As used: automatic values filled in.
     pole_std : ndarray, shape (n,)
         Standard deviation of each pole [rad/s], in the order of `model.poles`: the square root
-        of the expected squared distance |estimate - truth| in the complex plane; NaN if unknown.
+        of the expected squared distance of estimate and truth in the complex plane; NaN if not
+        known.
     covariance : Covariance or None
         Of the entries of the model, or of the rejected one if there is no other; None if unknown.
         Further properties of the estimate follow from it.

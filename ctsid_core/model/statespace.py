@@ -139,7 +139,7 @@ class StateSpace:
         Eigenvalues of A, complex, shape (n,) [rad/s].
 
         Sorted by magnitude; conjugate pairs stay together, the negative imaginary part first.
-        Poles of equal magnitude: by |imaginary part|, then real part.
+        Poles of equal magnitude: by the size of the imaginary part, then real part.
         """
         values = np.linalg.eigvals(self.A).astype(complex)
         values = values[realisation.pole_order(values)]
@@ -293,8 +293,8 @@ class StateSpace:
 
         Both Gramians of the stable part equal diag(`hankel_singular_values`), largest first, so
         that the last states are those that matter least from u to y (K plays no role). Unstable
-        and undamped poles (real part above -1e-8 |A|) have no Gramians: their states come first,
-        decoupled from the others, in real Schur form. Signs: as in `modal`.
+        and undamped poles (real part above -1e-8 norm(A)) have no Gramians: their states come
+        first, decoupled from the others, in real Schur form. Signs: as in `modal`.
 
         Raises
         ------

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ctsid_core.sequence.tracking import Tracked
+from ctsid_ros.messages.interface import OUTPUTS
 from ctsid_ros.messages.making import Make, ros_message
 from ctsid_ros.messages.matrices import (
     encode_eigenvalues,
@@ -17,10 +18,7 @@ from ctsid_ros.messages.models import encode_model
 from ctsid_ros.messages.summary import encode_summary
 
 # Names below that of the node, and types.
-TOPICS: Mapping[str, str] = {
-    'model': 'std_msgs/msg/String', 'summary': 'diagnostic_msgs/msg/DiagnosticArray',
-    **dict.fromkeys(('system_matrix', 'a', 'b', 'c', 'd', 'k', 'eigenvalues'),
-                    'std_msgs/msg/Float64MultiArray')}
+TOPICS: Mapping[str, str] = {name: topic.type for name, topic in OUTPUTS.items()}
 
 
 def messages_of(tracked: Tracked, metadata: Mapping[str, object], make: Make = ros_message

@@ -27,6 +27,7 @@ from ctsid_core.errors import SettingsError, StorageError
 from ctsid_ros.config.channels import Config
 from ctsid_ros.decoding.message_types import message_class
 from ctsid_ros.messages.health import Health, Level, encode_diagnostics
+from ctsid_ros.messages.interface import DIAGNOSTICS, SERVICES
 from ctsid_ros.messages.publication import TOPICS, messages_of
 from ctsid_ros.node import parameters
 from ctsid_ros.node.diagnosis import IDENTIFICATION, INGEST
@@ -55,7 +56,7 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self._offered: list[Any] = []
         self._told: set[str] = set()  # what is wrong now, and has been logged
         self._last_verdict = ''
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._survive_transitions()
 
@@ -85,9 +86,9 @@ class Identifier(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
         self._outputs = {name: self.create_lifecycle_publisher(
                              message_class(kind), f'~/{name}', LATCHED)
                          for name, kind in TOPICS.items()}
-        self._offered = [self._offer(name, act) for name, act in (
-            ('identify', Run.identify), ('reset', Run.reset),
-            ('save', lambda run: run.save(self._folder())))]
+        acts = {'identify': Run.identify, 'reset': Run.reset,
+                'save': lambda run: run.save(self._folder())}
+        self._offered = [self._offer(name, acts[name]) for name in SERVICES]
         return _SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
