@@ -233,11 +233,11 @@ def changing(seed: int, gain: float, at: float, duration: float = 24.0) -> Recor
     return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
 
 
-@pytest.mark.parametrize('seed', [0, *slow(1)])
-def test_windows_over_a_change_are_not_good(seed):
+@pytest.mark.parametrize(('seed', 'stride'), [(0, 2), *slow((0, 1), (1, 1))])
+def test_windows_over_a_change_are_not_good(seed, stride):
     at, whole = 12.4, changing(seed, 1.5, 12.4)
     tracker = Tracker(Settings(order=2))
-    for k in range(14):
+    for k in range(0, 14, stride):
         found = tracker.take(whole.between(k, k + 10.0)).estimate
         part = (k + 10.0 - at) / 10.0
         if 0.1 < part < 0.9:
