@@ -197,16 +197,16 @@ def test_the_usual_experiments_are_good(signal):
     assert verdict.excitation[0].frequencies > 2.5
 
 
-@pytest.mark.parametrize('seed', [3, *slow(0, 1, 2, 4, 5)])
-def test_an_order_that_is_too_low_is_told(seed):
-    """Or what it misses is less than the noise, and no data can tell."""
+@pytest.mark.parametrize('seed', [5, *slow(*range(5))])
+def test_a_model_of_too_few_states_does_what_its_fit_says(seed):
+    """On another experiment; an order is asked for, so that it is too low is no fault."""
     rng = np.random.default_rng([22, seed])
     n = int(rng.integers(3, 6))
     p = random_plant(rng, n, 1, 2)
     found = identify(held(rng, p, 50.0, 100.0, snr=30), Settings(order=n - 1 - seed % (n - 2)))
-    if found.good:
-        clean = simulation(found.model, held(rng, p, 50.0, 100.0), trim='refit')
-        assert clean.fit.min() > 100.0 - 100.0 * 10 ** (-30 / 20)
+    assert found.verdict.grade is not Grade.REJECT
+    other = simulation(found.model, held(rng, p, 50.0, 100.0), trim='refit')
+    assert (other.fit > found.held_out_fit).all() or not found.good
 
 
 def test_a_model_without_a_test_is_weak_until_the_next_window():
