@@ -7,7 +7,6 @@ Some run with one seed or a few always, all with 100 if marked slow; `-s` prints
 
 from __future__ import annotations
 
-import marks
 import numpy as np
 from plants import PLANTS, asynchronous, flown, held, match, paper, running
 import pytest
@@ -61,13 +60,13 @@ def test_table_1_of_the_paper(snr, fast, slow, settings, seeds):
     assert deviation[~real].max() <= slow
 
 
-@pytest.mark.parametrize('seeds', ONE)
-@pytest.mark.parametrize('hold', ['smooth', pytest.param('linear', marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize('hold', ['smooth', 'linear'])
 @pytest.mark.parametrize(('snr', 'limit'), [
-    (20, 0.05), *marks.slow((80, 0.0005), (50, 0.002))])
-def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
-    """Nothing is set by hand: order, basis and tuning are found from the data."""
-    e = errors(lambda rng: running(rng, PLANTS['hd52'], snr, hold=hold), HD52, seeds)
+    (20, 0.05), (80, 0.0005), (50, 0.002)])
+def test_windows_that_are_not_at_rest(snr, limit, hold):
+    """Nothing is set by hand: order, basis and tuning; one run is in test_identify.py."""
+    e = errors(lambda rng: running(rng, PLANTS['hd52'], snr, hold=hold), HD52, 100)
     show(f'window not at rest, {snr} dB, input {hold}', e)
     assert rmse(e).max() < limit
 
@@ -82,7 +81,7 @@ def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
     pytest.param(lambda rng: asynchronous(rng, PLANTS['hd52'], 100.0, 60.0), 5e-3,
                  id='u 100 Hz, y 60 Hz'),
     pytest.param(lambda rng: held(rng, PLANTS['hd52'], 50.0, 200.0), 5e-3,
-                 id='u held 50 Hz, y 200 Hz')])
+                 id='u held 50 Hz, y 200 Hz', marks=pytest.mark.slow)])
 def test_own_stamps_without_noise(experiment, limit, seeds):
     """90 % jitter on every stamp."""
     e = errors(experiment, HD52, seeds, Settings(order=3))

@@ -74,8 +74,14 @@ def test_without_a_model_the_verdict_is_reject():
                  verdict=replace(good, grade=Grade.REJECT))
 
 
-def test_a_verdict_comes_back_from_a_file_to_the_last_bit():
-    whole = identify(experiment(1, 2, 2))
+@pytest.fixture(scope='module')
+def two_by_two() -> Estimate:
+    """What is identified of a well-excited window of two inputs and two outputs."""
+    return identify(experiment(2, 2, 2))
+
+
+def test_a_verdict_comes_back_from_a_file_to_the_last_bit(two_by_two):
+    whole = two_by_two
     again = from_json(to_json(whole)).verdict
     assert repr(again) == repr(whole.verdict)
     assert len(again.excitation) == 2
@@ -84,8 +90,8 @@ def test_a_verdict_comes_back_from_a_file_to_the_last_bit():
 # What is wrong is told.
 
 
-def test_a_well_excited_window_is_good():
-    verdict = judged(experiment(2, 2, 2))
+def test_a_well_excited_window_is_good(two_by_two):
+    verdict = two_by_two.verdict
     assert verdict.grade is Grade.GOOD
     assert [x.name for x in verdict.excitation] == ['u1', 'u2']
     assert all(x.uncertainty < 0.02 and 0.0 <= x.low < 3.0 < x.high for x in verdict.excitation)
