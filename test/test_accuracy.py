@@ -2,12 +2,11 @@
 """
 Accuracy over Monte Carlo runs, with the figures that the project promises.
 
-Most run with a few seeds always, all with 100 if marked slow; `-s` prints the figures.
+Some run with one seed or a few always, all with 100 if marked slow; `-s` prints the figures.
 """
 
 from __future__ import annotations
 
-import marks
 import numpy as np
 from plants import PLANTS, asynchronous, flown, held, match, paper, running
 import pytest
@@ -16,7 +15,7 @@ from ctsid_core import Settings, identify
 
 HD52 = PLANTS['hd52'].poles                    # -1 - i, -1 + i, -5, but for rounding of A
 SEEDS = [pytest.param(5, id='few'), pytest.param(100, id='100', marks=pytest.mark.slow)]
-FEW = [pytest.param(2, id='few'), pytest.param(100, id='100', marks=pytest.mark.slow)]
+ONE = [pytest.param(1, id='one'), pytest.param(100, id='100', marks=pytest.mark.slow)]
 PLAIN = Settings(order=3, refine=False)
 
 
@@ -61,18 +60,18 @@ def test_table_1_of_the_paper(snr, fast, slow, settings, seeds):
     assert deviation[~real].max() <= slow
 
 
-@pytest.mark.parametrize('seeds', FEW)
-@pytest.mark.parametrize('hold', ['smooth', pytest.param('linear', marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize('hold', ['smooth', 'linear'])
 @pytest.mark.parametrize(('snr', 'limit'), [
-    (20, 0.05), *marks.slow((80, 0.0005), (50, 0.002))])
-def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
-    """Nothing is set by hand: order, basis and tuning are found from the data."""
-    e = errors(lambda rng: running(rng, PLANTS['hd52'], snr, hold=hold), HD52, seeds)
+    (20, 0.05), (80, 0.0005), (50, 0.002)])
+def test_windows_that_are_not_at_rest(snr, limit, hold):
+    """Nothing is set by hand: order, basis and tuning; one run is in test_identify.py."""
+    e = errors(lambda rng: running(rng, PLANTS['hd52'], snr, hold=hold), HD52, 100)
     show(f'window not at rest, {snr} dB, input {hold}', e)
     assert rmse(e).max() < limit
 
 
-@pytest.mark.parametrize('seeds', FEW)
+@pytest.mark.parametrize('seeds', ONE)
 @pytest.mark.parametrize(('experiment', 'limit'), [
     pytest.param(lambda rng: asynchronous(rng, PLANTS['hd52'], 500.0, 200.0), 1e-3,
                  id='u 500 Hz, y 200 Hz', marks=pytest.mark.slow),
@@ -82,7 +81,7 @@ def test_windows_that_are_not_at_rest(snr, limit, hold, seeds):
     pytest.param(lambda rng: asynchronous(rng, PLANTS['hd52'], 100.0, 60.0), 5e-3,
                  id='u 100 Hz, y 60 Hz'),
     pytest.param(lambda rng: held(rng, PLANTS['hd52'], 50.0, 200.0), 5e-3,
-                 id='u held 50 Hz, y 200 Hz')])
+                 id='u held 50 Hz, y 200 Hz', marks=pytest.mark.slow)])
 def test_own_stamps_without_noise(experiment, limit, seeds):
     """90 % jitter on every stamp."""
     e = errors(experiment, HD52, seeds, Settings(order=3))
@@ -90,10 +89,11 @@ def test_own_stamps_without_noise(experiment, limit, seeds):
     assert rmse(e).max() < limit
 
 
-@pytest.mark.parametrize('seeds', FEW)
-def test_an_unstable_plant_under_its_controller(seeds):
+@pytest.mark.slow
+def test_an_unstable_plant_under_its_controller():
+    """One run is in test_identify.py."""
     truth = np.array([2.0, -3.0])
-    e = errors(flown, truth, seeds, Settings(feedthrough=False))
+    e = errors(flown, truth, 100, Settings(feedthrough=False))
     show('unstable plant, no process noise', e)
     assert np.abs(e).max() < 0.02
 
@@ -113,7 +113,7 @@ def test_an_unstable_plant_with_process_noise():
     assert rmse(e).max() < 1.6 * 0.076
 
 
-@pytest.mark.parametrize('seeds', FEW)
+@pytest.mark.parametrize('seeds', ONE)
 def test_accuracy_of_a_lightly_damped_structure(seeds):
     """Close to what maximum likelihood reached when the method was tried out, 20 dB."""
     p = PLANTS['flexible']

@@ -24,7 +24,8 @@ def lag(u, pole, dt):
     return y
 
 
-@pytest.mark.parametrize('poles', [(-3.0, -3.0), (-3.0, -3.3), (-3.0, -3.0, -3.0)])
+@pytest.mark.parametrize('poles', [
+    (-3.0, -3.0), (-3.0, -3.3), *slow(((-3.0, -3.0, -3.0),))])
 def test_equal_poles_on_several_axes(poles):
     """Roll and pitch of a symmetric vehicle: one pole with a free residue would explain both."""
     rng = np.random.default_rng(0)
@@ -54,7 +55,7 @@ def test_large_offsets_change_nothing(offset_u, offset_y):
     assert simulation(moved.model, record).fit.min() > 95.0
 
 
-@pytest.mark.parametrize('duration', [40.0, 200.0])
+@pytest.mark.parametrize('duration', [40.0, *slow(200.0)])
 def test_a_long_record_keeps_its_fast_mode(duration):
     """The time-bandwidth product of a long record exceeds one basis: it is divided into parts."""
     rng = np.random.default_rng(2)

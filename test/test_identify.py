@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
+from functools import cache
 
 from marks import slow
 import numpy as np
@@ -37,10 +38,22 @@ def arrays(model):
             ('A', 'B', 'C', 'D', 'K', 'x_trim', 'y_trim', 'noise')}
 
 
+@cache
+def window(name: str) -> Record:
+    """Return a noisy window of a plant: hd51 is quick to identify, hd52 has D and 4 outputs."""
+    rate = {'hd51': 100.0, 'hd52': 200.0}[name]
+    return running(np.random.default_rng(0), PLANTS[name], 30, rate=rate)
+
+
+@cache
+def known(name: str):
+    return identify(window(name))
+
+
 @pytest.fixture(scope='module')
 def record() -> Record:
     """A noisy window of the plant of [HD] 5.2, with names and units."""
-    plain = running(np.random.default_rng(0), PLANTS['hd52'], 30, rate=200.0)
+    plain = window('hd52')
     return Record((replace(plain.inputs[0], names=('thrust',), units=('N',)),),
                   (replace(plain.outputs[0], names=('u', 'q', 'theta', 'az'),
                            units=('m/s', 'rad/s', 'rad', 'm/s^2')),), plain.start, plain.end)
@@ -110,8 +123,8 @@ def test_the_noise_is_that_of_the_outputs(record, estimate):
     np.testing.assert_allclose(np.diag(estimate.model.noise), wanted, rtol=0.35)
 
 
-def test_the_held_out_test_can_be_left_out(record):
-    quick = identify(record, QUICK)
+def test_the_held_out_test_can_be_left_out():
+    quick = identify(window('hd51'), QUICK)
     assert quick.ok
     assert np.isnan(quick.held_out_fit).all()
 
@@ -148,13 +161,14 @@ def test_without_feedthrough_d_is_zero():
 # Laws.
 
 
-def test_the_same_record_gives_the_same_bits(record, estimate):
+@pytest.mark.parametrize('name', ['hd51', *slow('hd52')])
+def test_the_same_record_gives_the_same_bits(name):
     """With the settings that are meant where none are given, too."""
-    again = identify(record, Settings())
-    for name, value in arrays(estimate.model).items():
-        np.testing.assert_array_equal(getattr(again.model, name), value, err_msg=name)
-    for name in ('fit', 'held_out_fit', 'pole_std', 'singular_values'):
-        np.testing.assert_array_equal(getattr(again, name), getattr(estimate, name))
+    estimate, again = known(name), identify(window(name), Settings())
+    for matrix, value in arrays(estimate.model).items():
+        np.testing.assert_array_equal(getattr(again.model, matrix), value, err_msg=matrix)
+    for number in ('fit', 'held_out_fit', 'pole_std', 'singular_values'):
+        np.testing.assert_array_equal(getattr(again, number), getattr(estimate, number))
     assert (again.choices, again.settings) == (estimate.choices, estimate.settings)
 
 
@@ -186,9 +200,11 @@ def test_stamps_of_the_unix_epoch_cost_digits_but_no_sense(record, estimate):
                                estimate.model.poles, atol=estimate.pole_std.max())
 
 
-@pytest.mark.parametrize('c', [1e-3, *slow(1e3)])
-def test_slow_and_fast_plants_alike(record, estimate, c):
+@pytest.mark.parametrize(('name', 'c'), [
+    ('hd51', 1e-3), *slow(('hd51', 1e3), ('hd52', 1e-3), ('hd52', 1e3))])
+def test_slow_and_fast_plants_alike(name, c):
     """Nothing is tied to the second: the same samples over c times the time."""
+    record, estimate = window(name), known(name)
     stretched = Record(tuple(replace(s, time=c * s.time) for s in record.inputs),
                        tuple(replace(s, time=c * s.time) for s in record.outputs),
                        c * record.start, c * record.end)
@@ -197,9 +213,11 @@ def test_slow_and_fast_plants_alike(record, estimate, c):
                                estimate.model.poles, atol=0.1 * estimate.pole_std.min())
 
 
-@pytest.mark.parametrize('size', [1e-6, *slow(1e6)])
-def test_units_do_not_matter(record, estimate, size):
-    scale = np.array([size, 1.0, 1.0 / size, 1.0])
+@pytest.mark.parametrize(('name', 'size'), [
+    ('hd51', 1e-6), *slow(('hd51', 1e6), ('hd52', 1e-6), ('hd52', 1e6))])
+def test_units_do_not_matter(name, size):
+    record, estimate = window(name), known(name)
+    scale = np.array([size, 1.0, 1.0 / size, 1.0])[:len(PLANTS[name].C)]
     other = Record(
         tuple(replace(s, values=s.values / size) for s in record.inputs),
         tuple(replace(s, values=s.values * scale) for s in record.outputs), 0.0, 10.0)
@@ -219,7 +237,7 @@ def test_trim_is_estimated_not_averaged_away():
     moved = Record(tuple(replace(s, values=s.values + offset_u) for s in whole.inputs),
                    tuple(replace(s, values=s.values + offset_y) for s in whole.outputs),
                    0.0, 20.0)
-    found = identify(moved.between(0.0, 6.0))
+    found = identify(moved.between(0.0, 6.0), Settings(order=2))
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=1e-3)
     # The trim belongs to the model: it predicts another part of the record as it stands.
     assert simulation(found.model, moved.between(8.0, 20.0)).fit.min() > 99.9
@@ -396,7 +414,7 @@ def test_pure_noise_is_not_explained(seed):
     assert found.fit.shape == (2,)
 
 
-@pytest.mark.parametrize('seed', [3, *slow(0, 1, 2)])
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
 def test_an_output_of_another_plant_is_not_explained(seed):
     """Coloured, but not by these inputs."""
     rng = np.random.default_rng(seed)
@@ -455,8 +473,8 @@ def nasty(kind: str, rng) -> Record:
     return Record.from_arrays(t, u, t, y, input_hold='zoh')
 
 
-NASTY = ('output is twice there', 'one step', 'huge', 'blows up', 'two input samples', 'bursts')
-NASTY_TOO = ('one spike', 'tiny', 'random walk',
+NASTY = ('output is twice there', 'one step', 'huge', 'blows up')
+NASTY_TOO = ('two input samples', 'bursts', 'one spike', 'tiny', 'random walk',
              'output is the input', 'input is twice there', 'coarse steps', 'ramp', 'steady sine',
              'more channels than sense', 'microseconds', 'years', 'noise in both')
 
@@ -475,8 +493,8 @@ def test_no_data_raise(kind):
 
 
 @pytest.mark.parametrize('order', [7, *slow(1, 20, 50)])
-def test_any_order_may_be_asked_for(record, order):
-    found = identify(record, QUICK.replace(order=order))
+def test_any_order_may_be_asked_for(order):
+    found = identify(window('hd51'), QUICK.replace(order=order))
     assert either(found) is None or either(found).n == order
 
 
@@ -490,8 +508,8 @@ def test_no_settings_raise(options):
     assert isinstance(found.status, Status)
 
 
-def test_a_dead_time_that_leaves_nothing_to_tell_feedthrough_from_raises_nothing(record):
-    found = identify(record, Settings(order=2, delay=9.9))
+def test_a_dead_time_that_leaves_nothing_to_tell_feedthrough_from_raises_nothing():
+    found = identify(window('hd51'), Settings(order=2, delay=9.9))
     assert isinstance(found.status, Status)
 
 

@@ -79,9 +79,8 @@ def test_order_and_poles_to_the_noise(name, hold, rates, snr):
 
 
 @pytest.mark.parametrize(('rates', 'hold'), [
-    ('same stamps', 'zoh'), ('input slower', 'linear'), *slow(
-        ('same stamps', 'linear'), ('input slower', 'zoh'), ('input faster', 'zoh'),
-        ('input faster', 'linear'))])
+    ('same stamps', 'zoh'), *slow(*((rates, hold) for rates in RATES for hold in ('zoh', 'linear')
+                                    if (rates, hold) != ('same stamps', 'zoh')))])
 def test_feedthrough_and_moderate_noise(hold, rates):
     p = PLANTS['hd52']
     found = identify(driven(p, hold, rates, 40.0), Settings(delay=0.0))
@@ -126,7 +125,7 @@ def bouncing(seed: int, rate: float) -> Record:
 
 
 @pytest.mark.parametrize(('seed', 'rate'), [
-    (1, 100.0), *slow((0, 100.0), (1, 200.0), (7, 200.0))])
+    (0, 50.0), *slow((0, 100.0), (1, 100.0), (1, 200.0), (7, 200.0))])
 def test_a_plant_that_is_not_linear_ends_with_a_word(seed, rate):
     """No response of a linear model is this output; models on the way may explode."""
     found = identify(bouncing(seed, rate), Settings(delay=0.0))

@@ -126,16 +126,17 @@ def test_diagnostics_tell_latency_and_counts(flight):
 
 def test_a_changed_plant_is_seen_within_two_windows_and_what_is_rejected_says_so(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
-    made = motion(22.5, phases=((0.0, SOFT), (7.0, STIFF)))
-    made.u[made.t_u > 16.0] = 0.0  # a lie from here on: the input says nothing of the output
+    made = motion(17.5, phases=((0.0, SOFT), (6.5, STIFF)))
+    made.u[made.t_u > 12.5] = 0.0  # a lie from here on: the input says nothing of the output
     Robot(live, made, node.name).feed(node)
-    estimates = node.wait_models(19)
-    before = [e for e in estimates if e.end_ns <= EPOCH + 7 * S]
-    after = [e for e in estimates if e.start_ns >= EPOCH + 7 * S and e.end_ns <= EPOCH + 16 * S]
+    estimates = node.wait_models(14)
+    before = [e for e in estimates if e.end_ns <= EPOCH + 6.5 * S]
+    after = [e for e in estimates
+             if e.start_ns >= EPOCH + 6.5 * S and e.end_ns <= EPOCH + 12.5 * S]
     assert len(before) >= 3
     for estimate in before:
         assert_poles(estimate, SOFT)
-    assert after[0].end_ns <= EPOCH + (7 + 2 * 4) * S
+    assert after[0].end_ns <= EPOCH + (6.5 + 2 * 4) * S
     for estimate in after:
         assert_poles(estimate, STIFF)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import signal
 from threading import Thread
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -78,7 +79,7 @@ def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
     assert node.program.alive
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [*slow(signal.SIGINT), signal.SIGTERM])
 def test_a_signal_breaks_off(live, number):
     node, _ = busy(live)
     assert cancelled_within(

@@ -62,7 +62,7 @@ def test_a_publisher_dies_and_returns(live):
     node = live.identifier(params('ingest.reliability: best_effort\ningest.timeout: 0.5',
                                   length=1.5))
     first = live.start(SENDER, 200, 50, 60)
-    node.wait_models(3)
+    node.wait_models(1)
     os.kill(first.process.pid, signal.SIGKILL)
     first.process.wait()
     died_ns = time.time_ns()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node by the other methods: real messages, models near the truth, and the replay's bits."""
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -22,8 +23,7 @@ def live(tmp_path):
 
 
 @pytest.mark.parametrize(('method', 'checker'), [
-    pytest.param('gobf', 'none', marks=pytest.mark.slow), ('ct-pbsid', 'none'),
-    ('gobf', 'hd-pbsid')])
+    ('gobf', 'hd-pbsid'), *slow(('gobf', 'none'), ('ct-pbsid', 'none'))])
 def test_models_by_another_method_are_published_and_replayed(live, tmp_path, method, checker):
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(

@@ -98,11 +98,11 @@ def test_simulated_time_stamps_what_has_no_header(live):
 def test_a_bag_that_loops_begins_anew(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
     for _ in range(3):
-        Robot(live, motion(5.5), node.name).feed(node)
+        Robot(live, motion(4.6), node.name).feed(node)
     said = node.wait_health('ingest', lambda h: h.values['resets'] == '2', 'resets')
     assert said.level == Level.WARN
     assert 'the time stamps jumped back 2 times' in said.message
-    node.wait_models(5)
+    node.wait_models(3)
     starts = [estimate.start_ns // S - EPOCH // S for estimate in node.estimates()]
     assert starts.count(0) == 3
     assert all(estimate.ok for estimate in node.estimates())

@@ -28,14 +28,14 @@ def chosen(p, snr, seed=0) -> int:
 
 
 @pytest.mark.parametrize(('nu', 'ny', 'n'), [
-    *((1, 1, n) for n in range(1, 7)),
-    *((2, 3, n) for n in (2, 4)), *slow(*((2, 3, n) for n in (1, 3, 5, 6)))])
+    (1, 1, 3), (1, 1, 5), (2, 3, 2), *slow(
+        *((1, 1, n) for n in (1, 2, 4, 6)), *((2, 3, n) for n in (1, 3, 4, 5, 6)))])
 def test_the_order_of_clean_plants(n, nu, ny):
     p = random_plant(np.random.default_rng(n), n, nu, ny)
     assert chosen(p, 60, n) == n
 
 
-@pytest.mark.parametrize('n', [1, 3])
+@pytest.mark.parametrize('n', [*slow(1), 3])
 def test_noise_free_data_do_not_raise_the_order(n):
     p = random_plant(np.random.default_rng(n), n, 1, 2)
     assert chosen(p, None) == n
@@ -82,19 +82,29 @@ def test_parts_are_judged_by_their_own_length():
     assert min(t.beta for t in subspaces.tunings(2)) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
-def test_the_order_under_process_noise(seed):
-    """Simulations of a disturbed plant would want more states: the innovation form does not."""
+SPURIOUS = pytest.mark.xfail(reason='3 and 4 states are found, of a plant that has two')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('q', 'seed'), [
+    *((0.2, seed) for seed in range(4)), pytest.param(0.0, 0, marks=SPURIOUS),
+    pytest.param(0.0, 1, marks=SPURIOUS), (0.0, 2)])
+def test_the_order_of_an_unstable_plant(q, seed):
+    """
+    Simulations of a disturbed plant would want more states: the innovation form does not.
+
+    One more seed is in test_process_noise.py, with its poles.
+    """
     settings = Settings(feedthrough=False, held_out=0.0)
-    assert identify(flown(np.random.default_rng(seed), q=0.2), settings).settings.order == 2
+    assert identify(flown(np.random.default_rng(seed), q), settings).model.n == 2
 
 
 def test_a_short_window_gives_no_model():
     assert Subspaces(window(PLANTS['hd52'], nmax=8), Settings()).tunings(3) == []
 
 
-@pytest.mark.parametrize('snr', [40, 10])
-@pytest.mark.parametrize('name', ['hd51', 'hd52', 'flexible'])
+@pytest.mark.parametrize(('name', 'snr'), [('hd51', 10), ('hd52', 10), *slow(
+    ('hd51', 40), ('hd52', 40), ('flexible', 10), ('flexible', 40))])
 def test_stable_plants_give_stable_models(name, snr):
     p = PLANTS[name]
     record = running(np.random.default_rng(0), p, snr, rate=200.0, band=5.0)
@@ -103,7 +113,7 @@ def test_stable_plants_give_stable_models(name, snr):
 
 
 @pytest.mark.parametrize(('q', 'seeds'), [
-    (0.0, 1), (0.05, 1), (0.2, 1), *slow((0.0, 3), (0.05, 3), (0.2, 3))])
+    (0.05, 1), *slow((0.0, 3), (0.05, 3), (0.2, 3))])
 def test_an_unstable_plant_is_seen_to_be_unstable(q, seeds):
     for seed in range(seeds):
         found = identify(flown(np.random.default_rng(seed), q),
@@ -130,7 +140,7 @@ def orders(name, seeds) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize('name', EXPERIMENTS)
+@pytest.mark.parametrize('name', ['hd51', *slow('hd52', 'flexible')])
 def test_the_order_is_found(name):
     assert orders(name, range(1)) == [len(PLANTS[name].A)]
 

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, running
 import pytest
@@ -21,8 +22,8 @@ def first_order(t_u, u, t_y, delay=0.0, pole=-1.0):
     return model.simulate([Signal(t_u, u, 'zoh')], t_y)
 
 
-@pytest.mark.parametrize('delay', [(0.0, 0.0), (0.01, 0.01), ('auto', 'auto'), ('auto', 0.0),
-                                   (0.01, 0.02)])
+@pytest.mark.parametrize('delay', [('auto', 0.0), (0.01, 0.02), *slow(
+    ((0.0, 0.0),), ((0.01, 0.01),), (('auto', 'auto'),))])
 def test_an_input_at_rest_does_not_mind_how_dead_times_are_given(delay):
     record = running(np.random.default_rng(0), PLANTS['hd51'], 20, rate=100.0)
     u = record.inputs[0]
@@ -40,11 +41,10 @@ def test_a_record_at_rest_does_not_hide_the_excitation_of_another():
         moving.inputs[0].values)),), outputs=(replace(
             moving.outputs[0], values=1e-2 * rng.standard_normal(
                 moving.outputs[0].values.shape)),))
-    grades = {identify([a, b], QUICK).verdict.grade for a, b in ((moving, quiet),
-                                                                (quiet, moving))}
-    assert len(grades) == 1
-    for pair in ([moving, quiet], [quiet, moving]):
-        one = identify(pair, QUICK).verdict.excitation[0]
+    verdicts = [identify(pair, QUICK).verdict for pair in ([moving, quiet], [quiet, moving])]
+    assert len({verdict.grade for verdict in verdicts}) == 1
+    for verdict in verdicts:
+        one = verdict.excitation[0]
         assert one.frequencies > 10.0
         assert one.uncertainty < 0.05
 

@@ -219,14 +219,14 @@ def test_identifications_that_take_too_long_are_given_up(monkeypatch):
 
 
 def test_an_exam_is_kept_and_goes_on(tmp_path, monkeypatch, capsys):
-    words = ['--families', 'delayed-lag', 'no-white', '--experiments', '2', '--jobs', '1',
+    words = ['--families', 'delayed-lag', 'no-white', '--experiments', '1', '--jobs', '1',
              '--out', str(tmp_path)]
     assert study.main(words) == 0
     first = capsys.readouterr().out
     assert 'GOOD of usable' in first
     assert (tmp_path / 'robots_families.csv').read_text().count('\n') == 4
     rows = KeptRows(tmp_path / 'runs.csv').of('seed 1: delayed-lag')
-    assert sorted(rows) == [0, 1]
+    assert sorted(rows) == [0]
     assert all(row.reachable > 90.0 and row.seconds > 0.0 for row in rows.values())
     assert Reach(tmp_path / 'reachable.txt').of(experiment('delayed-lag', 1, 0)) == (
         rows[0].reachable,)

@@ -74,8 +74,14 @@ def test_without_a_model_the_verdict_is_reject():
                  verdict=replace(good, grade=Grade.REJECT))
 
 
-def test_a_verdict_comes_back_from_a_file_to_the_last_bit():
-    whole = identify(experiment(1, 2, 2))
+@pytest.fixture(scope='module')
+def two_by_two() -> Estimate:
+    """What is identified of a well-excited window of two inputs and two outputs."""
+    return identify(experiment(2, 2, 2))
+
+
+def test_a_verdict_comes_back_from_a_file_to_the_last_bit(two_by_two):
+    whole = two_by_two
     again = from_json(to_json(whole)).verdict
     assert repr(again) == repr(whole.verdict)
     assert len(again.excitation) == 2
@@ -84,8 +90,8 @@ def test_a_verdict_comes_back_from_a_file_to_the_last_bit():
 # What is wrong is told.
 
 
-def test_a_well_excited_window_is_good():
-    verdict = judged(experiment(2, 2, 2))
+def test_a_well_excited_window_is_good(two_by_two):
+    verdict = two_by_two.verdict
     assert verdict.grade is Grade.GOOD
     assert [x.name for x in verdict.excitation] == ['u1', 'u2']
     assert all(x.uncertainty < 0.02 and 0.0 <= x.low < 3.0 < x.high for x in verdict.excitation)
@@ -197,16 +203,16 @@ def test_the_usual_experiments_are_good(signal):
     assert verdict.excitation[0].frequencies > 2.5
 
 
-@pytest.mark.parametrize('seed', [3, *slow(0, 1, 2, 4, 5)])
-def test_an_order_that_is_too_low_is_told(seed):
-    """Or what it misses is less than the noise, and no data can tell."""
+@pytest.mark.parametrize('seed', [5, *slow(*range(5))])
+def test_a_model_of_too_few_states_does_what_its_fit_says(seed):
+    """On another experiment; an order is asked for, so that it is too low is no fault."""
     rng = np.random.default_rng([22, seed])
     n = int(rng.integers(3, 6))
     p = random_plant(rng, n, 1, 2)
     found = identify(held(rng, p, 50.0, 100.0, snr=30), Settings(order=n - 1 - seed % (n - 2)))
-    if found.good:
-        clean = simulation(found.model, held(rng, p, 50.0, 100.0), trim='refit')
-        assert clean.fit.min() > 100.0 - 100.0 * 10 ** (-30 / 20)
+    assert found.verdict.grade is not Grade.REJECT
+    other = simulation(found.model, held(rng, p, 50.0, 100.0), trim='refit')
+    assert (other.fit > found.held_out_fit).all() or not found.good
 
 
 def test_a_model_without_a_test_is_weak_until_the_next_window():
@@ -233,11 +239,11 @@ def changing(seed: int, gain: float, at: float, duration: float = 24.0) -> Recor
     return Record.from_arrays(t_u, u, t, y, input_hold='zoh')
 
 
-@pytest.mark.parametrize('seed', [0, *slow(1)])
-def test_windows_over_a_change_are_not_good(seed):
+@pytest.mark.parametrize(('seed', 'stride'), [(0, 2), *slow((0, 1), (1, 1))])
+def test_windows_over_a_change_are_not_good(seed, stride):
     at, whole = 12.4, changing(seed, 1.5, 12.4)
     tracker = Tracker(Settings(order=2))
-    for k in range(14):
+    for k in range(0, 14, stride):
         found = tracker.take(whole.between(k, k + 10.0)).estimate
         part = (k + 10.0 - at) / 10.0
         if 0.1 < part < 0.9:

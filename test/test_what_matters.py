@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -28,7 +29,8 @@ def test_a_state_for_which_a_dead_time_stands_in_is_found_by_the_response():
     assert order.why.endswith('and one more, for its response is another one')
 
 
-@pytest.mark.parametrize(('family', 'order'), [('saturation-30', 2), ('gain-drift', 1)])
+@pytest.mark.parametrize(('family', 'order'), [
+    ('gain-drift', 1), *slow(('saturation-30', 2))])
 def test_an_order_that_is_given_is_fitted_as_well_as_by_brute_force(family, order):
     """Few samples are independent here: a dead time stays if it gains three tenths of a point."""
     record = experiment(family, 31, 0).record

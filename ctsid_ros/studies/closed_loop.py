@@ -32,7 +32,7 @@ from ctsid_ros.studies.runner import arguments, conclude, keeping
 
 LEVELS = (0.0, 0.05, 0.2, 1.0)
 HEAD = ('q', 'pole', 'bias', 'std', 'bias/std', 'RMSE', 'bound', 'RMSE/bound', 'pole_std/RMSE',
-        'order right', 'OK')
+        'order right', 'OK', 'runs')
 
 
 def one(seed: int, q: float) -> Outcome:
@@ -61,7 +61,8 @@ def lines(found: Summary, q: float) -> list[tuple[str, ...]]:
                      f'{found.bias[i] / found.std[i]:.2f}', *(f'{x:.3g}' for x in cells),
                      f'{found.rmse[i] / least[i]:.2f}',
                      f'{found.deviation[i] / found.rmse[i]:.2f}',
-                     f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %'))
+                     f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %',
+                     str(found.runs)))
     return rows
 
 

@@ -31,7 +31,8 @@ METHODS = {
     'CT-PBSID': Settings(method='ct-pbsid', order=3, past=10, future=10, laguerre_pole=25.0,
                          trim=False, delay=0.0, held_out=0.0),
 }
-HEAD = ('SNR', 'pole', 'method', 'bias', 'published', 'std', 'published', 'RMSE', 'order 3')
+HEAD = ('SNR', 'pole', 'method', 'bias', 'published', 'std', 'published', 'RMSE', 'order 3',
+        'runs')
 FILES = {50: '12a', 20: '12b', 10: '13a', 6: '13b'}
 # What the drawings show of the plane: left, right, height.
 AROUND = {50: (-5.1, -0.9, 1.2), 20: (-6.5, -0.5, 1.5), 10: (-16.0, 0.0, 3.0),
@@ -48,7 +49,7 @@ def lines(method: str, found: Summary, snr: int) -> list[tuple[str, ...]]:
             f'{published[place + 2 * k]:.3g}' for k in (0, 1))
         rows.append((f'{snr} dB', name, method, f'{found.bias[i]:.3g}', beside[0],
                      f'{found.std[i]:.3g}', beside[1], f'{found.rmse[i]:.3g}',
-                     f'{100 * found.right:.0f} %'))
+                     f'{100 * found.right:.0f} %', str(found.runs)))
     return rows
 
 

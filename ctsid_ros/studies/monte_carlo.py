@@ -75,12 +75,15 @@ class Summary:
         Root mean square of what the estimates say.
     right, ok : float
         Part of the runs with the right order; with status OK.
+    runs : int
+        How many there are, with the right order or not.
     """
 
     errors: ComplexArray
     deviation: Array
     right: float
     ok: float
+    runs: int
 
     @property
     def bias(self) -> Array:
@@ -113,7 +116,7 @@ def summary(outcomes: Sequence[Outcome]) -> Summary:
     right = np.isfinite(errors).all(axis=1)
     deviation = np.sqrt(np.sum(said[right] ** 2, axis=0) / (np.sum(right) or np.nan))
     return Summary(errors[right], deviation, float(right.mean()),
-                   float(np.mean([o.status == 'OK' for o in outcomes])))
+                   float(np.mean([o.status == 'OK' for o in outcomes])), len(outcomes))
 
 
 def of_poles(model: StateSpace) -> list[tuple[str, int]]:

@@ -30,7 +30,7 @@ PUBLISHED = {
     6: ((0.15362, 44.717, 0.60203, 271.48), (1.8876, 1.928, 0.51834, 1.8059)),
 }
 HEAD = ('SNR', 'pole', 'bias', 'HD', 'CT', 'std', 'HD', 'CT', 'worst ratio', 'RMSE', 'bound',
-        'RMSE/bound', 'order 3')
+        'RMSE/bound', 'order 3', 'runs')
 
 
 def one(seed: int, snr: float, settings: Settings | None) -> Outcome:
@@ -61,7 +61,7 @@ def lines(found: Summary, snr: int) -> list[tuple[str, ...]]:
         rows.append((f'{snr} dB', name, *(f'{x:.3g}' for x in cells),
                      f'{worst_ratio(found, snr, i):.2f}', f'{found.rmse[i]:.3g}',
                      f'{least[i]:.3g}', f'{found.rmse[i] / least[i]:.2f}',
-                     f'{100 * found.right:.0f} %'))
+                     f'{100 * found.right:.0f} %', str(found.runs)))
     return rows
 
 

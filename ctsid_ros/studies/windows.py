@@ -27,7 +27,7 @@ from ctsid_ros.studies.runner import arguments, conclude, keeping
 EXPERIMENTS = [('quadrotor', snr) for snr in (50, 20, 10, 6, 0)]
 EXPERIMENTS += [(f'flexible {damping} %', 20) for damping in (0.5, 1.0, 2.0)]
 HEAD = ('plant', 'SNR', 'pole', 'bias', 'std', 'RMSE', 'bound', 'RMSE/bound', 'pole_std/RMSE',
-        'order right', 'OK')
+        'order right', 'OK', 'runs')
 
 
 def experiment(seed: int, name: str, snr: float) -> Run:
@@ -60,7 +60,8 @@ def lines(found: Summary, name: str, snr: float) -> list[tuple[str, ...]]:
         rows.append((name, f'{snr} dB', pole, *(f'{x:.3g}' for x in cells),
                      f'{found.rmse[i] / least[i]:.2f}',
                      f'{found.deviation[i] / found.rmse[i]:.2f}',
-                     f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %'))
+                     f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %',
+                     str(found.runs)))
     return rows
 
 
