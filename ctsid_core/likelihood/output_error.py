@@ -145,8 +145,6 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
             break
         for _ in range(6):
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
-            if float(gradient @ step) < least:
-                break
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial

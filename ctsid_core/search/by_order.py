@@ -18,7 +18,7 @@ Model errors are neither white nor new information, and states that imitate them
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -230,13 +230,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         except np.linalg.LinAlgError:
             continue
     if samples.several and n - 1 in found:
-        try:
-            twin = split(samples, fit_at(samples, found[n - 1].fit.model.poles,
-                                         found[n - 1].fit.model.delay, free,
-                                         found[n - 1].fit), free)
-        except np.linalg.LinAlgError:
-            twin = None
-        fits += [('twin', twin)] if twin is not None else []
+        fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
     for start in _different(fits, 1):
         reached = climb(samples, start, free, steps=_STEPS, least=_LEAST_GAIN,
@@ -246,6 +240,18 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         if samples.effort.beyond(SEARCH):
             break
     return best
+
+
+def _twins(samples: Samples, fit: Fit, free: Free, known: Array) -> Iterator[Fit]:
+    """Yield starts with a pole that is there twice; an input of no effect has any dead time."""
+    for near in (fit, replace(fit, model=replace(fit.model, delay=known))):
+        try:
+            twin = split(samples, fit_at(samples, fit.model.poles, near.model.delay, free, near),
+                         free)
+        except np.linalg.LinAlgError:
+            continue
+        if twin is not None:
+            yield twin
 
 
 def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:

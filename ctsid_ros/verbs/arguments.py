@@ -70,7 +70,8 @@ def add_bag(parser: argparse.ArgumentParser,
 
 def bag_words(args: argparse.Namespace) -> tuple[str, ...]:
     """Return the bags and their times as another command line needs them."""
-    return (*args.bag, *(word for column in args.time for word in ('--time', column)))
+    times = getattr(args, 'time', ())
+    return (*args.bag, *(word for column in times for word in ('--time', column)))
 
 
 def span(text: str) -> Interval:
