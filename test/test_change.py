@@ -67,6 +67,7 @@ STEADY = {
                                    kick=(0.05, 0.05)), CLOSED_LOOP),
     'gusts begin': (lambda rng: changing(rng, PLANTS['hd51'], PLANTS['hd51'], 0.5, snr=30.0,
                                          kick=(0.0, 0.1)), CLOSED_LOOP),
+    'four outputs, 10 dB': (lambda rng: running(rng, PLANTS['hd52'], 10), None),
     'gusts end early': (lambda rng: changing(rng, PLANTS['hd51'], PLANTS['hd51'], 0.2, snr=30.0,
                                              kick=(0.1, 0.0)), CLOSED_LOOP),
 }
@@ -74,7 +75,9 @@ STEADY = {
 
 @pytest.mark.parametrize(('name', 'seeds'), [
     ('not at rest', 1), ('asynchronous, held', 1), ('from rest', 1), ('gusts', 1),
-    *slow(*((name, 30) for name in STEADY))])
+    *slow(*((name, 30) for name in STEADY if name != 'four outputs, 10 dB')),
+    pytest.param('four outputs, 10 dB', 6, marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='4 of 6 are called changed, for 4.3 to 5.4 %')])])
 def test_a_steady_plant_is_not_called_changed(name, seeds):
     make, settings = STEADY[name]
     found = [identify(make(np.random.default_rng(100 + seed)), settings) for seed in range(seeds)]
