@@ -232,7 +232,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
     if samples.several and n - 1 in found:
         fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
-    for start in _different(fits, 1):
+    for start in _different(fits, 2 if n < 3 else 1):
         reached = climb(samples, start, free, steps=_STEPS, least=_LEAST_GAIN,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
