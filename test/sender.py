@@ -4,8 +4,8 @@ A process that publishes /imu and /command in real time as fast as is asked for.
 
 Usage: python sender.py IMU_RATE COMMAND_RATE SECONDS
 
-It begins once /identifier hears both topics, publishes in the order of stamps whatever holds it
-up, prints how many messages it has sent, and stays until it is ended. Messages are serialised
+It begins once /identifier hears both topics, publishes all in the order of stamps whatever holds
+it up, prints how many messages it has sent, and stays until it is ended. Messages are serialised
 once; each publication writes stamp and values into the bytes.
 """
 
@@ -44,7 +44,8 @@ def main(imu_rate: float, command_rate: float, seconds: float) -> None:
     meet(node, '/identifier', wait)
     kinds = [(imu_rate, made.y, RATES, '<dd'), (command_rate, made.u, EFFORT, '<d')]
     sent, start = [0, 0], time.time_ns()
-    while (passed := (time.time_ns() - start) * 1e-9) < seconds and rclpy.ok():
+    while min(sent[k] / kinds[k][0] for k in (0, 1)) < seconds and rclpy.ok():
+        passed = min((time.time_ns() - start) * 1e-9, seconds)
         while (due := min((sent[k] / kinds[k][0], k) for k in (0, 1)))[0] < passed:
             stamp, k = start + int(due[0] * 1e9), due[1]
             _, values, place, form = kinds[k]
