@@ -9,7 +9,7 @@ from marks import slow
 import numpy as np
 import pytest
 
-from ctsid_core import Grade, Record, Settings, Status, identify
+from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.solve import free_of
 from ctsid_core.settings import LONGEST_DELAY
@@ -49,6 +49,20 @@ def test_a_plant_that_jumps_is_told_from_one_with_more_states(number):
     found = identify(given.record, given.settings)
     assert found.status is Status.CHANGED
     assert 0.08 < found.statistics['change_share'] < 0.92
+
+
+def test_a_change_is_seen_in_outputs_of_different_rates():
+    """The gain grows by half, in the middle; one output comes twenty times as often."""
+    rng, step = np.random.default_rng(0), 0.005
+    t = step * np.arange(6000)
+    u, y, decay = np.repeat(rng.standard_normal(300), 20), np.zeros(6000), np.exp(-2.0 * step)
+    for k in range(len(t) - 1):
+        y[k + 1] = decay * y[k] + (1.0 - decay) * (1.0 + 0.5 * (t[k] > 15.0)) * u[k]
+    seen = [Signal(t[::every], (y[::every] + 0.01 * rng.standard_normal(len(y[::every])))[:, None])
+            for every in (1, 20)]
+    found = identify(Record((Signal(t, u[:, None], 'zoh'),), tuple(seen), 0.0, t[-1]))
+    assert found.status is Status.CHANGED
+    assert abs(found.statistics['change_share'] - 0.5) < 0.03
 
 
 def test_inputs_that_are_the_same_are_never_good():

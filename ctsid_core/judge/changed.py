@@ -13,12 +13,13 @@ apart, has to be gone.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import Triangle, columns_of
+from ctsid_core.likelihood.mode_columns import Triangle, columns_of, evaluation_work
 from ctsid_core.likelihood.output_error import (
     Fit,
     Free,
@@ -89,7 +90,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         The best one of half its order.
     """
     best = Change()
-    if np.max(fit.power) < (0.01 * NOTED) ** 2:
+    if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return best
     for model in (fit.model,) if simpler is None else (fit.model, simpler):
         for place in range(len(samples.records)):
@@ -102,8 +103,9 @@ def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Fre
                place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it."""
     one = replace(samples, records=samples.records[place:place + 1])
-    model, whole = (replace(m, x0=m.x0[place:place + 1], y0=m.y0[place:place + 1])
-                    for m in (model, whole))
+    own = [replace(m, x0=m.x0[place:place + 1], y0=m.y0[place:place + 1])
+           for m in ((whole,) if model is whole else (whole, model))]
+    whole, model = own[0], own[-1]
     found = max((_divided(one, model, whole, free, place, share)
                  for share in _likely(one, model, free)), key=_gain, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
@@ -119,18 +121,23 @@ def _gain(change: Change) -> float:
 
 def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
-    samples = samples.thinned(_SEARCHED)
+    samples = samples.thinned(2 * _SEARCHED)
     record, found = samples.records[0], []
     whole, = columns_of(samples, model.poles, model.delay, turned=False)
     price = _numbers(samples, model, free) * float(np.log(np.max(samples.counts)))
     for share in _INSTANTS:
+        if samples.effort.over:
+            break
+        samples.effort.spend(evaluation_work(samples, len(model.poles)))
         at, promise = record.start + share * (record.end - record.start), 0.0
         for after in (False, True):
             side = replace(whole, triangles=tuple(
                 _rows(t, (s.times > at) == after)
                 for t, s in zip(whole.triangles, record.streams, strict=True)))
             if min(t.count for t in side.triangles) >= _FEWEST * (3 * model.n + 2):
-                promise += promised(samples, fit_states(samples, model, free, (side,)), free)
+                with suppress(np.linalg.LinAlgError):
+                    same = fit_states(samples, model, free, (side,))
+                    promise += promised(samples, same, free)
         if promise > price:
             found.append((promise, share))
     return [share for _, share in sorted(found)[-_LIKELY:]]
@@ -138,7 +145,8 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
 
 def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
     """Return how many numbers another model of a side costs, its instant among them."""
-    return model.n * (samples.nu + samples.ny) + sum(free.delays) + 1
+    return (model.n * (samples.nu + samples.ny) + samples.nu * samples.ny * free.feedthrough
+            + sum(free.delays) + 1)
 
 
 def _rows(t: Triangle, kept: Mask) -> Triangle:

@@ -133,14 +133,13 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
         Gain of -2 log likelihood that another step has to promise, and the last one to have
         brought.
     """
-    best, damping, gain, total = start, _DAMPING, np.inf, float(np.sum(samples.counts))
+    best, damping, gain = start, _DAMPING, np.inf
     for taken in range(steps):
         gradient, curvature, scale, places = _slopes(samples, best, free)
         promise = _promise(gradient, curvature)
         moved = None
-        # Errors that shrink to nothing gain without bound: cost is the logarithm of their power.
-        hope = -total * float(np.log1p(-min(promise / total, 1.0 - ROUNDING)))
-        hopeless = best.cost - 5.0 * max(hope, gain if taken else 0.0) > rival
+        hope = max(_at_most(promise, samples), gain if taken else 0.0)
+        hopeless = best.cost - 5.0 * hope > rival
         if hopeless or min(promise, gain) < least:
             break
         for _ in range(6):
@@ -159,8 +158,14 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
 
 
 def promised(samples: Samples, fit: Fit, free: Free) -> float:
-    """Return what a Gauss-Newton step promises to gain: of a model's best, a score statistic."""
-    return _promise(*_slopes(samples, fit, free)[:2])
+    """Return what a Gauss-Newton step promises to gain at most, in -2 log likelihood."""
+    return _at_most(_promise(*_slopes(samples, fit, free)[:2]), samples)
+
+
+def _at_most(promise: float, samples: Samples) -> float:
+    """Return -2 log likelihood of so much less power, as if all of it were of one output."""
+    count = float(np.min(samples.counts[samples.counts > 0.0]))
+    return -count * float(np.log(max(1.0 - promise / count, ROUNDING)))
 
 
 def _promise(gradient: Array, curvature: Array) -> float:

@@ -112,14 +112,14 @@ class Samples:
 
     def thinned(self, most: int) -> Samples:
         """Return every k-th sample of each stream, such that about `most` are left of each."""
-        total = max(sum(len(r.streams[i].times) for r in self.records if i < len(r.streams))
-                    for i in range(max(len(r.streams) for r in self.records)))
-        step = -(-total // most)
-        if step < 2:
+        longest = [sum(len(r.streams[i].times) for r in self.records if i < len(r.streams))
+                   for i in range(max(len(r.streams) for r in self.records))]
+        steps = [max(-(-total // most), 1) for total in longest]
+        if max(steps) < 2:
             return self
         return replace(self, records=tuple(replace(r, streams=tuple(
-            replace(s, times=s.times[::step], y=s.y[::step]) for s in r.streams))
-            for r in self.records))
+            replace(s, times=s.times[::step], y=s.y[::step])
+            for s, step in zip(r.streams, steps, strict=False))) for r in self.records))
 
     def between(self, bounds: Sequence[tuple[float, float]]) -> Samples:
         """Return the samples of each record within its bounds [s]; states begin where they do."""

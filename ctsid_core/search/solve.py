@@ -108,7 +108,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         samples = seen(late)
         best = _climbed(samples, best, free)
     half = found.get(best.fit.model.n // 2)
-    simpler = half.fit.model if half else None
+    simpler = _climbed(samples, half, free).fit.model if half else None
     if solved := _by_prediction(part, settings, corrupt, samples, best, free):
         return replace(solved, simpler=simpler)
     found[best.fit.model.n] = best

@@ -127,8 +127,9 @@ class Tracker:
         Cancelled
             If `cancelled` said so.
         """
-        past = self._past
-        return self._joined(past, record, identify(record, self.settings, cancelled=cancelled))
+        past, settings = self._past, self.settings
+        test = _fresh(past, record, settings)
+        return self._joined(past, test, record, identify(record, settings, cancelled=cancelled))
 
     def join(self, record: Record, estimate: Estimate) -> Tracked:
         """
@@ -148,10 +149,10 @@ class Tracker:
         DataError
             As of `take`.
         """
-        return self._joined(self._past, record, estimate)
+        past = self._past
+        return self._joined(past, _fresh(past, record, self.settings), record, estimate)
 
-    def _joined(self, past: _Past, record: Record, estimate: Estimate) -> Tracked:
-        test = _fresh(past, record, self.settings)
+    def _joined(self, past: _Past, test: _Test, record: Record, estimate: Estimate) -> Tracked:
         estimate = self._reject_straddling(estimate)
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
