@@ -225,13 +225,23 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
 @pytest.mark.parametrize(('status', 'command'), [
     (Status.CHANGED, "ctsid identify 'my bag' --params p.yaml --start 1.0 --duration 4.0"),
     (Status.NO_RESPONSE, "ctsid info 'my bag'"),
-    (Status.UNEXPLAINED, "ctsid compare 'my bag' --params p.yaml"),
+    (Status.UNEXPLAINED, "ctsid info 'my bag'"),
     (Status.TOO_SHORT, "ctsid identify 'my bag' --params p.yaml")])
 def test_a_rejection_says_what_to_try_next(status, command):
     given = Estimate(status=status, settings=Settings(), statistics={'change_share': 0.4})
     run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0))
     assert headline(given, run).command == command
     assert headline(given, run).grade == 'REJECT'
+
+
+@pytest.mark.parametrize(('status', 'said'), [(Status.UNEXPLAINED, True),
+                                              (Status.CHANGED, False)])
+def test_better_signals_are_the_way_out_of_wrong_ones_only(status, said):
+    run = Run('', ('bag',), 'p.yaml', '', (0.0, 10.0))
+    found = headline(Estimate(status=status, settings=Settings()), run,
+                     better=['/cmd x -> /imu y (99 % explained)'])
+    assert ('/cmd x -> /imu y (99 % explained)' in found.purpose) is said
+    assert (found.command == 'ctsid init bag -o other.yaml') is said
 
 
 def test_what_a_report_needs_is_asked_for_before_the_work(folder, monkeypatch, capsys):
