@@ -362,7 +362,7 @@ def _numbers(outcome: Outcome) -> list[Section]:
     """Return what is too long for the terminal."""
     from ctsid_core.advice.advice import advise
     from ctsid_core.model.validation import residual_tests
-    from ctsid_ros.report.experiment import experiment_section
+    from ctsid_ros.report.experiment import experiment_section, helps
     from ctsid_ros.report.sections import bode_section, residual_section
 
     estimate, model, sections = outcome.estimate, outcome.model, []
@@ -376,7 +376,8 @@ def _numbers(outcome: Outcome) -> list[Section]:
         sections.append(residual_section(tests, own))
     if len(outcome.sources) == 1:
         advice = advise(estimate, outcome.sources[0].learnt)
-        sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
+        if helps(estimate, advice):
+            sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
     sections.append(bode_section(model, covariance=estimate.covariance))
     return sections
 
