@@ -111,7 +111,7 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
             cure = alone if one.own < _UNCORRELATED else \
-                'move it more, or for longer (`window.length`), or leave it out'
+                'move it more, or for longer, or leave it out'
             yield (f'The response to input {one.name} has a standard deviation of '
                    f'{_percent(one.uncertainty)}; {cure}.')
     for i in np.flatnonzero(e.coloured > _DISTURBED):
@@ -126,8 +126,7 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
     for i in np.flatnonzero(e.held_out > _allowed(e.error)):
         yield (f'On the part of the window that was held out the error of output '
                f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
-               f'{_percent(e.error[i])}; take a longer window (`window.length`), or lower '
-               '`order`.')
+               f'{_percent(e.error[i])}; take a longer window, or lower `max_order`.')
     if not np.isfinite(e.expected).any():
         yield UNTESTED
 

@@ -35,6 +35,8 @@ class Run:
         The model file that was written; empty if none.
     span : (float, float)
         Of the data, after the start of the bag [s].
+    interval : tuple of str
+        The arguments that chose the span; empty if it is all of the bag.
     """
 
     line: str
@@ -42,6 +44,7 @@ class Run:
     params: str | None
     model: str = ''
     span: tuple[float, float] = (0.0, math.inf)
+    interval: tuple[str, ...] = ()
 
     def command(self, verb: str, *more: str) -> str:
         """Return a command line on the same data."""
@@ -100,7 +103,8 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
         return ('how well it explains a recording that it has not seen, before it is used',
                 f'ctsid simulate {shlex.quote(run.model)} ANOTHER_BAG')
     if estimate.ok:
-        return 'how much more to move which input, and how fast', run.command('advise')
+        return ('how much more to move which input, and how fast',
+                run.command('advise', *run.interval))
     if status is Status.CHANGED:
         share = estimate.statistics.get('change_share', math.nan)
         if not math.isfinite(share):

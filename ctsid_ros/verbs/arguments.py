@@ -205,7 +205,10 @@ def run_of(args: argparse.Namespace, model: str = '',
     """Return what a report says of its making: the command line, bags, parameters, model."""
     from ctsid_ros.report.headline import Run
 
-    return Run(args.command_line, bag_words(args), args.params, model, span)
+    start, duration = getattr(args, 'start', 0.0), getattr(args, 'duration', math.inf)
+    interval = (*(('--start', f'{start:g}') if start else ()),
+                *(('--duration', f'{duration:g}') if math.isfinite(duration) else ()))
+    return Run(args.command_line, bag_words(args), args.params, model, span, interval)
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:
