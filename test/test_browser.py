@@ -38,7 +38,8 @@ SMALL = """() => [...document.querySelectorAll(
     one.textContent.trim() && one.getBoundingClientRect().width > 0
     && parseFloat(getComputedStyle(one).fontSize) < 10.9).map((one) => one.textContent)"""
 FITS = """() => [...document.querySelectorAll('.plot .main-svg')].every((one) =>
-  one.getBoundingClientRect().right <= document.body.getBoundingClientRect().right)"""
+  one.getBoundingClientRect().right <= document.body.getBoundingClientRect().left
+    + 186 * 96 / 25.4 + 1)"""   # A4 less the margins
 RANGE = "(at) => document.querySelectorAll('.plot')[at]._fullLayout.xaxis.range"
 
 
