@@ -37,6 +37,9 @@ SMALL = """() => [...document.querySelectorAll(
   'svg text, td, th, p, dt, dd, li, figcaption, .legend span, button')].filter((one) =>
     one.textContent.trim() && one.getBoundingClientRect().width > 0
     && parseFloat(getComputedStyle(one).fontSize) < 10.9).map((one) => one.textContent)"""
+FITS = """() => [...document.querySelectorAll('.plot .main-svg')].every((one) =>
+  one.getBoundingClientRect().right <= document.body.getBoundingClientRect().left
+    + 186 * 96 / 25.4 + 1)"""   # A4 less the margins
 RANGE = "(at) => document.querySelectorAll('.plot')[at]._fullLayout.xaxis.range"
 
 
@@ -123,6 +126,7 @@ def test_pages_follow_light_dark_and_print(browser, folder):
         page.wait_for_function(f'{back} === "rgb(255, 255, 255)"')
         page.evaluate("dispatchEvent(new Event('beforeprint'))")
         assert page.evaluate("[...document.querySelectorAll('details')].every((d) => d.open)")
+        page.wait_for_function(FITS)
         assert len(page.pdf(format='A4', print_background=True)) > 20_000
 
 

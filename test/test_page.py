@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 import csv
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -42,10 +43,12 @@ from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import region
 from ctsid_ros.report.residual_figures import correlation, horizon_fits
 from ctsid_ros.report.responses import bode_figures
+from ctsid_ros.report.sections import gain_section
 from ctsid_ros.report.spectra import spectra
 from ctsid_ros.report.tables import Table, percent, pole_text
 from ctsid_ros.report.window_figures import Windows, changes, window_figure
 from ctsid_ros.report.words import lines, markdown, printable
+from ctsid_ros.verbs.arguments import run_of
 
 EVIL = '/<script>alert(1)</script>"\'><img src=x onerror=alert(1)>\x1b[31m`_*|$x\n# head\u202e=1+1'
 TOPIC = '/imu' + ''.join(EVIL.split())     # no topic has blanks
@@ -225,13 +228,38 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
 @pytest.mark.parametrize(('status', 'command'), [
     (Status.CHANGED, "ctsid identify 'my bag' --params p.yaml --start 1.0 --duration 4.0"),
     (Status.NO_RESPONSE, "ctsid info 'my bag'"),
-    (Status.UNEXPLAINED, "ctsid compare 'my bag' --params p.yaml"),
+    (Status.UNEXPLAINED, "ctsid info 'my bag'"),
     (Status.TOO_SHORT, "ctsid identify 'my bag' --params p.yaml")])
 def test_a_rejection_says_what_to_try_next(status, command):
     given = Estimate(status=status, settings=Settings(), statistics={'change_share': 0.4})
     run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0))
     assert headline(given, run).command == command
     assert headline(given, run).grade == 'REJECT'
+
+
+def test_advice_after_an_interval_is_on_that_interval(folder):
+    found = load_estimate(folder / 'res/model.json')
+    weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK))
+    args = Namespace(command_line='', bag=['bag'], params='p.yaml', start=2.0, duration=0.5)
+    assert headline(weak, run_of(args)).command == (
+        'ctsid advise bag --params p.yaml --start 2 --duration 0.5')
+
+
+def test_a_gain_that_is_not_known_is_said_to_be_so(folder):
+    found = load_estimate(folder / 'res/model.json')
+    assert 'not even its sign' not in str(gain_section(found.model, found.covariance).parts)
+    vague = replace(found.covariance, root=1e4 * found.covariance.root)
+    assert 'not even its sign' in str(gain_section(found.model, vague).parts)
+
+
+@pytest.mark.parametrize(('status', 'said'), [(Status.UNEXPLAINED, True),
+                                              (Status.CHANGED, False)])
+def test_better_signals_are_the_way_out_of_wrong_ones_only(status, said):
+    run = Run('', ('bag',), 'p.yaml', '', (0.0, 10.0))
+    found = headline(Estimate(status=status, settings=Settings()), run,
+                     better=['/cmd x -> /imu y (99 % explained)'])
+    assert ('/cmd x -> /imu y (99 % explained)' in found.purpose) is said
+    assert (found.command == 'ctsid init bag -o other.yaml') is said
 
 
 def test_what_a_report_needs_is_asked_for_before_the_work(folder, monkeypatch, capsys):

@@ -304,4 +304,4 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
         where='about 3 s after the start of the window', worst=worst,
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
     assert status is Status.UNEXPLAINED
-    assert f'is 90 % of its motion{worst}; check with ' in verdict.reason
+    assert f'is 90 % of its motion{worst}; check that these' in verdict.reason

@@ -73,21 +73,20 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
         yield Status.UNEXPLAINED, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
-            'with `ctsid plot` that these are the right signals and that nothing else drives the '
-            'plant.')
+            'that these are the right signals and that nothing else drives the plant.')
     follows = e.held_out < _DRIVEN * e.driven            # what follows nothing goes by itself
     for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
-            'as far as the noise lets see; check its sensor and that it is the right signal, or '
-            'leave it out.')
+            'as far as the noise lets see; move the inputs more, check the sensor of '
+            f'{e.output_names[i]} and that these are the right signals, or leave it out.')
 
 
 def _changed(e: Evidence) -> str:
     (a, b), (c, d) = e.change.one, e.change.two
     return (f'The plant changed {e.where}: one model fits {a:.0f} % before and {b:.0f} % after '
-            f'that, two models {c:.0f} and {d:.0f} %; identify each side (`--start`, '
-            '`--duration`), or wait until the change has left the window.')
+            f'that, two models {c:.0f} and {d:.0f} %; identify each side by '
+            'itself, or wait until the change has left the window.')
 
 
 def change_note(e: Evidence) -> tuple[str, ...]:
@@ -112,7 +111,7 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
             cure = alone if one.own < _UNCORRELATED else \
-                'move it more, or for longer (`window.length`), or leave it out'
+                'move it more, or for longer, or leave it out'
             yield (f'The response to input {one.name} has a standard deviation of '
                    f'{_percent(one.uncertainty)}; {cure}.')
     for i in np.flatnonzero(e.coloured > _DISTURBED):
@@ -127,8 +126,7 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
     for i in np.flatnonzero(e.held_out > _allowed(e.error)):
         yield (f'On the part of the window that was held out the error of output '
                f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
-               f'{_percent(e.error[i])}; take a longer window (`window.length`), or lower '
-               '`order`.')
+               f'{_percent(e.error[i])}; take a longer window, or lower `max_order`.')
     if not np.isfinite(e.expected).any():
         yield UNTESTED
 

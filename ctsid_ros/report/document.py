@@ -96,6 +96,8 @@ class Headline:
         Why.
     command : str
         What to try next; empty if there is nothing.
+    purpose : str
+        What the command is good for, without a full stop.
     facts : tuple of (str, str)
         The numbers that matter most, by name.
     """
@@ -104,6 +106,7 @@ class Headline:
     sentence: str
     command: str = ''
     facts: tuple[tuple[str, str], ...] = ()
+    purpose: str = ''
 
 
 def to_text(sections: Sequence[Section]) -> str:
@@ -138,7 +141,7 @@ def to_markdown(title: str, sections: Sequence[Section], headline: Headline | No
     blocks = [f'# {markdown(cell(title))}']
     if headline:
         blocks += [f'**{headline.grade}.** {markdown(printable(headline.sentence))}',
-                   *([_code(headline.command)] if headline.command else [])]
+                   *(_try(headline) if headline.command else [])]
     for section in sections:
         parts = [text for part in section.parts if (text := _markdown(part))]
         if parts:
@@ -155,6 +158,11 @@ def _markdown(part: Part) -> str:
     if isinstance(part, Command):
         return _code(part.line)
     return markdown(printable(part)) if isinstance(part, str) else ''
+
+
+def _try(headline: Headline) -> tuple[str, ...]:
+    purpose = f': {headline.purpose}' if headline.purpose else ''
+    return markdown(printable(f'Try next{purpose}:')), _code(headline.command)
 
 
 def _code(line: str) -> str:

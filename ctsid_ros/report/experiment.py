@@ -7,10 +7,11 @@ import math
 
 from ctsid_core.advice.advice import Advice, PoleAdvice
 from ctsid_core.advice.forecast import Band
-from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.estimate import Estimate, Status
 from ctsid_ros.report.document import Bullets, Section
 from ctsid_ros.report.tables import Table, number, pole_text
 
+_NOT_MOTION = (Status.NO_RESPONSE, Status.CHANGED)
 _FORECAST = ('The model is rejected, and what follows is computed with it: it holds as far as the '
              'model does.')
 
@@ -20,6 +21,13 @@ def experiment_section(advice: Advice, *, brief: bool = True, rejected: bool = F
     words = (_FORECAST,) if rejected and advice.poles else ()
     return Section('Which experiment would help', (*words, Bullets(advice.sentences))
                    if advice.sentences else (), brief=brief)
+
+
+def helps(estimate: Estimate, advice: Advice) -> bool:
+    """Return whether more motion is what a model lacks, as far as its poles tell."""
+    return estimate.ok or (estimate.status not in _NOT_MOTION
+                           and (not advice.poles
+                                or any(p.std > p.wanted for p in advice.poles)))
 
 
 def rejection_section(estimate: Estimate) -> Section:

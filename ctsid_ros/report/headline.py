@@ -12,10 +12,10 @@ from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Grade
 from ctsid_ros.replay.results import MODEL
 from ctsid_ros.report.document import Command, Headline, Section
-from ctsid_ros.report.tables import Table, fit_words
+from ctsid_ros.report.tables import Table, fit_words, number
 
 _CHANNELS = ('guessed', 'of the model')
-_LOOK = (Status.GAPS, Status.NO_EXCITATION, Status.NO_RESPONSE, Status.UNRELIABLE)
+_SIGNALS = (Status.NO_EXCITATION, Status.NO_RESPONSE, Status.UNEXPLAINED)
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class Run:
         The model file that was written; empty if none.
     span : (float, float)
         Of the data, after the start of the bag [s].
+    interval : tuple of str
+        The arguments that chose the span; empty if it is all of the bag.
     """
 
     line: str
@@ -42,6 +44,7 @@ class Run:
     params: str | None
     model: str = ''
     span: tuple[float, float] = (0.0, math.inf)
+    interval: tuple[str, ...] = ()
 
     def command(self, verb: str, *more: str) -> str:
         """Return a command line on the same data."""
@@ -49,15 +52,43 @@ class Run:
         return shlex.join(('ctsid', verb, *self.bags, *params, *more))
 
 
-def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()) -> Headline:
-    """Return the verdict of an estimate, and what to try next."""
+def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = (),
+             better: Sequence[str] = ()) -> Headline:
+    """
+    Return the verdict of an estimate, and what to try next.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    run : Run
+    facts : sequence of (str, str)
+        Numbers to show beside its own.
+    better : sequence of str
+        Pairs of signals of which the recording says more; the way out where signals are at fault.
+    """
     model = estimate.model or estimate.rejected_model
     own = [] if model is None else [
         (f'fit of {", ".join(model.output_names)}{", predicted," * by_predictions(estimate)} [%]',
          fit_words(estimate.fit)),
         ('held-out fit [%]', fit_words(estimate.held_out_fit)), ('order', str(model.n))]
-    return Headline(estimate.verdict.grade.name, estimate.verdict.reason, _next(estimate, run),
-                    (*own, *facts))
+    purpose, command = other_signals(run, better) \
+        if better and estimate.status in _SIGNALS else _next(estimate, run)
+    return Headline(estimate.verdict.grade.name, estimate.verdict.reason, command,
+                    (*own, *_band(estimate), *facts), purpose)
+
+
+def other_signals(run: Run, better: Sequence[str]) -> tuple[str, str]:
+    """Return that a recording says more of other signals, and the command that takes them."""
+    return (f'the data say more about other signals: {"; ".join(better)}; they are shown, and the '
+            'first is written, by', shlex.join(('ctsid', 'init', *run.bags, '-o', 'other.yaml')))
+
+
+def _band(estimate: Estimate) -> list[tuple[str, str]]:
+    """Return the frequencies at which the inputs of an accepted model moved."""
+    bands = estimate.verdict.excitation if estimate.ok else ()
+    return [('excited [Hz]' if len(bands) == 1 else f'excited by {band.name} [Hz]',
+             f'{number(band.low / math.tau, 2)} to {number(band.high / math.tau, 2)}')
+            for band in bands if band.high > band.low]
 
 
 def by_predictions(estimate: Estimate) -> bool:
@@ -65,23 +96,27 @@ def by_predictions(estimate: Estimate) -> bool:
     return any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices)
 
 
-def _next(estimate: Estimate, run: Run) -> str:
+def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
+    """Return what to try next: what for, and the command."""
     status = estimate.status
     if estimate.verdict.grade is Grade.GOOD and run.model:
-        return f'ctsid simulate {shlex.quote(run.model)} ANOTHER_BAG'
+        return ('how well it explains a recording that it has not seen, before it is used',
+                f'ctsid simulate {shlex.quote(run.model)} ANOTHER_BAG')
     if estimate.ok:
-        return run.command('advise')
+        return ('how much more to move which input, and how fast',
+                run.command('advise', *run.interval))
     if status is Status.CHANGED:
         share = estimate.statistics.get('change_share', math.nan)
+        if not math.isfinite(share):
+            return 'models of short windows, before and after', run.command('replay')
         start, end = run.span
         at = start + share * (end - start)
-        return run.command('identify', '--start', f'{start:.1f}', '--duration',
-                           f'{at - start:.1f}') if math.isfinite(at) else run.command('replay')
+        return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
+            'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
     if status is Status.TOO_SHORT:
-        return run.command('identify')
-    if status in _LOOK:
-        return shlex.join(('ctsid', 'info', *run.bags))
-    return run.command('compare')
+        return 'all of the recording, or a longer part of it', run.command('identify')
+    return ('which signals are in the recording, at which rates, and which of them move',
+            shlex.join(('ctsid', 'info', *run.bags)))
 
 
 def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:

@@ -179,7 +179,11 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
                   *(plus_minus(gain[i, j], std[i, j]) for j in range(model.nu)))
                  for i, y in enumerate(model.output_names))
     heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
-    return Section('DC gain: output per input', (Table(('output', *heads), rows, ('output',)),))
+    unknown = ('Where the standard deviation is larger than the gain, not even its sign is known: '
+               'the data are too short for what happens slowly, or the inputs do not move slowly '
+               'enough.',) if (std > np.abs(gain)).any() else ()
+    return Section('DC gain: output per input', (
+        Table(('output', *heads), rows, ('output',)), *unknown))
 
 
 def bode_section(model: StateSpace, points: int = 13,

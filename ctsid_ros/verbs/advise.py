@@ -62,6 +62,7 @@ def command(args: argparse.Namespace) -> int:
         accuracy_section,
         band_section,
         experiment_section,
+        helps,
         rejection_section,
     )
 
@@ -79,5 +80,6 @@ def command(args: argparse.Namespace) -> int:
         own = replace(advice, sentences=tuple(
             words for words in advice.sentences if words != estimate.verdict.reason))
         print(to_text([rejection_section(estimate), accuracy_section(own), band_section(own),
-                       experiment_section(own, rejected=not estimate.ok)]))
+                       *([experiment_section(own, rejected=not estimate.ok)]
+                         if helps(estimate, advice) else [])]))
     return ACCEPTED if estimate.ok else NO_MODEL

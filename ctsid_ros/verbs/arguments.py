@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 import json
 import math
 from pathlib import Path
-import shlex
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -168,20 +167,26 @@ def _guessed(bag: Bag) -> Config:
     return guessed.config
 
 
-def say_better(bags: Sequence[str], config: Config) -> None:
-    """Name the pairs of which a recording says more than of those that gave no model."""
+def better_pairs(bags: Sequence[str], time: Sequence[str], config: Config) -> list[str]:
+    """Return the pairs of which a recording says more than of those that gave no model."""
     from ctsid_ros.errors import BagError
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.guess import better
 
     pairs: Sequence[Pair] = ()
-    with suppress(BagError), open_bag(bags) as bag:      # the results are written already
+    with suppress(BagError), open_bag(bags, time) as bag:      # the results go without
         pairs = better(bag, config)
-    if pairs:
-        listed = '; '.join(f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
-                           f'({100 * p.explained.past:.0f} % explained)' for p in pairs)
-        say(f'the data say more about other signals: {listed}; they are shown and written by:\n  '
-            + shlex.join(('ctsid', 'init', *bags, '-o', 'other.yaml')))
+    return [f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
+            f'({100 * p.explained.past:.0f} % explained)' for p in pairs]
+
+
+def say_better(run: Run, better: Sequence[str]) -> None:
+    """Name better pairs, if there are any."""
+    from ctsid_ros.report.headline import other_signals
+
+    if better:
+        purpose, line = other_signals(run, better)
+        say(f'{purpose}:\n  {line}')
 
 
 def read_params(path: str) -> Config:
@@ -200,7 +205,10 @@ def run_of(args: argparse.Namespace, model: str = '',
     """Return what a report says of its making: the command line, bags, parameters, model."""
     from ctsid_ros.report.headline import Run
 
-    return Run(args.command_line, bag_words(args), args.params, model, span)
+    start, duration = getattr(args, 'start', 0.0), getattr(args, 'duration', math.inf)
+    interval = (*(('--start', f'{start:g}') if start else ()),
+                *(('--duration', f'{duration:g}') if math.isfinite(duration) else ()))
+    return Run(args.command_line, bag_words(args), args.params, model, span, interval)
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:

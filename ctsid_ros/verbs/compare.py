@@ -369,9 +369,9 @@ def _headline(compared: Compared, run: Run) -> Headline:
     if compared.kind == 'model':
         return _headline_of_models(compared, run)
     first = headline(lead.estimate, run, [('methods that agree', agreeing(found))])
-    again = run.command('advise') if first.command.startswith('ctsid compare') else first.command
-    return replace(first, sentence=f'{lead.name}: {first.sentence}',
-                   command=run.command('identify') if lead.estimate.ok else again)
+    first = replace(first, sentence=f'{lead.name}: {first.sentence}')
+    return replace(first, command=run.command('identify'), purpose='one model, with every test '
+                   'of it') if lead.estimate.ok else first
 
 
 def _headline_of_models(compared: Compared, run: Run) -> Headline:
@@ -398,7 +398,8 @@ def _headline_of_models(compared: Compared, run: Run) -> Headline:
     facts += [(f'fit on these data [%], {c.name}', fit_words(c.simulated))
               for c in on_data if c.simulated is not None]
     return Headline(lead.estimate.verdict.grade.name, words, shlex.join(
-        ('ctsid', 'simulate', compared.files[lead.name], *run.bags)), tuple(facts))
+        ('ctsid', 'simulate', compared.files[lead.name], *run.bags)), tuple(facts),
+                    f'where on these data {lead.name} fits, and where not')
 
 
 def _words(c: Contender) -> str:

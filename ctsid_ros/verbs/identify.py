@@ -36,6 +36,7 @@ from ctsid_ros.verbs.arguments import (
     add_params,
     add_results,
     add_style,
+    better_pairs,
     config_for,
     interval_of,
     named,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from ctsid_core.signals.record import Record
     from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.playback import Interval, Recorded
+    from ctsid_ros.report.headline import Run
     from ctsid_ros.report.model_page import Shown
 
 HELP = 'identify one model from one or several recordings'
@@ -200,14 +202,16 @@ def command(args: argparse.Namespace) -> int:
         with working(_task(sources), quiet=args.quiet):
             outcome = _identify(tuple(sources), args.test_from)
         with working('writing the report', quiet=args.quiet):
-            _write(out, outcome, args, truth)
+            better = [] if outcome.estimate.ok else better_pairs(groups[0], args.time,
+                                                                 outcome.config)
+            run = run_of(args, str(out / MODEL), outcome.sources[0].span)
+            _write(out, outcome, args, truth, run, better)
     if args.json:
         tell(_document(outcome, args, out))
     else:
         print(to_text(_sections(outcome, truth)))
         print(f'\nResults: {out}/ ({PAGE} has the plots)')
-    if not outcome.estimate.ok:
-        say_better(groups[0], outcome.config)
+    say_better(run, better)
     return ACCEPTED if outcome.estimate.ok else NO_MODEL
 
 
@@ -326,7 +330,7 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
 
 
 def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
-           truth: StateSpace | None) -> None:
+           truth: StateSpace | None, run: Run, better: Sequence[str]) -> None:
     from ctsid_core.model.storage import save_series, to_json
     from ctsid_ros.report.headline import headline, repeat_section
     from ctsid_ros.report.page import to_html
@@ -335,8 +339,7 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
     if len(outcome.sources) > 1:
         title = f'One model of {len(outcome.sources)} records'
     found = _origin(outcome, args)
-    run = run_of(args, str(out / MODEL), outcome.sources[0].span)
-    first = headline(estimate, run, _facts(outcome))
+    first = headline(estimate, run, _facts(outcome), better)
     numbers = [*_sections(outcome, truth, verdict=False), *_numbers(outcome),
                repeat_section(run, found)]
     write_results(out, {
@@ -359,7 +362,7 @@ def _numbers(outcome: Outcome) -> list[Section]:
     """Return what is too long for the terminal."""
     from ctsid_core.advice.advice import advise
     from ctsid_core.model.validation import residual_tests
-    from ctsid_ros.report.experiment import experiment_section
+    from ctsid_ros.report.experiment import experiment_section, helps
     from ctsid_ros.report.sections import bode_section, residual_section
 
     estimate, model, sections = outcome.estimate, outcome.model, []
@@ -373,7 +376,8 @@ def _numbers(outcome: Outcome) -> list[Section]:
         sections.append(residual_section(tests, own))
     if len(outcome.sources) == 1:
         advice = advise(estimate, outcome.sources[0].learnt)
-        sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
+        if helps(estimate, advice):
+            sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
     sections.append(bode_section(model, covariance=estimate.covariance))
     return sections
 

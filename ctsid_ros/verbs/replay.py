@@ -36,6 +36,7 @@ from ctsid_ros.verbs.arguments import (
     add_params,
     add_results,
     add_style,
+    better_pairs,
     config_for,
     interval_of,
     named,
@@ -107,8 +108,7 @@ def command(args: argparse.Namespace) -> int:
     if interrupted:
         say(f'interrupted: the results are those of the first {len(run.results)} windows')
         return INTERRUPTED
-    if run.best is None:
-        say_better(args.bag, run.played.config)
+    say_better(run_of(args), report.better)
     return NO_MODEL if run.best is None else ACCEPTED
 
 
@@ -143,6 +143,8 @@ class _Report:
         self.args, self.truth, self.played, self.results = args, truth, run.played, run.results
         best = len(run.results) - 1 if run.best is None else run.best
         self.run, self.best, self.number = run, run.results[best], best + 1
+        self.better = [] if run.best is not None else better_pairs(args.bag, args.time,
+                                                                   run.played.config)
         self.notes = tuple(dict.fromkeys((*bag.notes, *self.played.complaints)))
         self.zero_ns = zero_ns(bag, run.results[0].estimate.start_ns)
 
@@ -206,7 +208,7 @@ class _Report:
             'start': self.args.start, 'duration': self.args.duration, 'window': self.number})
         span = ((t - self.zero_ns) * 1e-9 for t in (estimate.start_ns, estimate.end_ns))
         run = run_of(self.args, str(out / MODEL), (next(span), next(span)))
-        first = headline(estimate, run, self._facts())
+        first = headline(estimate, run, self._facts(), self.better)
         first = replace(first, sentence=f'{self._counted()} {first.sentence}')
         numbers = [self._changes(), *self.sections(verdict=False)]
         if self.model:

@@ -185,7 +185,8 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
              f'{fit_words(estimate.fit)} %. {estimate.verdict.reason}')
     first = Headline(estimate.verdict.grade.name, words, run.command('identify'),
                      (('simulation fit [%]', fit_words(found.fit)),
-                      ('VAF [%]', fit_words(found.vaf))))
+                      ('VAF [%]', fit_words(found.vaf))),
+                     'a model of this recording itself, to compare')
     shown = Shown(record, model, (Part('These data, simulated', found, found.fit),), offset)
     fits: dict[float, Array] = {}
     for k, ahead in outcome.predicted.items():

@@ -84,7 +84,8 @@
   plots().forEach((div) => seen.observe(div));
 
   function again(all) {
-    return Promise.all(plots().filter((div) => all || div.layout).map((div) => draw(div)));
+    return Promise.all(plots().filter((div) => all || div.layout).map((div) => Promise.resolve(draw(div))
+      .then(() => div.getBoundingClientRect().width && Plotly.Plots.resize(div))));
   }
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => again(false));
   matchMedia('print').addEventListener('change', () => again(true));
