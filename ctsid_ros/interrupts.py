@@ -35,6 +35,30 @@ def interruptible() -> Iterator[None]:
         _handle(signal.SIG_IGN)  # Python ends: nothing catches it any more
 
 
+@contextmanager
+def deferred() -> Iterator[Callable[[], None]]:
+    """
+    Keep Ctrl-C until it is asked for: give a function that raises `KeyboardInterrupt` then.
+
+    For loops around compiled code and its callbacks, out of which an exception may not come.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN:
+        yield lambda: None
+        return
+    came: list[int] = []
+
+    def check() -> None:
+        if came:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
     for number in (signal.SIGALRM, signal.SIGINT):
         signal.signal(number, handler)

@@ -101,7 +101,7 @@ def test_a_bag_that_loops_begins_anew(live):
         Robot(live, motion(4.6), node.name).feed(node)
     said = node.wait_health('ingest', lambda h: h.values['resets'] == '2', 'resets')
     assert said.level == Level.WARN
-    assert 'the time stamps jumped back 2 times' in said.message
+    assert 'the time stamps jumped back ' in said.message    # of late; in all twice
     node.wait_models(3)
     starts = [estimate.start_ns // S - EPOCH // S for estimate in node.estimates()]
     assert starts.count(0) == 3

@@ -15,6 +15,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
+from ctsid_ros.interrupts import deferred
+
 _MODELS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -41,7 +43,13 @@ def listening(name: str, diagnostics: Callable[[DiagnosticArray], None],
         executor.add_node(node)
         node.create_subscription(DiagnosticArray, '/diagnostics', diagnostics, 10)
         node.create_subscription(String, f'{name}/model', model, _MODELS)
-        yield lambda seconds: executor.spin_once(timeout_sec=seconds)
+        with deferred() as check:
+
+            def wait(seconds: float) -> None:
+                executor.spin_once(timeout_sec=seconds)
+                check()
+
+            yield wait
     finally:
         executor.shutdown()
         node.destroy_node()
