@@ -229,7 +229,8 @@ class _Report:
         grades = [r.estimate.verdict.grade.name for r in self.results]
         counts = ', '.join(f'{grades.count(g)} {g}' for g in dict.fromkeys(grades))
         count = f'{len(grades)} window{"s" if len(grades) > 1 else ""}: {counts}.'
-        return f'{count} Kept is the model of window {self.number}, {self._which()}.'
+        kept = 'Kept is the model of' if self.model else 'None has a model; shown is'
+        return f'{count} {kept} window {self.number}, {self._which()}.'
 
     def _facts(self) -> list[tuple[str, str]]:
         from ctsid_ros.report.tables import fit_words
