@@ -10,6 +10,9 @@ import struct
 import numpy as np
 from plants import held_response, plant
 
+from ctsid_ros.errors import BagError
+from ctsid_ros.recordings.bag import open_bag
+
 
 def ulog_message(kind: str, payload: bytes) -> bytes:
     """One message of a ULog: size, kind, content."""
@@ -133,3 +136,14 @@ def flight(seconds: float = 20.0, start: float = 10.0, seed: int = 0):
     y = held_response(plant([[-3.0]], [[6.0]], [[1.0]]), t_u, u[:, None], t_y)[:, 0]
     y += 0.01 * rng.standard_normal(len(y))
     return t_u + start, u, t_y + start, y
+
+
+def samples_read(path: Path) -> int:
+    """Return how many samples a damaged file gives; 0 if it is refused, by its name."""
+    try:
+        with open_bag(path) as bag:
+            return sum(len(block) for topic in bag.topics
+                       for block in bag.blocks({topic: bag.scalar_fields(topic)}))
+    except BagError as error:
+        assert str(path) in str(error)
+        return 0

@@ -9,9 +9,8 @@ import sys
 from bag_fixtures import notes, numbers, refused
 import numpy as np
 import pytest
-from recording_files import dataflash, dataflash_format, flight, write_ardupilot
+from recording_files import dataflash, dataflash_format, flight, samples_read, write_ardupilot
 
-from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 
 pytest.importorskip('pymavlink')
@@ -85,12 +84,7 @@ def test_damage_anywhere_does_not_crash(tmp_path, log):
         start = int(rng.integers(3, 3000))
         damaged[start:start + 8] = rng.bytes(8)
         path.write_bytes(damaged)
-        try:
-            with open_bag(path) as bag:
-                read += sum(len(block) for topic in bag.topics
-                            for block in bag.blocks({topic: bag.scalar_fields(topic)}))
-        except BagError as error:
-            assert str(path) in str(error)
+        read += samples_read(path)
     assert read > 3 * len(Y)
 
 

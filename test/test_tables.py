@@ -8,7 +8,7 @@ import sys
 from bag_fixtures import flight, notes, numbers, refused, write_mcap
 import numpy as np
 import pytest
-from recording_files import write_csv
+from recording_files import samples_read, write_csv
 
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
@@ -295,10 +295,5 @@ def test_damage_anywhere_in_a_table_does_not_crash(tmp_path):
         for at in rng.integers(0, len(content), 4):
             damaged[at] = rng.integers(256)
         path.write_bytes(damaged)
-        try:
-            with open_bag(path) as bag:
-                read += sum(len(block) for topic in bag.topics
-                            for block in bag.blocks({topic: bag.scalar_fields(topic)}))
-        except BagError as error:
-            assert str(path) in str(error)
+        read += samples_read(path)
     assert read > 40 * len(T)

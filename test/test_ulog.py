@@ -9,7 +9,7 @@ import sys
 from bag_fixtures import notes, numbers, refused
 import numpy as np
 import pytest
-from recording_files import ULogWriter, flight, ulog_message, write_ulog
+from recording_files import ULogWriter, flight, samples_read, ulog_message, write_ulog
 
 from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.errors import BagError
@@ -109,12 +109,7 @@ def test_damage_anywhere_does_not_crash(tmp_path, log):
         start = int(rng.integers(0, 3000))
         damaged[start:start + 8] = rng.bytes(8)
         path.write_bytes(damaged)
-        try:
-            with open_bag(path) as bag:
-                read += sum(len(block) for topic in bag.topics
-                            for block in bag.blocks({topic: bag.scalar_fields(topic)}))
-        except BagError as error:
-            assert str(path) in str(error)
+        read += samples_read(path)
     assert read > 10 * len(Y)
 
 

@@ -4,11 +4,11 @@ Did the plant change? What one model misses that two explain, over the motion.
 
 A record is divided at a few instants; each side gets a model of its own, of the same order or of
 half of it: further states of one model can imitate a plant that changes, and then two models with
-no more parameters explain more. The states and the trim at the start of a side are free in both,
-so that disturbances are no change of the plant. Two models are always a little better, of drag,
-friction or gusts as well, but of a plant that changes they leave noise only: how much independent
-evidence there is for two is counted in *their* errors, and nearly all that one model leaves, noise
-apart, has to be gone.
+hardly more parameters explain more. The states and the trim at the start of a side are free in
+both, so that disturbances are no change of the plant. Two models are always a little better, of
+drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
+independent evidence there is for two is counted in *their* errors, and nearly all that one model
+leaves, noise apart, has to be gone.
 """
 
 from __future__ import annotations
@@ -102,10 +102,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it."""
-    one = replace(samples, records=samples.records[place:place + 1])
-    own = [replace(m, x0=m.x0[place:place + 1], y0=m.y0[place:place + 1])
-           for m in ((whole,) if model is whole else (whole, model))]
-    whole, model = own[0], own[-1]
+    one = replace(samples, records=samples.records[place:place + 1])    # states are fitted anew
     found = max((_divided(one, model, whole, free, place, share)
                  for share in _likely(one, model, free)), key=_gain, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():

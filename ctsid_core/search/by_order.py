@@ -18,7 +18,7 @@ Model errors are neither white nor new information, and states that imitate them
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -244,10 +244,10 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
 
 def _twins(samples: Samples, fit: Fit, free: Free, known: Array) -> Iterator[Fit]:
     """Yield starts with a pole that is there twice; an input of no effect has any dead time."""
-    for near in (fit, replace(fit, model=replace(fit.model, delay=known))):
+    model = fit.model
+    for delay in (model.delay, known)[:1 + bool(np.any(model.delay != known))]:
         try:
-            twin = split(samples, fit_at(samples, fit.model.poles, near.model.delay, free, near),
-                         free)
+            twin = split(samples, fit_at(samples, model.poles, delay, free, fit), free)
         except np.linalg.LinAlgError:
             continue
         if twin is not None:

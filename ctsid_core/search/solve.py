@@ -49,7 +49,7 @@ LONGEST = 0.1         # of the window: the longest dead time that is looked for
 _NEAREST = 1e-6       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _CLOSED_LOOP = 0.05   # error that is not noise, over the motion, with which a plant in closed ...
-_DISTURBED = 0.5      # ... or open loop may need its outputs' own past
+_OPEN_LOOP = 0.5      # ... or open loop may need its outputs' own past
 _CLEANER = 1.3        # power of errors without D over that with it, that is worth a look, too
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
@@ -213,7 +213,7 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
     power = best.fit.power.mean(axis=0)
     coloured = np.sqrt(np.maximum(power - white_part(errors) ** 2, 0.0))
     lasting = float(np.max(best.fit.model.poles.real)) * samples.length
-    needed = coloured.max() > _DISTURBED or (
+    needed = coloured.max() > _OPEN_LOOP or (
         not own.feedthrough and (lasting > -1.0 or coloured.max() > _CLOSED_LOOP))
     if not needed or samples.effort.beyond(SEARCH):
         return None
