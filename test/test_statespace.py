@@ -15,9 +15,9 @@ import scipy.signal
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear import matrix_functions
-from ctsid_core.model import simulation
+from ctsid_core.model import simulation, validation
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.signals.record import Signal
+from ctsid_core.signals.record import Record, Signal
 
 
 def random_model(n, nu, ny, seed, *, shift=0.0, **more):
@@ -97,6 +97,28 @@ def test_simulation_agrees_with_lsim():
     _, wanted, _ = scipy.signal.lsim(model.to_scipy(), u, t, x0)
     found = model.simulate((Signal(t, u, 'linear'),), t, x0)
     assert np.abs(found - wanted).max() < 1e-10 * np.abs(wanted).max()
+
+
+def test_an_unstable_plant_without_eigenvectors_stays_bounded():
+    # Two integrators behind a pole that grows by e^70: started at zero, no digit would be left.
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 3.5]])
+    model = StateSpace(A, [[0], [0], [1]], [[1, 0, 0], [0, 0, 1]])
+    assert matrix_functions.modes(A) is None
+    rng = np.random.default_rng(3)
+    t = np.linspace(0.0, 20.0, 401)
+    signal = Signal(t, rng.standard_normal((401, 1)), 'zoh')
+    x, u = simulation.respond(A, model.B, np.zeros(3), (signal,), (0.0,), t, None)
+    assert np.abs(x[:, 2]).max() < 3.0
+    step, integral = matrix_functions.exponentials(A, np.diff(t), 1)
+    moved = np.einsum('kij,kj->ki', step, x[:-1])
+    moved += np.einsum('kij,kj->ki', integral, u[:-1] @ model.B.T)
+    assert np.abs(moved - x[1:]).max() < 1e-12 * np.abs(x).max()
+    basis, states = simulation.free_response(A, model.C, t)
+    assert 0.1 < np.linalg.norm(basis, axis=(0, 1)).min() < np.abs(basis).max() < 1e3
+    assert np.allclose(basis[0], model.C @ states, atol=1e-12)
+    found = validation.simulation(model, Record.from_arrays(
+        t, signal.values, t, x @ model.C.T + basis @ [1.0, -2.0, 0.5], input_hold='zoh'))
+    assert found.fit.min() > 100.0 - 1e-8
 
 
 def test_a_defective_plant_is_simulated_exactly():

@@ -26,7 +26,7 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
-from ctsid_core.search.by_prediction import AHEAD, changes_of_plant, plant_of
+from ctsid_core.search.by_prediction import AHEAD, changes_of_plant, is_stable, plant_of
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.stuck import stuck_outputs
@@ -100,7 +100,8 @@ def _covariances(solution: Solution, model: StateSpace,
     try:
         changes = entry_changes(solution.samples, solution.fit, solution.free)
         if solution.plant is not None:
-            changes = changes_of_plant(solution.samples, solution.fit, changes)
+            changes = changes_of_plant(solution.samples, solution.fit, changes,
+                                       not is_stable(solution.plant))
     except np.linalg.LinAlgError:
         return None, None
     if not all(np.isfinite(block).all() for block in changes):
@@ -205,7 +206,7 @@ def _shares(solution: Solution) -> tuple[RecordShare, ...]:
     for r, usable in enumerate(part.parts):
         whole, epoch = usable.whole, usable.whole.epoch_ns
         own = matrices_of(fit.model, size, r) if solution.plant is None else \
-            plant_of(fit, solution.samples, r) or solution.plant
+            plant_of(fit, solution.samples, r, not is_stable(solution.plant)) or solution.plant
         x_trim, y_trim = whole_trim(usable, own)
         weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
         shares.append(RecordShare(

@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
+from scipy.linalg import schur, solve_sylvester
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
@@ -101,7 +102,8 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
     x0 : ndarray, shape (n,), or None
         State at `times[0]`. None: the solution whose stable modes start and whose unstable modes
         end at zero. It is bounded, however unstable A is, so that e^(A t) can be added to it
-        without cancellation. (If the eigenvectors of A are ill-conditioned: start at zero.)
+        without cancellation. (If the eigenvectors of A are ill-conditioned, modes that grow by
+        less than e over all times start at zero, too.)
 
     Returns
     -------
@@ -123,10 +125,12 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
     h = np.diff(knots)
     found = modes(A)
     with np.errstate(over='ignore', invalid='ignore'):
-        if found is None:
-            x = _by_matrices(A, B, offset, u, h, np.zeros(len(A)) if x0 is None else x0)
-        else:
+        if found is not None:
             x = _by_modes(found, B, offset, u, h, x0)
+        elif x0 is not None:
+            x = _by_matrices(A, B, offset, u, h, x0)
+        else:
+            x = _bounded(A, B, offset, u, h)
     return x[rows], u[0][rows]
 
 
@@ -180,16 +184,46 @@ def _chained(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray
     return z.T
 
 
-def _by_matrices(A: Array, B: Array, offset: Array, u: Array, h: Array, x0: Array) -> Array:
+def _parts(A: Array, length: float) -> tuple[tuple[Array, Array, Array], ...]:
+    """
+    Return the part of A that does not grow by more than e over a length, and the part that does.
+
+    Each as the matrix that moves it, what it adds to the state, and what the state adds to it.
+    """
+    T, Z, count = schur(A, sort=lambda real, _: real * length <= 1.0)
+    own, other = slice(count), slice(count, None)
+    Y = solve_sylvester(T[own, own], -T[other, other], -T[own, other]) \
+        if 0 < count < len(A) else np.zeros((count, len(A) - count))
+    return ((T[own, own], Z[:, own], Z[:, own].T - Y @ Z[:, other].T),
+            (T[other, other], Z[:, own] @ Y + Z[:, other], Z[:, other].T))
+
+
+def _bounded(A: Array, B: Array, offset: Array, u: Array, h: Array) -> Array:
+    """Return the solution whose growing part ends at zero and whose other part starts there."""
+    found = np.zeros((len(h) + 1, len(A)))
+    for backwards, (own, right, left) in enumerate(_parts(A, float(h.sum()))):
+        found += _by_matrices(own, left @ B, left @ offset, u, h, np.zeros(len(own)),
+                              bool(backwards)) @ right.T
+    return found
+
+
+def _by_matrices(A: Array, B: Array, offset: Array, u: Array, h: Array, x0: Array,
+                 backwards: bool = False) -> Array:
+    """Return the solution from x0 at the first time, or backwards to x0 at the last one."""
     x = np.empty((len(h) + 1, len(A)))
-    x[0] = x0
+    x[-1 if backwards else 0] = x0
     force = u @ B.T
     force[0] += offset
-    for first in range(0, len(h), CHUNK):
+    for first in range(0, len(h), CHUNK)[::-1 if backwards else 1]:
         rows = slice(first, min(first + CHUNK, len(h)))
         step, *integrals = exponentials(A, h[rows], len(u))
         drive = sum((np.einsum('kij,kj->ki', f, force[j, rows]) for j, f in enumerate(integrals)),
                     np.zeros(()))
+        if backwards:
+            back = exponentials(A, -h[rows], 0)[0]
+            for k in reversed(range(rows.start, rows.stop)):
+                x[k] = back[k - first] @ (x[k + 1] - drive[k - first])
+            continue
         for k in range(rows.start, rows.stop):
             x[k + 1] = step[k - first] @ x[k] + drive[k - first]
     return x
@@ -216,9 +250,14 @@ def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
         Column i is the state at `times[0]` that gives column i of the basis.
     """
     found = modes(A)
-    if found is None:
-        return _free_by_matrices(A, C, times), np.eye(len(A))
     first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)
+    if found is None:
+        lasting, growing = _parts(A, last - first)
+        back = exponentials(growing[0], np.array([first - last]), 0)[0][0]
+        return np.concatenate((
+            _free_by_matrices(lasting[0], C @ lasting[1], times),
+            _free_by_matrices(-growing[0], C @ growing[1], -times[::-1])[::-1]), axis=2), \
+            np.hstack((lasting[1], growing[1] @ back))
     reference = np.where(found.values.real > 0, last, first)
     growth = np.exp((times[:, np.newaxis] - reference) * found.values)
     response = growth[:, np.newaxis] * (C @ found.right)

@@ -47,9 +47,9 @@ _FINAL = 2                  # orders that are climbed with all samples
 _LEAST_GAIN = 0.3           # -2 log likelihood that another step has to promise
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
-_GROWTH = 3.0               # times e, that an unstable mode grows at least to be believed
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _LITTLE = 1e-5              # relative step of a difference
+_STABLE = 1e-9              # real part over size of the largest pole that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,17 +144,22 @@ def _judged(joint: Samples, start: Fit, free: Free, record: Record,
             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """Return the predictor of greatest likelihood near a start; None: no plant that predicts."""
     one = tried(joint, climb(joint, start, free, steps=_STEPS, least=_LEAST_GAIN), free)
-    plant = plant_of(one.fit, joint, len(joint.records) - 1)
-    if plant is None:
-        return None
-    errors = prediction_errors(plant, one.fit.model.delay[:joint.nu - joint.ny], record,
-                               HORIZONS, corrupt)
-    if not np.max(errors) < _DIVERGED:
-        return None
+    delay, nu = one.fit.model.delay, joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
-    likely = np.vstack((np.sqrt(one.fit.power.mean(axis=0)), errors[1:]))
-    return PredictionFit(plant, joint, one, free, errors,
-                         information(likely, joint, one.parameters), {})
+    likely = np.sqrt(one.fit.power.mean(axis=0))
+    known: list[PredictionFit] = []
+    for unstable in (True, False):
+        plant = plant_of(one.fit, joint, len(joint.records) - 1, unstable)
+        if plant is None:
+            continue
+        errors = prediction_errors(plant, delay[:nu], record, HORIZONS, corrupt)
+        if np.max(errors) < _DIVERGED:
+            known.append(PredictionFit(plant, joint, one, free, errors, information(
+                np.vstack((likely, errors[1:])), joint, one.parameters), {}))
+        if is_stable(plant):
+            break
+    # Far ahead shows whether a mode really grows.
+    return min(known, key=lambda fit: fit.information, default=None)
 
 
 def _near(start: Start, joint: Samples, delay: Array) -> Fit:
@@ -210,18 +215,38 @@ def with_own_past(samples: Samples) -> Samples:
     return replace(samples, records=records, nu=samples.nu + samples.ny)
 
 
-def plant_of(fit: Fit, samples: Samples, record: int) -> Matrices | None:
-    """Return the plant of a predictor (1), with the trim of a record; None if there is none."""
+def is_stable(plant: Matrices) -> bool:
+    """Return whether no mode of a plant grows."""
+    poles = np.linalg.eigvals(plant.A)
+    return bool(np.all(poles.real <= _STABLE * np.max(np.abs(poles), initial=0.0)))
+
+
+def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrices | None:
+    """
+    Return the plant of a predictor (1), with the trim of a record; None if there is none.
+
+    Parameters
+    ----------
+    fit : Fit
+        The predictor.
+    samples : Samples
+        With the outputs' own past.
+    record : int
+    unstable : bool
+        Whether modes may grow; else they are put on the axis.
+    """
     m, ny = matrices_of(fit.model, samples.size, record), samples.ny
     nu = samples.nu - ny
     step = _held_interval(samples)
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
-        A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, samples.length)
+        A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, unstable)
         if not np.isfinite(A).all():
             return None
         transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
         gain = continuous_gain(A, m.C, np.linalg.solve(transition, integral @ drive), step)
+        if not np.all(np.linalg.eigvals(A - gain @ m.C).real < 0.0):
+            return None                        # it predicts at these samples' rate, at no other
     except np.linalg.LinAlgError:
         return None
     return replace(m, A=A, B=B, D=m.D[:, :nu], K=gain, x_trim=drive @ m.y_trim,
@@ -229,7 +254,7 @@ def plant_of(fit: Fit, samples: Samples, record: int) -> Matrices | None:
 
 
 def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
-               length: float) -> tuple[Array, Array, Array]:
+               unstable: bool) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
     transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
     with warnings.catch_warnings():                 # it judges its own accuracy too strictly
@@ -240,7 +265,7 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
         raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
     if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
         raise np.linalg.LinAlgError('a transition of the plant has no real logarithm')
-    plant = _proven(np.real(plant), length)
+    plant = np.real(plant) if unstable else _on_the_axis(np.real(plant))
     back = np.linalg.solve(exponentials(plant, np.array([step]), 1)[1][0], integral)
     return plant, back @ B, back @ K
 
@@ -293,19 +318,19 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
     return np.where(np.isfinite(found), found, np.inf)
 
 
-def _proven(A: Array, length: float) -> Array:
-    """Return A with the unstable modes that grow too little within the record put on the axis."""
+def _on_the_axis(A: Array) -> Array:
+    """Return A with the modes that grow put on the imaginary axis."""
     values, right = np.linalg.eig(A)
-    doubtful = (values.real > 0.0) & (values.real * length < _GROWTH)
-    if not doubtful.any():
+    growing = values.real > 0.0
+    if not growing.any():
         return A
-    values = np.where(doubtful, 1j * values.imag, values)
+    values = np.where(growing, 1j * values.imag, values)
     found: Array = np.real(right @ np.diag(values) @ np.linalg.inv(right))
     return found
 
 
-def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
-    """Return changes of A, B, C and dead times of the plant, from those of its predictor (1)."""
+def changes_of_plant(samples: Samples, fit: Fit, changes: Entries, unstable: bool) -> Entries:
+    """Return changes of A, B, C and dead times of `plant_of`, from those of its predictor (1)."""
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
         _held_interval(samples)
     K = m.B[:, nu:] / samples.size
@@ -316,7 +341,7 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
         little = _LITTLE / max(size, 1e-12)
         sides = [_open_loop(m.A + h * changes.A[k], (m.B + h * changes.B[k])[:, :nu],
                             K + h * changes.B[k][:, nu:] / samples.size,
-                            m.C + h * changes.C[k], step, samples.length)
+                            m.C + h * changes.C[k], step, unstable)
                  for h in (little, -little)]
         found.append([(a - b) / (2.0 * little) for a, b in zip(*sides, strict=True)])
     A, B = (np.array([f[i] for f in found]) for i in (0, 1))

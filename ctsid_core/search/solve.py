@@ -36,6 +36,7 @@ from ctsid_core.search.by_order import (
 from ctsid_core.search.by_prediction import (
     HORIZONS,
     information,
+    is_stable,
     prediction_errors,
     solve_by_prediction,
 )
@@ -223,7 +224,7 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
                                 max_order=settings.max_order,
                                 known_delay=np.array(own.delays(samples.nu)), record=record,
                                 corrupt=rows)
-    stable = found is not None and bool(np.all(np.linalg.eigvals(found.matrices.A).real <= 1e-9))
+    stable = found is not None and is_stable(found.matrices)
     # In open loop a stable plant is what simulates best.
     if found is None or own.feedthrough and stable:
         return None
