@@ -13,24 +13,25 @@ leaves, noise apart, has to be gone.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import Triangle, columns_of, evaluation_work
+from ctsid_core.likelihood.mode_columns import columns_of, evaluation_work
 from ctsid_core.likelihood.output_error import (
+    ROUGHLY,
     Fit,
     Free,
     climb,
     fit_at,
     fit_states,
-    promised,
+    jacobian,
 )
 from ctsid_core.likelihood.residuals import Residuals, independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.types import Array
 
 _INSTANTS = tuple(np.linspace(0.12, 0.88, 9).tolist())      # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
@@ -38,7 +39,6 @@ _CLOSER = (0.04, 0.02, 0.01)               # steps from the best of them, one af
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5
-_LEAST_GAIN = 0.3     # -2 log likelihood that another step has to promise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
 NOTED = 2.0           # points that one model has to miss, to be worth a word
@@ -119,37 +119,36 @@ def _gain(change: Change) -> float:
 def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(2 * _SEARCHED)
-    record, found = samples.records[0], []
-    whole, = columns_of(samples, model.poles, model.delay, turned=False)
+    record, fewest = samples.records[0], _FEWEST * (3 * model.n + 2)
+    samples.effort.spend(evaluation_work(samples, len(model.poles)))
+    columns = columns_of(samples, model.poles, model.delay, turned=False)
+    rows, error, places = jacobian(samples, fit_states(samples, model, free, columns), free)
+    # What a side's own states and trims explain is no change: they come first.
+    own = places.of_states(samples.ny, 1, free.trim)
+    both = np.column_stack((rows[:, own], rows[:, ~own], error))
+    times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
+    shares = (times - record.start) / (record.end - record.start)
+    least = np.argmin([len(s.times) for s in record.streams])
     price = _numbers(samples, model, free) * float(np.log(np.max(samples.counts)))
-    for share in _INSTANTS:
-        if samples.effort.over:
-            break
-        samples.effort.spend(evaluation_work(samples, len(model.poles)))
-        at, promise = record.start + share * (record.end - record.start), 0.0
-        for after in (False, True):
-            side = replace(whole, triangles=tuple(
-                _rows(t, (s.times > at) == after)
-                for t, s in zip(whole.triangles, record.streams, strict=True)))
-            if min(t.count for t in side.triangles) >= _FEWEST * (3 * model.n + 2):
-                with suppress(np.linalg.LinAlgError):
-                    same = fit_states(samples, model, free, (side,))
-                    promise += promised(samples, same, free)
-        if promise > price:
-            found.append((promise, share))
-    return [share for _, share in sorted(found)[-_LIKELY:]]
+    promise = np.zeros(len(_INSTANTS))
+    for after in (False, True):
+        order = range(len(_INSTANTS))[::-1 if after else 1]
+        R, done = np.zeros((0, both.shape[1])), np.zeros(len(both), dtype=bool)
+        for k in order:
+            side = (shares > _INSTANTS[k]) == after
+            R, done = triangle(np.vstack((R, both[side & ~done]))), side
+            last = R[np.count_nonzero(own):, -1] ** 2
+            count = float(np.sum((record.streams[least].times - record.start
+                                  > _INSTANTS[k] * (record.end - record.start)) == after))
+            if count >= fewest and len(R) > len(last) and last[-1] > 0.0:
+                promise[k] += count * float(np.log(np.sum(last) / last[-1]))
+    return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 
 def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
     """Return how many numbers another model of a side costs, its instant among them."""
     return (model.n * (samples.nu + samples.ny) + samples.nu * samples.ny * free.feedthrough
             + sum(free.delays) + 1)
-
-
-def _rows(t: Triangle, kept: Mask) -> Triangle:
-    """Return some of the rows of columns that are not turned."""
-    return replace(t, z=t.z[kept], dz=t.dz[kept], u=t.u[kept], rates=t.rates[kept],
-                   one=t.one[kept], y=t.y[kept], count=int(np.sum(kept)))
 
 
 def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free, place: int,
@@ -171,7 +170,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
             starts = [fit_at(side, model.poles, model.delay, free, near)
                       for near in ((same, None) if samples.several else (None,))]
             other = climb(side, min(starts, key=lambda fit: fit.cost), free,
-                          steps=_STEPS, least=_LEAST_GAIN)
+                          steps=_STEPS, least=ROUGHLY)
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)
@@ -190,12 +189,15 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
     if gain <= 0.0:
         return Change()
     where = int(np.argmax(parts @ before - rest))
-    left = _coloured(tuple(two))[where] / max(float(_coloured(tuple(one))[where]), 1e-300)
-    # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     sizes = np.array([[len(e) for e in side for _ in range(e.shape[1])] for side in two])
+    # No more is left than is known to be: less the deviation of a mean square.
+    chance = np.sqrt(2.0 / sizes.sum(axis=0)) * _power(tuple(two))
+    left = max(float((_coloured(tuple(two)) - chance)[where]), 0.0) / max(
+        float(_coloured(tuple(one))[where]), 1e-300)
+    # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
     missed = np.sqrt(np.maximum(before - by_chance, 0.0))
-    return Change(place, share, 100.0 * float(np.max(missed)), gain, float(left), *(
+    return Change(place, share, 100.0 * float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
 

@@ -25,11 +25,12 @@ from ctsid_core.likelihood.mode_columns import Columns, Triangle, columns_of
 from ctsid_core.likelihood.pole_steps import PoleSteps, canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import least_norm
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Mask
 
 ROUNDING = 1e-24      # of an output's power: what is left of it is rounding
 _RANK = 1e-13         # relative singular value below which a linear direction is not determined
-LEAST_GAIN = 1e-4     # -2 log likelihood: a hundredth of a standard deviation
+_LEAST_GAIN = 1e-4    # -2 log likelihood: a hundredth of a standard deviation
+ROUGHLY = 0.3         # the same where models are only compared
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 _DAMPING = 1e-4       # of the first step
@@ -115,7 +116,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
 
 
 def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
-          rival: float = np.inf, least: float = LEAST_GAIN) -> Fit:
+          rival: float = np.inf, least: float = _LEAST_GAIN) -> Fit:
     """
     Take a model to the maximum of the likelihood.
 
@@ -155,11 +156,6 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
-
-
-def promised(samples: Samples, fit: Fit, free: Free) -> float:
-    """Return what a Gauss-Newton step promises to gain at most, in -2 log likelihood."""
-    return _at_most(_promise(*_slopes(samples, fit, free)[:2]), samples)
 
 
 def _at_most(promise: float, samples: Samples) -> float:
@@ -207,12 +203,22 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free) 
 
 @dataclass(frozen=True)
 class Places:
-    """How many numbers of each kind are free."""
+    """How many numbers of each kind are free: columns of a Jacobian, in this order."""
 
     poles: int
     delays: int
     b: int
     x0: int          # of one record
+    own: int         # of each output: c, D and trims
+
+    def of_states(self, ny: int, records: int, trim: bool) -> Mask:
+        """Return which columns are of initial states and trims."""
+        shared = self.poles + self.delays + self.b
+        found = np.zeros(shared + records * self.x0 + ny * self.own, dtype=bool)
+        found[shared:shared + records * self.x0] = True
+        if trim:
+            found[len(found) - ny * self.own:].reshape(ny, self.own)[:, -records:] = True
+        return found
 
 
 def _driving(model: ModalModel, record: int) -> ComplexArray:
@@ -259,9 +265,9 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
     poles, n = model.poles, model.n
     dp = PoleSteps.of(poles, 1.0 / samples.length, samples.several).derivatives()
     late = np.flatnonzero(free.delays)
-    places = Places(len(dp), len(late), n * nu, n)
-    shared = places.poles + places.delays + places.b + records * places.x0
     own = n + nu * free.feedthrough + records * free.trim
+    places = Places(len(dp), len(late), n * nu, n, own)
+    shared = places.poles + places.delays + places.b + records * places.x0
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
     for r, columns in enumerate(fit.columns):

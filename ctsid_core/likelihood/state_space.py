@@ -14,7 +14,7 @@ from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Entries
 
 _MET = 0.03           # relative distance of two poles below which they share a block
@@ -97,11 +97,10 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     model = fit.model
     rows, _, places = jacobian(samples, fit, free)
     width = rows.shape[1]
-    plant = _of_plant(samples, fit, free, places, width)
-    nuisance = ~plant.any(axis=0)
-    wanted = plant.any(axis=0)
+    nuisance = places.of_states(samples.ny, len(samples.records), free.trim)
+    wanted = ~nuisance
     if samples.ny == 1:                             # c is 1 then
-        wanted &= ~plant[1]
+        wanted[width - places.own:width - places.own + model.n] = False
     elif samples.nu == 1:
         wanted[places.poles + places.delays:places.poles + places.delays + places.b] = False
     apart = _orthonormal(rows[:, nuisance])
@@ -134,7 +133,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     at += places.delays
     db = _complex(root[:, at:at + places.b].reshape(r, -1, nu), m, pairs)
     at += places.b + len(samples.records) * places.x0
-    width = (root.shape[1] - at) // ny
+    width = places.own
     dc, dD = np.zeros((r, ny, m), dtype=complex), np.zeros((r, ny, nu))
     for i in range(ny):
         own = root[:, at + i * width:at + (i + 1) * width]
@@ -203,21 +202,6 @@ def _intervals(samples: Samples, free: Free, places: Places, count: int) -> Arra
     found = np.zeros((places.delays, count))
     found[np.arange(places.delays), places.poles + np.arange(places.delays)] = \
         1.0 / period[np.flatnonzero(free.delays)]
-    return found
-
-
-def _of_plant(samples: Samples, fit: Fit, free: Free, places: Places, count: int) -> Mask:
-    """Return which numbers are poles, dead times, b or D; and which are c: (2, count)."""
-    found = np.zeros((2, count), dtype=bool)
-    first = places.poles + places.delays + places.b
-    found[0, :first] = True
-    at = first + len(samples.records) * places.x0
-    width = (count - at) // samples.ny
-    for i in range(samples.ny):
-        own = at + i * width
-        found[1, own:own + fit.model.n] = True
-        if free.feedthrough:
-            found[0, own + fit.model.n:own + fit.model.n + samples.nu] = True
     return found
 
 

@@ -139,7 +139,7 @@ def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
     functions = []
     for j in range(count + 1):
         weights = [step ** (k + j) / factorial(k + j) for k in range(terms)]
-        functions.append((np.array(weights).T @ flat).reshape(-1, n, n))
+        functions.append((np.array(weights).T @ flat).reshape(len(h), n, n))
     for level in range(int(doublings.max(initial=0))):
         rows = np.flatnonzero(doublings > level)
         _double(functions, rows, step)

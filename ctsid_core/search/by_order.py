@@ -24,6 +24,7 @@ import numpy as np
 
 from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.output_error import (
+    ROUGHLY,
     ROUNDING,
     Fit,
     Free,
@@ -44,7 +45,6 @@ _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
 _STEPS = 15           # of a climb of the search
-_LEAST_GAIN = 0.3     # -2 log likelihood that another step of it has to promise
 _LOOKED_AT = 2        # starts of each kind, exactly
 _OTHER = 0.05         # of a response: differences that matter
 _AKAIKE = 2.0         # price of a parameter
@@ -233,7 +233,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
     for start in _different(fits, 2 if n < 3 else 1):
-        reached = climb(samples, start, free, steps=_STEPS, least=_LEAST_GAIN,
+        reached = climb(samples, start, free, steps=_STEPS, least=ROUGHLY,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
             best = reached

@@ -27,7 +27,7 @@ from scipy.linalg import logm
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
-from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -44,7 +44,6 @@ AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
 _STEPS = 15
 _FINAL = 2                  # orders that are climbed with all samples
-_LEAST_GAIN = 0.3           # -2 log likelihood that another step has to promise
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
@@ -143,7 +142,7 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
 def _judged(joint: Samples, start: Fit, free: Free, record: Record,
             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """Return the predictor of greatest likelihood near a start; None: no plant that predicts."""
-    one = tried(joint, climb(joint, start, free, steps=_STEPS, least=_LEAST_GAIN), free)
+    one = tried(joint, climb(joint, start, free, steps=_STEPS, least=ROUGHLY), free)
     delay, nu = one.fit.model.delay, joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
     likely = np.sqrt(one.fit.power.mean(axis=0))
@@ -198,13 +197,13 @@ def _before_inputs(samples: Samples) -> Samples:
     """
     near = _JITTER * samples.interval
 
-    def earlier(times: Array, inputs: tuple[Signal, ...]) -> Array:
+    def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
         stamps = np.unique(np.concatenate([s.time for s in inputs]))
         last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
-        return np.where((times >= last) & (times - last < near), last, times)
+        return np.where((times >= last) & (times - last < near), np.maximum(last, start), times)
 
     return replace(samples, records=tuple(replace(r, streams=tuple(
-        replace(s, times=earlier(s.times, r.inputs)) for s in r.streams))
+        replace(s, times=earlier(s.times, r.inputs, r.start)) for s in r.streams))
         for r in samples.records))
 
 

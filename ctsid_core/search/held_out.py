@@ -10,6 +10,7 @@ import numpy as np
 
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
+    ROUGHLY,
     Fit,
     Free,
     climb,
@@ -80,7 +81,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         if np.min(early.counts) < 4 * fit.model.n + 4:
             return nothing
         own = climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
-                    steps=_STEPS, least=0.3) if refit is None else refit(early)
+                    steps=_STEPS, least=ROUGHLY) if refit is None else refit(early)
         if own is None:
             return nothing
         return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
@@ -111,7 +112,7 @@ def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut
     rest = replace(samples, records=tuple(
         r for i, r in enumerate(samples.records) if i in held))
     own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free,
-                steps=_STEPS, least=0.3)
+                steps=_STEPS, least=ROUGHLY)
     return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny))
 
 

@@ -13,7 +13,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at
 from ctsid_core.likelihood.residuals import residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import entry_changes
@@ -109,7 +109,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         samples = seen(late)
         best = _climbed(samples, best, free)
     half = found.get(best.fit.model.n // 2)
-    simpler = _climbed(samples, half, free).fit.model if half else None
+    simpler = half.fit.model if half else None
     if solved := _by_prediction(part, settings, corrupt, samples, best, free):
         return replace(solved, simpler=simpler)
     found[best.fit.model.n] = best
@@ -368,7 +368,8 @@ def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, fr
         fewest = max(float(np.min(one.independent)), 2.0)
         rival = needed(best, samples, more,
                        float(np.max(samples.counts)) if more > 0 else fewest)
-        with_D = tried(samples, climb(samples, other, direct, rival=rival), direct)
+        with_D = tried(samples, climb(samples, other, direct, rival=rival, least=ROUGHLY),
+                       direct)
         if with_D.parameters <= best.parameters:
             better = criterion(with_D, best) <= 0.0
         else:

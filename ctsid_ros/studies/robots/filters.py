@@ -29,7 +29,8 @@ def steady(A: Array, B: Array, C: Array, drive: Array, noise: Array, delay: floa
     delay : float
         [s]
     """
-    P = solve_continuous_are(A.T, C.T, drive + NO_NOISE * np.eye(len(A)), noise)
+    P = solve_continuous_are(A.T, C.T, drive + NO_NOISE * np.eye(len(A)), noise,
+                             balanced=False)
     K = P @ C.T @ np.linalg.inv(noise)
     return StateSpace(A, B, C, K=K, delay=(delay,) * B.shape[1], noise=noise)
 
