@@ -35,8 +35,9 @@ def grouped(rows: Sequence[Row], by: Callable[[Row], str], title: str) -> Table:
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(by(row), []).append(row)
-    lines = [(name, *cells(group)) for name, group in groups.items()]
-    return Table((title, *HEAD), (*lines, ('all', *cells(rows))), (title,))
+    groups['all'] = list(rows)
+    lines = tuple((name, *cells(group)) for name, group in groups.items() if group)
+    return Table((title, *HEAD), lines, (title,))
 
 
 def by_family(rows: Sequence[Row]) -> Table:
