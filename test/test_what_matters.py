@@ -101,3 +101,11 @@ def test_no_longer_dead_time_is_looked_for_than_may_be_given(times, longest):
                       for own in (quick.inputs, quick.outputs)), 0.0, times * quick.end)
     free = free_of(samples_of([record], [[None]]), Settings())
     assert free.longest == pytest.approx(longest, rel=2e-3)
+
+
+@pytest.mark.parametrize(('family', 'seed', 'number'), [
+    ('no-pole-jump', 5, 0), ('no-pole-jump', 5, 1),
+    *slow(*((family, 12, k) for family in ('no-pole-jump', 'no-gain-jump') for k in range(12)))])
+def test_a_jump_is_seen_in_noise(family, seed, number):
+    """Gain or pole jumps by 40 %; with 12 dB of noise it was not certain how little is left."""
+    assert identify(experiment(family, seed, number).record).status is Status.CHANGED
