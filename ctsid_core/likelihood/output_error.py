@@ -89,7 +89,7 @@ class Fit:
 
 
 def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
-           near: Fit | None = None) -> Fit:
+           near: Fit | None = None, columns: tuple[Columns, ...] | None = None) -> Fit:
     """
     Return the best model with given poles and dead times.
 
@@ -104,9 +104,11 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     near : Fit, optional
         Of nearly the same poles, in the same order: its b and initial states are the start where
         there are several inputs and outputs.
+    columns : tuple of Columns, optional
+        Of these poles and dead times, if they are known.
     """
     poles = canonical(poles)
-    columns = columns_of(samples, poles, delay)
+    columns = columns or columns_of(samples, poles, delay)
     power = np.ones((len(columns), samples.ny)) if near is None else near.power
     kept = near is not None and len(near.model.poles) == len(poles) and \
         bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))

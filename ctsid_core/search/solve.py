@@ -358,11 +358,12 @@ def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, fr
             continue
         if samples.effort.over:
             break
-        other = min((fit_at(samples, one.fit.model.poles, delay, direct)
-                     for delay in (one.fit.model.delay, without.fit.model.delay)),
-                    key=lambda fit: fit.cost)
-        if not _gains(fit_at(samples, one.fit.model.poles, one.fit.model.delay,
-                             replace(free, feedthrough=False)), other):
+        delays = {d.tobytes(): d for d in (one.fit.model.delay, without.fit.model.delay)}
+        own, *others = [fit_at(samples, one.fit.model.poles, delay, direct)
+                        for delay in delays.values()]
+        other = min((own, *others), key=lambda fit: fit.cost)
+        if not _gains(fit_at(samples, own.model.poles, own.model.delay, replace(
+                free, feedthrough=False), columns=own.columns), other):
             continue
         more = parameters(samples, other, direct) - best.parameters
         fewest = max(float(np.min(one.independent)), 2.0)
