@@ -213,10 +213,7 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
     own, errors = own_delays(part, settings), residuals(samples, best.fit)
     power = best.fit.power.mean(axis=0)
     coloured = np.sqrt(np.maximum(power - white_part(errors) ** 2, 0.0))
-    lasting = float(np.max(best.fit.model.poles.real)) * samples.length
-    needed = coloured.max() > _OPEN_LOOP or (
-        not own.feedthrough and (lasting > -1.0 or coloured.max() > _CLOSED_LOOP))
-    if not needed or samples.effort.beyond(SEARCH):
+    if own.feedthrough and not coloured.max() > _OPEN_LOOP or samples.effort.beyond(SEARCH):
         return None
     last, record = part.last, part.parts[part.last].record
     rows, start = tuple(corrupt[last]), replace(free, delays=own.unknown_delays(samples.nu))
