@@ -26,6 +26,7 @@ _MANY = 4             # records from which on whole ones are held out
 _STEPS = 6
 _PARTS = 3            # of each record are held out
 _SEARCHED = 2000      # samples of a stream that are looked at
+_GAP = 5.0            # sample intervals, from which on samples are not neighbours
 _GAUGE = 1e-7         # relative singular value below which a direction changes nothing
 
 
@@ -39,9 +40,9 @@ class HeldOut:
     error : ndarray, shape (ny,)
         Rms error over the motion of the whole window; NaN if nothing was held out.
     expected : ndarray, shape (ny,)
-        The part of it that is to be expected, because the rest of the data leaves the model
-        uncertain: after the only step nobody can tell what the step would have shown. NaN if
-        nothing was held out.
+        The part of it that is to be expected, because most of the motion is in what is held out
+        and the rest leaves the model uncertain: after the only step nobody can tell what the
+        step would have shown. NaN if nothing was held out.
     """
 
     error: Array
@@ -84,8 +85,11 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
                     steps=_STEPS, least=ROUGHLY) if refit is None else refit(early)
         if own is None:
             return nothing
-        return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
-                       _expected(early, late, own, free))
+        # A model that most of the motion leaves uncertain has too many states.
+        there, everywhere = (_motion(part, fit) for part in (late, samples))
+        unseen = there > 0.5 * everywhere
+        return HeldOut(_rms(late, own), np.where(unseen, _expected(early, late, own, free), 0.0)
+                       if refit is None and unseen.any() else np.zeros(samples.ny))
     except np.linalg.LinAlgError:
         return nothing
 
@@ -101,6 +105,17 @@ def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
             replace(s, times=s.times[rows], y=s.y[rows])
             for s in r.streams for rows in [kept(s.times, r.start, r.end)]))
         for r in samples.records))
+
+
+def _motion(samples: Samples, fit: Fit) -> Array:
+    """Return the squares of what a simulation moves from sample to sample, (ny,)."""
+    found = np.zeros(samples.ny)
+    for errors, record in zip(residuals(samples, fit), samples.records, strict=True):
+        for e, s in zip(errors, record.streams, strict=True):
+            moves = np.diff(s.y - e, axis=0)
+            # Not over what is left out between parts.
+            found[s.channels] += np.sum(moves[np.diff(s.times) < _GAP * s.period] ** 2, axis=0)
+    return found
 
 
 def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut:
