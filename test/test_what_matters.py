@@ -15,7 +15,7 @@ from ctsid_core.search.solve import free_of
 from ctsid_core.settings import LONGEST_DELAY
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.reachable import models, outputs
-from ctsid_ros.studies.robots.trials import simulated
+from ctsid_ros.studies.robots.trials import response_off, simulated
 
 
 def test_a_state_for_which_a_dead_time_stands_in_is_found_by_the_response():
@@ -109,3 +109,19 @@ def test_no_longer_dead_time_is_looked_for_than_may_be_given(times, longest):
 def test_a_jump_is_seen_in_noise(family, seed, number):
     """Gain or pole jumps by 40 %; with 12 dB of noise it was not certain how little is left."""
     assert identify(experiment(family, seed, number).record).status is Status.CHANGED
+
+
+@pytest.mark.parametrize(('family', 'number'), [
+    ('turbulence-weak', 5), *slow(('rates-1x1', 5))])
+def test_states_that_imitate_disturbances_are_not_called_good(family, number):
+    """Nine and eight of them simulated 97 % of the window, and of another flight much less."""
+    given = experiment(family, 6, number)
+    assert identify(given.record, given.settings).verdict.grade is not Grade.GOOD
+
+
+def test_a_dead_time_does_not_stand_in_for_a_state_that_is_certain():
+    """The fit gains 0.07 points only; the response was off by 16 % at the end of its band."""
+    given = experiment('motor-speed', 6, 0)
+    estimate = identify(given.record)
+    assert estimate.model.n == 2
+    assert response_off(given, estimate.model, estimate)[0] < 5.0

@@ -136,7 +136,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
                                        for i in range(errors[0][k].shape[1])])),
         response_uncertainty=everywhere(seen[1]), error=everywhere(error),
         coloured_error=everywhere(coloured),
-        held_out_error=everywhere(tested(unseen.error, unseen.expected, error)),
+        held_out_error=everywhere(tested(unseen, error)),
         independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curve_gains(
             solution.samples, errors, solution.independent)))
     return Evidence(

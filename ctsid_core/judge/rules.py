@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
+from ctsid_core.search.held_out import HeldOut
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
@@ -74,7 +75,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
             'that these are the right signals and that nothing else drives the plant.')
-    follows = e.held_out < _DRIVEN * e.driven            # what follows nothing goes by itself
+    # What follows nothing goes by itself.
+    follows = (e.held_out < _DRIVEN * e.driven) & ~_unsure(e.expected, e.error)
     for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, (
             f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
@@ -136,9 +138,17 @@ def _allowed(error: Array) -> Array:
     return np.asarray(np.maximum(_HELD_OUT * error, _LEAST))
 
 
-def tested(held_out: Array, expected: Array, error: Array) -> Array:
-    """Return the errors on the part held out; NaN where the rest cannot tell what to expect."""
-    return np.where(_EXPECTED * expected > _allowed(error), np.nan, held_out)
+def tested(held_out: HeldOut, error: Array) -> Array:
+    """
+    Return the errors on the part held out; NaN where the rest cannot tell what to expect.
+
+    A model that most of the motion leaves so uncertain has too many states, and is tested.
+    """
+    return np.where(held_out.unseen & _unsure(held_out.expected, error), np.nan, held_out.error)
+
+
+def _unsure(expected: Array, error: Array) -> Mask:
+    return np.asarray(_EXPECTED * expected > _allowed(error))
 
 
 def _percent(part: float) -> str:

@@ -46,7 +46,8 @@ _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
 _STEPS = 15           # of a climb of the search
 _LOOKED_AT = 2        # starts of each kind, exactly
-_OTHER = 0.05         # of a response: differences that matter
+_ANOTHER = 0.01       # of a response: differences that matter if they are certain ...
+_OTHER = 0.05         # ... and if they are likely
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
 MORE = 2              # orders beyond the chosen one that are tried
@@ -155,13 +156,15 @@ def explains(smaller: Tried, larger: Tried) -> bool:
 
 def responds_otherwise(samples: Samples, smaller: Tried, larger: Tried) -> bool:
     """
-    Return whether the larger one has another response, and is likelier by Akaike's criterion.
+    Return whether the larger one has another response, and is likelier.
 
-    A state too few shows in the response before it shows in the fit (a dead time stands in for
-    it), and no deviation knows; one too many does no more than make the deviations larger.
+    By Schwarz's criterion, or by Akaike's and by far. A state too few shows in the response
+    before it shows in the fit (a dead time stands in for it), and no deviation knows; one too
+    many does no more than make the deviations larger.
     """
-    return criterion(smaller, larger, _AKAIKE) > 0.0 and response_difference(
-        samples, smaller.fit.model, larger.fit.model) > _OTHER
+    different = response_difference(samples, smaller.fit.model, larger.fit.model)
+    return criterion(smaller, larger) > 0.0 and different > _ANOTHER or \
+        criterion(smaller, larger, _AKAIKE) > 0.0 and different > _OTHER
 
 
 def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:

@@ -40,13 +40,16 @@ class HeldOut:
     error : ndarray, shape (ny,)
         Rms error over the motion of the whole window; NaN if nothing was held out.
     expected : ndarray, shape (ny,)
-        The part of it that is to be expected, because most of the motion is in what is held out
-        and the rest leaves the model uncertain: after the only step nobody can tell what the
-        step would have shown. NaN if nothing was held out.
+        The part of it that is to be expected, because the rest of the data leaves the model
+        uncertain: after the only step nobody can tell what the step would have shown. NaN if
+        nothing was held out.
+    unseen : ndarray of bool, shape (ny,)
+        Whether most of the motion is in what is held out.
     """
 
     error: Array
     expected: Array
+    unseen: Mask
 
 
 def held_out(samples: Samples, fit: Fit, free: Free, share: float,
@@ -70,7 +73,8 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     refit : callable, optional
         Makes the model of the first part; by default output error.
     """
-    nothing = HeldOut(np.full(samples.ny, np.nan), np.full(samples.ny, np.nan))
+    none = np.full(samples.ny, np.nan)
+    nothing = HeldOut(none, none, np.zeros(samples.ny, dtype=bool))
     if share == 0.0 or not len(fit.model.poles):
         return nothing
     samples = samples.thinned(_SEARCHED)
@@ -85,11 +89,9 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
                     steps=_STEPS, least=ROUGHLY) if refit is None else refit(early)
         if own is None:
             return nothing
-        # A model that most of the motion leaves uncertain has too many states.
         there, everywhere = (_motion(part, fit) for part in (late, samples))
-        unseen = there > 0.5 * everywhere
-        return HeldOut(_rms(late, own), np.where(unseen, _expected(early, late, own, free), 0.0)
-                       if refit is None and unseen.any() else np.zeros(samples.ny))
+        return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
+                       _expected(early, late, own, free), there > 0.5 * everywhere)
     except np.linalg.LinAlgError:
         return nothing
 
@@ -128,7 +130,8 @@ def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut
         r for i, r in enumerate(samples.records) if i in held))
     own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free,
                 steps=_STEPS, least=ROUGHLY)
-    return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny))
+    return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny),
+                   np.zeros(samples.ny, dtype=bool))
 
 
 def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:

@@ -49,8 +49,8 @@ from ctsid_core.subspace.pbsid_equations import Subspace, realise
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
 _NEAREST = 1e-6       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_CLOSED_LOOP = 0.05   # error that is not noise, over the motion, with which a plant in closed ...
-_OPEN_LOOP = 0.5      # ... or open loop may need its outputs' own past
+_OPEN_LOOP = 0.5      # error that is not noise, over the motion, with which a plant in open loop
+                      # may need its outputs' own past
 _CLEANER = 1.3        # power of errors without D over that with it, that is worth a look, too
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
