@@ -23,7 +23,7 @@ from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
-_DEVIATION = 0.12       # standard deviation of the response to an input, over the response
+KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _ONE_SINE = 3.0         # effective number of frequencies of an input
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
@@ -107,7 +107,7 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
         if one.frequencies < _ONE_SINE:
             yield (f'Input {one.name} moves at a single frequency only, which fits many '
                    'models; excite more frequencies (a sweep, steps, or noise).')
-        if not one.uncertainty <= _DEVIATION:
+        if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
             cure = alone if one.own < _UNCORRELATED else \
@@ -197,9 +197,9 @@ def _why_unusable(status: Status, record: Record) -> str:
 
 
 def weakened(verdict: Verdict) -> Verdict:
-    """Return a verdict, WEAK instead of GOOD if a second method does not agree."""
+    """Return a verdict, WEAK instead of GOOD if a second method contradicts."""
     seen = verdict.agreement
-    if verdict.grade is not Grade.GOOD or seen is None or seen.agrees:
+    if verdict.grade is not Grade.GOOD or seen is None or not seen.contradicts:
         return verdict
     return replace(verdict, grade=Grade.WEAK, reason=seen.weakness)
 

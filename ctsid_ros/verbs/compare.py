@@ -53,8 +53,9 @@ EPILOG = """example: ctsid compare flight.mcap --params params.yaml --duration 2
 example: ctsid compare results/monday/model.json results/tuesday/model.json wednesday.mcap
          (stored models in the same drawings, and how each explains another bag)
 
-With the same wrong setting all methods err alike; a large standard deviation hides any difference,
-so look at the percentage. `validation.cross_check` lets one of them take part in every verdict."""
+With the same wrong setting all methods err alike. Where standard deviations leave room for a
+difference that matters, models neither agree nor differ: "cannot tell". `validation.cross_check`
+lets one of them take part in every verdict."""
 TABLE = 'comparison.csv'
 _ABOVE = 2      # so many orders above the chosen one are tried
 
