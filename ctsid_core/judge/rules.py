@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
+from ctsid_core.judge.instants import after_start
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
@@ -63,10 +64,9 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
             'and that it is the right signal, or leave it out.')
     for one in e.stuck:
         yield Status.NO_RESPONSE, (
-            f'Output {e.output_names[one.output]} keeps exactly the same value from '
-            f'{one.start:.3g} to {one.end:.3g} s after the start of the window, although inputs '
-            'move; the sensor is stuck or its last value is repeated: check it, or leave it '
-            'out.')
+            f'Output {e.output_names[one.output]} keeps exactly the same value '
+            f'{after_start(one.start, one.end)}, although inputs move; the sensor is stuck or its '
+            'last value is repeated: check it, or leave it out.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, _changed(e)
     for i in np.flatnonzero(e.coloured > _UNEXPLAINED):
@@ -215,7 +215,8 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
     share : float
         Part of its window before the change.
     """
-    words = f'an earlier window has shown a change of the plant at {100 * share:.0f} % of this one'
+    at = after_start(share * 1e-9 * (estimate.end_ns - estimate.start_ns))
+    words = f'an earlier window has shown a change of the plant about {at}'
     return replace(
         estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
         notes=(*estimate.notes, words), verdict=replace(

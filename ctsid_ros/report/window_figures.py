@@ -66,7 +66,7 @@ class ChangeSeen:
         one, two = (' and '.join(percent(v) for v in pair) for pair in (self.one, self.two))
         known = '' if math.isnan(self.one[0]) else (
             f': one model fits {one} % before and after, two models {two} %')
-        return (f'The plant changed about {number(self.time, 4)} s after the start of the bag'
+        return (f'The plant changed about {self.time:.1f} s after the start of the bag'
                 f'{known}; one model of both loses {number(self.cost, 2)} points of fit.')
 
 

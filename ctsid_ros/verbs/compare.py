@@ -110,6 +110,16 @@ class Compared:
     orders: Mapping[int, Order] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def told(self) -> Sequence[Contender]:
+        """The same as people are told of it: instants by the clock of the bag."""
+        from ctsid_ros.report.clock import by_bag_clock
+
+        if self.kind != 'method' or self.data is None:
+            return self.found
+        zero_ns = self.data.record.epoch_ns - round(self.offset * 1e9)
+        return [replace(c, estimate=by_bag_clock(c.estimate, zero_ns)) for c in self.found]
+
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify or load, write, print."""
@@ -313,7 +323,7 @@ def _numbers(compared: Compared) -> list[Section]:
     )
     from ctsid_ros.report.sections import complaint_section
 
-    found, lead = compared.found, leader(compared.found)
+    found, lead = compared.told, leader(compared.found)
     return [table_section(found, compared.kind), pole_section(found, compared.kind),
             *order_sections(compared.orders, lead.model.n if lead.model else 0),
             verdict_section(found), complaint_section(compared.notes)]
@@ -366,7 +376,7 @@ def _headline(compared: Compared, run: Run) -> Headline:
     from ctsid_ros.report.comparison import agreeing, leader
     from ctsid_ros.report.headline import headline
 
-    found, lead = compared.found, leader(compared.found)
+    found, lead = compared.told, leader(compared.told)
     if compared.kind == 'model':
         return _headline_of_models(compared, run)
     first = headline(lead.estimate, run, [('methods that agree', agreeing(found))])

@@ -163,6 +163,14 @@ class Outcome:
         return self.estimate.model or self.estimate.rejected_model
 
     @property
+    def told(self) -> Estimate:
+        """The estimate as people are told of it: instants by the clock of the bag."""
+        from ctsid_ros.report.clock import by_bag_clock
+
+        zero_ns = self.estimate.start_ns - round(self.sources[0].span[0] * 1e9)
+        return by_bag_clock(self.estimate, zero_ns) if len(self.sources) == 1 else self.estimate
+
+    @property
     def config(self) -> Config:
         """Channels and settings."""
         return self.sources[0].data.config
@@ -173,7 +181,7 @@ class Outcome:
         several = len(self.sources) > 1
         own = [f'record {i}: {note}' if several else note
                for i, source in enumerate(self.sources, 1) for note in source.notes]
-        return (*own, *self.estimate.notes)
+        return (*own, *self.told.notes)
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -294,7 +302,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
         truth_section,
     )
 
-    estimate, model, sources = outcome.estimate, outcome.model, outcome.sources
+    estimate, model, sources = outcome.told, outcome.model, outcome.sources
     fits = [t.test.fit for t in outcome.tests]
     fit = np.min(fits, axis=0) if fits else np.empty(0)
     start, end = (round(t, 1) + 0.0 for t in sources[0].span)        # no -0.0
@@ -339,7 +347,7 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
     if len(outcome.sources) > 1:
         title = f'One model of {len(outcome.sources)} records'
     found = _origin(outcome, args)
-    first = headline(estimate, run, _facts(outcome), better)
+    first = headline(outcome.told, run, _facts(outcome), better)
     numbers = [*_sections(outcome, truth, verdict=False), *_numbers(outcome),
                repeat_section(run, found)]
     write_results(out, {
