@@ -24,6 +24,7 @@ from ctsid_core.model.verdict import Excitation, Grade, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
 from ctsid_ros.progress import progress, time_left, working
+from ctsid_ros.replay.along import Windows
 from ctsid_ros.replay.replay import Result
 from ctsid_ros.report.document import Bullets, Figure, Section, to_markdown, to_text
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
@@ -43,7 +44,7 @@ from ctsid_ros.report.spectra import supported_band
 from ctsid_ros.report.static import inline_svg
 from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.report.tracks import Mode, Track, match, modes, tracks
-from ctsid_ros.report.window_figures import Windows, window_figure
+from ctsid_ros.report.window_figures import window_figure
 
 GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.',
                excitation=(Excitation('torque', 0.1, 30.0, 12.0, 1.0, 0.01),),

@@ -21,9 +21,9 @@ from ctsid_core.model.verdict import Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Signal
 from ctsid_ros.cli import main
+from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.document import Headline
 from ctsid_ros.report.headline import Run
-from ctsid_ros.report.window_figures import Windows
 from ctsid_ros.report.window_headline import window_headline
 
 CHANGE, STUCK = 17.4, 8.0      # [s]

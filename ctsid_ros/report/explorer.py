@@ -14,6 +14,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.step_response import horizon, step_response
+from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.interactive import figure, numbers
@@ -21,7 +22,6 @@ from ctsid_ros.report.poles import region
 from ctsid_ros.report.responses import frequencies, response_of, response_std
 from ctsid_ros.report.tables import fit_words, label, number, plus_minus, pole_text
 from ctsid_ros.report.tracks import modes_of
-from ctsid_ros.report.window_figures import Windows
 from ctsid_ros.report.words import cell, printable
 
 _POINTS = 32            # of a curve

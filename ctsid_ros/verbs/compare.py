@@ -33,7 +33,6 @@ from ctsid_ros.verbs.arguments import (
     read_params,
     run_of,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
@@ -113,12 +112,12 @@ class Compared:
     @property
     def told(self) -> Sequence[Contender]:
         """The same as people are told of it: instants by the clock of the bag."""
-        from ctsid_ros.report.clock import by_bag_clock
+        from ctsid_ros.replay.clock import by_bag_clock
 
         if self.kind != 'method' or self.data is None:
             return self.found
-        zero_ns = self.data.record.epoch_ns - round(self.offset * 1e9)
-        return [replace(c, estimate=by_bag_clock(c.estimate, zero_ns)) for c in self.found]
+        start_ns = self.data.record.epoch_ns - round(self.offset * 1e9)
+        return [replace(c, estimate=by_bag_clock(c.estimate, start_ns)) for c in self.found]
 
 
 def command(args: argparse.Namespace) -> int:
@@ -204,6 +203,7 @@ def _read(bag: Any, config: Config, args: argparse.Namespace
           ) -> tuple[Recorded, float, tuple[str, ...]]:
     """Return the record, the offset of its times after the start of the bag [s], and notes."""
     from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.replay.clock import zero_ns
 
     with progress('reading', quiet=args.quiet) as advance:
         data = read_record(bag, config, interval_of(args), advance=advance)

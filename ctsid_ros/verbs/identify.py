@@ -48,7 +48,6 @@ from ctsid_ros.verbs.arguments import (
     seconds,
     span,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
@@ -165,10 +164,10 @@ class Outcome:
     @property
     def told(self) -> Estimate:
         """The estimate as people are told of it: instants by the clock of the bag."""
-        from ctsid_ros.report.clock import by_bag_clock
+        from ctsid_ros.replay.clock import by_bag_clock
 
-        zero_ns = self.estimate.start_ns - round(self.sources[0].span[0] * 1e9)
-        return by_bag_clock(self.estimate, zero_ns) if len(self.sources) == 1 else self.estimate
+        start_ns = self.estimate.start_ns - round(self.sources[0].span[0] * 1e9)
+        return by_bag_clock(self.estimate, start_ns) if len(self.sources) == 1 else self.estimate
 
     @property
     def config(self) -> Config:
@@ -254,6 +253,7 @@ def _read(bags: tuple[str, ...], time: Sequence[str], config: Config, interval: 
           split: float | None, advance: Advance) -> Source:
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.replay.clock import zero_ns
 
     with open_bag(bags, time) as bag:
         if split is not None and split >= (bag.end_ns - bag.start_ns) * 1e-9 > 0.0:

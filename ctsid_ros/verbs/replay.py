@@ -45,14 +45,13 @@ from ctsid_ros.verbs.arguments import (
     say,
     say_better,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.replay.along import Windows
     from ctsid_ros.replay.replay import Replay, Result
-    from ctsid_ros.report.window_figures import Windows
 
 HELP = 'identify models in sliding windows along a bag'
 EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results/flight
@@ -140,7 +139,7 @@ class _Report:
 
     def __init__(self, run: Replay, bag: Bag, args: argparse.Namespace, truth: StateSpace | None
                  ) -> None:
-        from ctsid_ros.report.clock import by_bag_clock
+        from ctsid_ros.replay.clock import by_bag_clock, zero_ns
 
         self.args, self.truth, self.played = args, truth, run.played
         self.zero_ns = zero_ns(bag, run.results[0].estimate.start_ns)
@@ -236,7 +235,7 @@ class _Report:
                 ('window', f'{self.number} of {len(self.results)}')]
 
     def _changes(self) -> Section:
-        from ctsid_ros.report.window_figures import changes
+        from ctsid_ros.replay.along import changes
 
         found = tuple(change.words for change in changes(self.windows))
         return Section('Changes of the plant', (Bullets(found),) if found else ())
@@ -244,14 +243,9 @@ class _Report:
     @property
     def windows(self) -> Windows:
         """The windows as they are drawn."""
-        import numpy as np
+        from ctsid_ros.replay.along import Windows
 
-        from ctsid_ros.report.window_figures import Windows
-
-        estimates = [r.estimate for r in self.results]
-        starts, ends = ((np.array([getattr(e, key) - self.zero_ns for e in estimates]) * 1e-9)
-                        for key in ('start_ns', 'end_ns'))
-        return Windows(estimates, starts, ends, np.array([r.next_fit for r in self.results]))
+        return Windows.of(self.results, self.zero_ns)
 
     def _columns(self) -> dict[str, Sequence[float]]:
         """Return what the series has beside the estimates."""
@@ -303,16 +297,14 @@ class _Report:
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         from dataclasses import asdict
 
-        from ctsid_ros.report.window_figures import changes
-        from ctsid_ros.report.window_headline import unlike, word
+        from ctsid_ros.replay.along import along
 
-        windows, place = self.windows, self.number - 1
-        away = unlike(windows, place)
+        found = along(self.windows, self.number - 1)
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
-                'interrupted': interrupted, 'verdict': word(windows, place, away),
-               
-                'changes': [asdict(c) for c in changes(windows)],
-                'unlike': [asdict(one) for one in away],
+                'interrupted': interrupted, 'verdict': found.word,
+
+                'changes': [asdict(c) for c in found.changes],
+                'unlike': [asdict(one) for one in found.unlike],
                 'accepted': sum(r.estimate.ok for r in self.results),
                 'good': sum(r.estimate.good for r in self.results),
                 'best_window': self.number if self.best.estimate.ok else None,

@@ -7,6 +7,14 @@ from dataclasses import replace
 
 from ctsid_core.judge.instants import by_clock
 from ctsid_core.model.estimate import Estimate
+from ctsid_ros.recordings.bag import Bag
+
+_DAY = 86_400 * 10**9   # [ns]: stamps further away are of another clock than the recording
+
+
+def zero_ns(bag: Bag, stamp_ns: int) -> int:
+    """Return what times are shown after: the start of the bag, or the stamp of another clock."""
+    return bag.start_ns if abs(stamp_ns - bag.start_ns) < _DAY else stamp_ns
 
 
 def by_bag_clock(estimate: Estimate, zero_ns: int) -> Estimate:
