@@ -32,7 +32,13 @@ from ctsid_ros.report.drawing import thinned as fewer
 from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import track_curve
-from ctsid_ros.report.responses import bode_figures, response_of, response_std
+from ctsid_ros.report.responses import (
+    bode_figures,
+    frequencies,
+    response_of,
+    response_std,
+    step_figures,
+)
 from ctsid_ros.report.sections import (
     advice_section,
     bode_section,
@@ -492,3 +498,19 @@ def test_choices_are_told_in_the_files_only():
 
 def test_mode_of_zero_has_no_damping():
     assert math.isnan(Mode(0j).damping)
+
+
+def test_nothing_slower_than_what_was_excited_is_drawn():
+    """A pole that is zero but for rounding made eight empty decades and 1000 s of nothing."""
+    model = StateSpace(np.diag([-1.7e-8, -3.0]), [[1.0], [1.0]], [[1.0, 1.0]], input_names=('u',),
+                       output_names=('y',))
+    band = (0.12, 17.0)
+    assert frequencies(model, band)[[0, -1]] == pytest.approx([0.012, 170.0])
+    assert frequencies(model)[[0, -1]] == pytest.approx([0.3, 30.0])
+    bode = bode_figures({'model': (model, None)}, [band])[0].drawing.panels[0]
+    step = step_figures({'model': (model, None)}, bands=[band])[0].drawing.panels[0]
+    assert bode.x_limits[0] == pytest.approx(0.012)
+    assert step.x_limits[1] == pytest.approx(10.0 / 0.12)
+    fast = StateSpace([[-3.0]], [[1.0]], [[1.0]])
+    assert step_figures({'model': (fast, None)}, bands=[band])[0].drawing.panels[0].x_limits[
+        1] == pytest.approx(5.0 / 3.0)

@@ -371,6 +371,7 @@ def _numbers(outcome: Outcome) -> list[Section]:
     from ctsid_core.advice.advice import advise
     from ctsid_core.model.validation import residual_tests
     from ctsid_ros.report.experiment import experiment_section, helps
+    from ctsid_ros.report.responses import excited
     from ctsid_ros.report.sections import bode_section, residual_section
 
     estimate, model, sections = outcome.estimate, outcome.model, []
@@ -386,7 +387,7 @@ def _numbers(outcome: Outcome) -> list[Section]:
         advice = advise(estimate, outcome.sources[0].learnt)
         if helps(estimate, advice):
             sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
-    sections.append(bode_section(model, covariance=estimate.covariance))
+    sections.append(bode_section(model, covariance=estimate.covariance, band=excited(estimate)))
     return sections
 
 

@@ -204,6 +204,7 @@ class _Report:
         from ctsid_ros.report.explorer import window_series
         from ctsid_ros.report.headline import headline, repeat_section
         from ctsid_ros.report.page import to_html
+        from ctsid_ros.report.responses import excited
         from ctsid_ros.report.sections import bode_section
         from ctsid_ros.report.window_headline import window_headline
 
@@ -216,7 +217,8 @@ class _Report:
                                 self.number - 1, self._which(), run)
         numbers = self.sections(verdict=False)
         if self.model:
-            numbers.append(bode_section(self.model, covariance=estimate.covariance))
+            numbers.append(bode_section(self.model, covariance=estimate.covariance,
+                                        band=excited(estimate)))
         numbers.append(repeat_section(run, metadata))
         title = f'Models along {bag_name(self.args.bag)}'
         write_results(out, {MODEL: to_json(stored[self.number - 1].estimate, metadata),
