@@ -47,7 +47,7 @@ from ctsid_ros.report.sections import (
     window_section,
 )
 from ctsid_ros.report.spectra import supported_band
-from ctsid_ros.report.static import inline_svg
+from ctsid_ros.report.static import inline_svg, write_drawings
 from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.report.tracks import Mode, Track, match, modes, tracks
 from ctsid_ros.report.window_figures import window_figure
@@ -514,3 +514,39 @@ def test_nothing_slower_than_what_was_excited_is_drawn():
     fast = StateSpace([[-3.0]], [[1.0]], [[1.0]])
     assert step_figures({'model': (fast, None)}, bands=[band])[0].drawing.panels[0].x_limits[
         1] == pytest.approx(5.0 / 3.0)
+
+
+def test_a_compact_drawing_has_every_point_where_it_was(monkeypatch, tmp_path):
+    """A cloud of 500 dots is a path of as many points; lines keep theirs to 0.005 points."""
+    rng = np.random.default_rng(3)
+    x, y = rng.standard_normal((2, 500))
+    axes = Axes([Curve(x, y, 'runs', 1, 'cloud', opacity=0.6), Curve(np.sort(x), y, 'line', 2)],
+                'A title', 'x 0.123456')
+    write_drawings(tmp_path / 'compact.svg', [axes])
+    monkeypatch.setattr('ctsid_ros.report.static.compact', lambda text, size: text)
+    write_drawings(tmp_path / 'whole.svg', [axes])
+    compact, whole = ((tmp_path / f'{name}.svg').read_text() for name in ('compact', 'whole'))
+    ET.fromstring(compact)
+    assert len(compact) < 0.5 * len(whole)
+    assert 'x 0.123456' in compact
+
+    def numbers(text: str) -> np.ndarray:
+        return np.array([[float(v) for v in pair] for pair in text])
+
+    dots = numbers(re.findall(r'M([-\d.]+) ([-\d.]+)h0', compact))
+    before = numbers(re.findall(r'x="([-\d.]+)" y="([-\d.]+)" style="fill: #1769c4', whole))
+    assert len(dots) == len(before) - 1 == 500      # the last one is in the legend
+    assert np.abs(dots - before[:500]).max() <= 0.00501
+    longest = [max(re.findall(r'<path d="([^"]*)" clip-path', text), key=len)
+               for text in (compact, whole)]
+    line, line_before = (numbers(re.findall(r'([-\d.]+) ([-\d.]+)', t)) for t in longest)
+    assert np.abs(line - line_before).max() <= 0.00501
+
+
+def test_a_logarithmic_axis_has_plain_numbers(tmp_path):
+    x = np.geomspace(0.01, 100.0, 50)
+    write_drawings(tmp_path / 'log.svg', [Axes([Curve(x, x)], x_log=True, y_log=True)])
+    text = (tmp_path / 'log.svg').read_text()
+    assert all(f'>{tick}<' in text for tick in ('0.1', '1', '10'))
+    assert 'e−01' not in text
+    assert 'e-01' not in text
