@@ -140,9 +140,11 @@ class Fault:
     @property
     def words(self) -> str:
         """When, and why first."""
-        which = f'the window {self.start:.1f} to {self.end:.1f} s is' if self.count == 1 else \
-            f'the {self.count} windows in {self.start:.1f} to {self.end:.1f} s are'
-        return f'{which} rejected ({self.status.name}): {self.reason}'
+        span = f'{self.start:.1f} to {self.end:.1f} s'
+        if self.count == 1:
+            return f'the window {span} is rejected ({self.status.name}): {self.reason}'
+        return (f'the {self.count} windows in {span} are rejected ({self.status.name}), the first '
+                f'one because: {self.reason}')
 
 
 def faults(windows: Windows) -> list[Fault]:
