@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 import json
+import math
 import re
 
 from bag_fixtures import START, imu, write_rosbag2
@@ -24,6 +26,7 @@ from ctsid_ros.cli import main
 from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.document import Headline
 from ctsid_ros.report.headline import Run
+from ctsid_ros.report.tables import percent
 from ctsid_ros.report.window_headline import window_headline
 
 CHANGE, STUCK = 17.4, 8.0      # [s]
@@ -142,6 +145,39 @@ def test_one_clock_on_one_page(told, name):
     # Whoever has the model alone counts from its own window.
     assert all('start of the bag' not in p.read_text(encoding='utf-8')
                for p in found['place'].glob('*.json'))
+
+
+@pytest.mark.parametrize('name', ['payload', 'hung'])
+def test_one_quantity_is_one_number_in_json_table_page_report_and_model_file(told, name):
+    found = told[name]
+    with (found['place'] / 'estimates.csv').open(encoding='utf-8') as stream:
+        rows = list(csv.DictReader(stream))
+    windows = found['json']['windows']
+    shown = data_of(found['page'], 'series')['windows'] if 'id="series"' in found['page'] else \
+        [None] * len(rows)
+    assert len(rows) == len(windows) == len(shown)
+    for number, (row, window, item) in enumerate(zip(rows, windows, shown, strict=True), 1):
+        assert row['verdict'] == window['verdict']['grade']
+        assert row['status'] == window['status']
+        for column, key in (('fit_rate [%]', 'fit'), ('held_out_fit_rate [%]', 'held_out_fit'),
+                            ('next_fit_rate [%]', 'next_fit'),
+                            ('fresh_fit_rate [%]', 'fresh_fit')):
+            value = window[key][0] if len(window[key]) else math.nan
+            assert row[column] == ('' if math.isnan(value) else repr(float(value))), column
+        fit = percent(window['fit'][0]) if len(window['fit']) else '-'
+        line = rf'\| {number} \| {window["from"]:.1f} \| {window["to"]:.1f} \| {row["verdict"]} \|'
+        assert re.search(rf'{line} \S+ \| {fit} \|', found['report'])
+        if item is not None:
+            facts = dict(item['facts'])
+            assert (item['grade'], item['reason']) == (row['verdict'],
+                                                       window['verdict']['reason'])
+            assert facts.get('fit [%]', facts.get('fit, predicted [%]', '-')) == fit
+    best = found['json']['best_window']
+    stored = load_estimate(found['place'] / 'model.json')
+    assert stored.fit[0] == windows[best - 1]['fit'][0]
+    assert f'fit of rate [%] {percent(stored.fit[0])}' in found['words']
+    assert f'next fit [%] {percent(windows[best - 1]["next_fit"][0])}' in found['words']
+    assert f'accepted windows {found["json"]["accepted"]} of {len(rows)}' in found['words']
 
 
 def windows_of(*gains: float, std: float = 0.01) -> Windows:

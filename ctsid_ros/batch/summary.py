@@ -22,6 +22,7 @@ from ctsid_ros.replay.along import CHANGED, PARTLY
 from ctsid_ros.report.document import Bullets, Figure, Headline, Section
 from ctsid_ros.report.drawing import COLORS, Axes, Curve, Drawing
 from ctsid_ros.report.tables import Table, number, percent, pole_text, thinned
+from ctsid_ros.report.words import spreadsheet
 
 GRADES = ('GOOD', 'WEAK', 'REJECT')
 FAILED = 'FAILED'
@@ -127,8 +128,8 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
     head = ['bag', 'vehicle', 'date', 'verdict', 'windows', *(g.lower() for g in GRADES),
             'best_window', 'order',
             *(f'pole{k}_{n} [rad/s]' for k in range(1, most + 1) for n in names),
-            *(f'fit_{name} [%]' for name in outputs), *(f'delay_{name} [s]' for name in inputs),
-            'outlier', 'reason', 'failure']
+            *(f'fit_{spreadsheet(name)} [%]' for name in outputs),
+            *(f'delay_{spreadsheet(name)} [s]' for name in inputs), 'outlier', 'reason', 'failure']
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(head)
@@ -137,11 +138,12 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
         fits = {e['output']: e['fit'] for e in f.best.get('fits') or []}
         delays = {e['input']: e['delay'] for e in f.best.get('delays') or []}
         writer.writerow([
-            f.bag, f.vehicle, f.date, f.verdict, f.windows, *f.grades.values(),
-            f.best.get('window', ''), f.best.get('order', ''), *poles,
+            spreadsheet(f.bag, whole=True), spreadsheet(f.vehicle), f.date, f.verdict, f.windows,
+            *f.grades.values(), f.best.get('window', ''), f.best.get('order', ''), *poles,
             *[''] * (3 * most - len(poles)),
             *(fits.get(name) for name in outputs), *(delays.get(name) for name in inputs),
-            odd.get(f.bag, ''), f.reason, f.failure])
+            odd.get(f.bag, ''), spreadsheet(f.reason, whole=True),
+            spreadsheet(f.failure, whole=True)])
     return stream.getvalue()
 
 
