@@ -125,6 +125,7 @@ def test_a_sensor_that_hangs_is_said_before_the_model_that_was_kept(told):
     first = hung_['report'].splitlines()[2]
     assert first.index('NO_RESPONSE') < first.index('Kept is the model')
     assert hung_['json']['verdict'] == 'PARTLY'
+    assert 'ctsid identify hung --params params.yaml --start 0.0 --duration 7.5' in hung_['words']
     since = float(re.search(r'the same value from (\S+) to \S+ s after the start of the bag',
                             first)[1])
     assert since == pytest.approx(STUCK, abs=0.1)

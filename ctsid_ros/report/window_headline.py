@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Grade
-from ctsid_ros.replay.along import ChangeSeen, Windows, along
+from ctsid_ros.replay.along import PARTLY, ChangeSeen, Windows, along
 from ctsid_ros.report.document import Headline
 from ctsid_ros.report.headline import Run
 
@@ -52,7 +53,21 @@ def window_headline(first: Headline, windows: Windows, place: int, which: str, r
         return replace(told, purpose='a model of the plant where it is another one',
                        command=run.command('identify', '--start', f'{away[-1].start:.1f}',
                                            '--duration', length))
+    if all_of_it.word == PARTLY:
+        start, end = _longest(windows)
+        return replace(told, purpose=f'one model of the longest part without a fault, {start:.1f} '
+                       f'to {end:.1f} s', command=run.command(
+                           'identify', '--start', f'{start:.1f}', '--duration',
+                           f'{end - start:.1f}'))
     return told
+
+
+def _longest(windows: Windows) -> tuple[float, float]:
+    """Return from when to when most accepted windows follow each other [s]."""
+    runs = [[k for k, _ in group] for ok, group in groupby(
+        enumerate(windows.estimates), key=lambda pair: pair[1].ok) if ok]
+    best = max(runs, key=len)
+    return float(windows.starts[best[0]]), float(windows.ends[best[-1]])
 
 
 def _counts(windows: Windows) -> str:
