@@ -23,17 +23,22 @@ from bag_fixtures import write_mcap
 from flights import PARAMS, TRUTH, flight, write_flight, write_params
 import numpy as np
 import pytest
+from test_page import Tags
+from test_window_headline import STUCK, hung
 import yaml
 
 from ctsid_ros.batch.bags import find_bags, vehicle
 from ctsid_ros.batch.outliers import Poles, outliers
 from ctsid_ros.batch.store import ROWS, Store
+from ctsid_ros.batch.summary import GRADES, Flight, batch_headline, sections
 from ctsid_ros.batch.task import Recipe, Task, perform
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import parse_config
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.replay.replay import Replay
+from ctsid_ros.report.document import Headline
+from ctsid_ros.report.tables import percent
 
 dask = pytest.importorskip('dask')
 distributed = pytest.importorskip('distributed')
@@ -175,7 +180,7 @@ def test_a_batch_is_the_same_as_one_bag_after_the_other(batch, alone, tmp_path):
     same(tables(tmp_path / 'out'), alone)
     assert re.search(r'alpha +2 +\d{4}-\d\d-\d\d +2 +0 +0 +0', out)
     assert re.search(r'beta +2 +\d{4}-\d\d-\d\d +1 +0 +0 +1', out)
-    assert 'broken.mcap: ' in out
+    assert 'broken.mcap, FAILED: ' in out
     with (tmp_path / 'out/bags.csv').open() as stream:
         rows = {Path(row['bag']).name: row for row in csv.DictReader(stream)}
     assert sorted(rows) == ['broken.mcap', 'flight1', 'flight2', 'flight3']
@@ -186,6 +191,84 @@ def test_a_batch_is_the_same_as_one_bag_after_the_other(batch, alone, tmp_path):
     assert 'Poles by vehicle and date' in page
     assert 'broken.mcap' in page
     assert 'alpha/flight1' in (tmp_path / 'out/report.md').read_text()
+
+
+def test_a_sensor_that_dies_is_told_first_and_not_counted_as_accepted(batch, fleet, tmp_path):
+    """The model of the window before it died is GOOD; the bag is not, in the same words."""
+    ours, out = tmp_path / 'bags', tmp_path / 'out'
+    shutil.copytree(fleet / 'alpha', ours / 'alpha')
+    (ours / 'beta').mkdir()
+    write_flight(ours / 'beta/hung', hung(flight(13.0)))
+    code, text, _ = batch('--json', bags=ours)
+    told = json.loads(text)
+    found = {Path(b['bag']).name: b for b in told['bags']}
+    assert code == 0
+    assert {name: b['verdict'] for name, b in found.items()} == {
+        'flight1': 'GOOD', 'flight2': 'GOOD', 'hung': 'PARTLY'}
+    assert found['hung']['good'] >= 1
+    assert told['verdict'] == 'PARTLY'
+    said = found['hung']['reason']
+    assert 'NO_RESPONSE' in said
+    since = float(re.search(r'same value from (\S+) to \S+ s after the start of the bag', said)[1])
+    assert since == pytest.approx(STUCK, abs=0.1)
+    with (out / 'bags.csv').open() as stream:
+        rows = {Path(row['bag']).name: row for row in csv.DictReader(stream)}
+    assert (rows['hung']['verdict'], rows['hung']['reason']) == ('PARTLY', said)
+    assert rows['hung']['fit_rate [%]'] == repr(found['hung']['fits'][0]['fit'])
+    page = (out / 'report.html').read_text(encoding='utf-8')
+    shown = ' '.join(' '.join(Tags(page).words).split())
+    first = (out / 'report.md').read_text(encoding='utf-8').splitlines()[2]
+    assert '<header class="PARTLY">' in page
+    assert first.startswith('**PARTLY.** 3 bags: 2 GOOD, 1 PARTLY. beta/hung, PARTLY: ')
+    assert said in shown
+    assert percent(found['hung']['fits'][0]['fit']) in shown
+    assert f'ctsid replay {ours}/beta/hung --params' in shown
+    # What its replay says is the same.
+    assert main(['replay', str(ours / 'beta/hung'), '--params', str(fleet / 'params.yaml'),
+                 '--out', str(tmp_path / 'alone'), '--quiet']) == 0
+    alone = ' '.join(' '.join(Tags((tmp_path / 'alone/report.html').read_text()).words).split())
+    assert 'PARTLY' in alone
+    assert said in alone
+
+
+def test_the_word_for_all_bags_and_the_command_go_to_the_worst():
+    def bag(name: str, verdict: str) -> Flight:
+        good = verdict in ('GOOD', 'CHANGED', 'PARTLY')
+        return Flight(f'/d/{name}', 'v', 0, dict.fromkeys(GRADES, 1), {'order': 2} if good else {},
+                      verdict, f'Because {name}.', 'no bag' * (verdict == 'FAILED'))
+
+    def first(*verdicts: str, odd: tuple[str, ...] = ()) -> Headline:
+        bags = [bag(f'b{k}', v) for k, v in enumerate(verdicts)]
+        return batch_headline(bags, dict.fromkeys(odd, 'far'), 'p.yaml', ['all'])
+
+    assert (first('GOOD', 'GOOD').grade, first('GOOD').command) == (
+        'GOOD', 'ctsid identify all --params p.yaml')
+    assert first('REJECT', 'FAILED').grade == 'REJECT'
+    mixed = first('GOOD', 'FAILED', 'PARTLY', 'CHANGED')
+    assert mixed.grade == 'PARTLY'
+    assert mixed.sentence.startswith(
+        '4 bags: 1 GOOD, 1 FAILED, 1 PARTLY, 1 CHANGED. b3, CHANGED: Because b3. b2 (PARTLY), b1 '
+        '(FAILED): see below.')
+    assert mixed.command == 'ctsid replay /d/b3 --params p.yaml'
+    assert first('GOOD', 'FAILED').command == 'ctsid info /d/b1'
+    assert first('GOOD', 'GOOD', odd=('/d/b1',)).command == 'ctsid replay /d/b1 --params p.yaml'
+    assert 'b1' in first('GOOD', 'GOOD', odd=('/d/b1',)).sentence
+
+
+@pytest.mark.parametrize(('apart_s', 'title'), [
+    (3 * 86400, 'days after 2020-09-13'), (3 * 3600, 'hours after the first bag'),
+    (1800, 'minutes after the first bag'), (5, 'seconds after the first bag')])
+def test_bags_of_one_day_are_drawn_over_hours_or_less(apart_s, title):
+    pole = dict.fromkeys(('std', 'natural_frequency_std', 'damping_std'), 0.1) | {
+        're': -1.0, 'im': 2.0, 'natural_frequency': 2.2, 'damping': 0.4}
+    bags = [Flight(f'/d/b{k}', 'v', (1_600_000_000 + k * apart_s) * 10**9,
+                   dict.fromkeys(GRADES, 1), {'order': 2, 'poles': [pole]}, 'GOOD', '', '')
+            for k in range(2)]
+    section = next(s for s in sections(bags, {}) if s.title == 'Poles by vehicle and date')
+    last = section.parts[0].drawing.panels[-1]
+    assert last.x_label == title
+    assert last.curves[0].x.max() == pytest.approx(
+        apart_s / {'d': 86400, 'h': 3600, 'm': 60, 's': 1}[title[0]])
 
 
 def test_what_is_done_is_not_done_again(batch, fleet, tmp_path, monkeypatch):
@@ -250,7 +333,7 @@ def test_failures_of_the_computer_are_tried_again_and_of_the_bag_on_request(batc
     listed.write_text(f'{ours}/late.mcap\n{fleet}/beta/broken.mcap\n')
     code, text, _ = batch(bags=listed)
     assert code == 1                                   # every bag failed
-    assert 'it cannot be read (No such file or directory)' in text
+    assert 'it cannot be read (No such file or directory)' in ' '.join(text.split())
     before = written(out)
     write_mcap(ours / 'late.mcap', flight(LENGTH, seed=1))
     assert batch(bags=listed)[0] == 0                  # now it is there

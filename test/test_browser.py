@@ -10,18 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 import shutil
 
 from bag_fixtures import write_rosbag2
 from flights import PARAMS, flight
 import pytest
+from test_window_headline import heavier, hung
 
 from ctsid_ros.cli import main
 
 pytestmark = pytest.mark.slow
 CHROMIUM = next(filter(None, map(shutil.which, (
     'chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable'))), None)
+AIRCRAFT = """
+/**:
+  ros__parameters:
+    inputs: [aileron, elevator, throttle]
+    outputs: [roll, pitch]
+    aileron: {topic: /cub1/joy_serial_status, field: 'data[0]', unit: us}
+    elevator: {topic: /cub1/joy_serial_status, field: 'data[1]', unit: us}
+    throttle: {topic: /cub1/joy_serial_status, field: 'data[2]', unit: us}
+    roll: {topic: /cub1/pose, field: 'euler(pose.orientation).roll', unit: rad}
+    pitch: {topic: /cub1/pose, field: 'euler(pose.orientation).pitch', unit: rad}
+"""
 PATIENCE = 60_000   # ms, on a machine that has much else to do
 # Draws all that is drawn only when it comes into view.
 DRAW = """async () => {
@@ -37,6 +50,15 @@ SMALL = """() => [...document.querySelectorAll(
   'svg text, td, th, p, dt, dd, li, figcaption, .legend span, button')].filter((one) =>
     one.textContent.trim() && one.getBoundingClientRect().width > 0
     && parseFloat(getComputedStyle(one).fontSize) < 10.9).map((one) => one.textContent)"""
+# Numbers along an axis that lie over each other, or over its title.
+OVERLAP = """() => [...document.querySelectorAll('.plot')].flatMap((div) =>
+  ['.xaxislayer-above', '.yaxislayer-above'].flatMap((layer) => {
+    const boxes = [...div.querySelectorAll(layer + ' text')].filter((one) => one.textContent)
+      .map((one) => [one.getBoundingClientRect(), one.textContent]);
+    return boxes.flatMap(([a, s], i) => boxes.slice(i + 1).filter(([b]) =>
+      a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1)
+      .map(([b, t]) => s + ' over ' + t));
+  }))"""
 FITS = """() => [...document.querySelectorAll('.plot .main-svg')].every((one) =>
   one.getBoundingClientRect().right <= document.body.getBoundingClientRect().left
     + 186 * 96 / 25.4 + 1)"""   # A4 less the margins
@@ -45,9 +67,12 @@ RANGE = "(at) => document.querySelectorAll('.plot')[at]._fullLayout.xaxis.range"
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory) -> Path:
-    """Reports: along windows, of methods and orders, of stored models, of a rejected model."""
+    """Reports of all kinds: whole, changed and rejected recordings, methods, models, batches."""
     place = tmp_path_factory.mktemp('browser')
     write_rosbag2(place / 'bag', flight(20.0))
+    write_rosbag2(place / 'fleet/alpha/whole', flight(8.0))
+    write_rosbag2(place / 'fleet/beta/hung', hung(flight(13.0)))
+    write_rosbag2(place / 'changing', heavier(flight(30.0)))
     (place / 'params.yaml').write_text(PARAMS)
     given = ('--params', 'params.yaml', '--quiet')
     with pytest.MonkeyPatch.context() as patch:
@@ -57,7 +82,20 @@ def folder(tmp_path_factory) -> Path:
         assert main(['show', 'methods/gobf.json', 'methods/ct-pbsid.json', 'windows', '--quiet',
                      '--out', 'models']) == 0
         assert main(['identify', 'bag', *given, '--out', 'rejected', '--duration', '0.1']) == 3
+        assert main(['replay', 'changing', *given, '--out', 'changed']) == 0
+        if find_spec('distributed') and find_spec('pyarrow'):
+            assert main(['batch', 'fleet', *given, '--out', 'batch', '--jobs', '1']) == 0
     return place
+
+
+@pytest.fixture
+def aircraft(folder, data_folder) -> Path:
+    """The report of a real flight with three inputs and two outputs."""
+    (folder / 'aircraft.yaml').write_text(AIRCRAFT)
+    assert main(['identify', str(data_folder / 'cubs2'), '--params', str(folder / 'aircraft.yaml'),
+                 '--start', '20', '--duration', '30', '--out', str(folder / 'aircraft'),
+                 '--quiet']) in (0, 3)
+    return folder
 
 
 @pytest.fixture(scope='module')
@@ -102,15 +140,40 @@ def drawn(page, selector: str, number: int = 0):
     return div
 
 
-@pytest.mark.parametrize('name', ['windows', 'methods', 'models', 'rejected'])
+@pytest.mark.parametrize('name', ['windows', 'methods', 'models', 'rejected', 'changed', 'batch'])
 def test_pages_fit_every_screen(browser, folder, name):
+    if not (folder / name).exists():
+        pytest.skip('no Dask')
+    fits_every_screen(browser, folder / name / 'report.html')
+
+
+def test_a_page_of_many_inputs_and_outputs_fits_every_screen(browser, aircraft):
+    fits_every_screen(browser, aircraft / 'aircraft/report.html')
+
+
+def fits_every_screen(browser, path: Path) -> None:
     for phone in (False, True):
-        with opened(browser, folder / name / 'report.html', phone=phone, dark=phone,
-                    whole=True) as page:
+        with opened(browser, path, phone=phone, dark=phone, whole=True) as page:
             width, inner = page.evaluate('[document.documentElement.scrollWidth, innerWidth]')
             assert width <= inner
             assert page.evaluate(SMALL) == []
+            assert page.evaluate(OVERLAP) == []
             assert page.locator('.plot').count() >= 2
+
+
+@pytest.mark.parametrize(('name', 'word'), [('windows', 'GOOD'), ('changed', 'CHANGED'),
+                                            ('rejected', 'REJECT'), ('batch', 'PARTLY')])
+def test_the_word_comes_first_in_its_colour(browser, folder, name, word):
+    if not (folder / name).exists():
+        pytest.skip('no Dask')
+    with opened(browser, folder / name / 'report.html', phone=True) as page:
+        grade = page.locator('header .grade')
+        assert grade.inner_text() == word
+        assert grade.bounding_box()['y'] < 200
+        paint = page.evaluate("getComputedStyle(document.querySelector('header .grade')).color")
+        assert paint == {'GOOD': 'rgb(21, 128, 61)', 'REJECT': 'rgb(207, 34, 46)'}.get(
+            word, 'rgb(191, 135, 0)')
+        assert page.locator('header pre').inner_text().startswith('ctsid ')
 
 
 def test_pages_follow_light_dark_and_print(browser, folder):

@@ -7,6 +7,7 @@ from contextlib import redirect_stdout, suppress
 from dataclasses import replace
 import io
 import json
+import math
 import os
 from pathlib import Path
 import re
@@ -43,7 +44,7 @@ from ctsid_core.settings import METHODS
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
-from ctsid_ros.report.tables import percent
+from ctsid_ros.report.tables import number, percent
 from ctsid_ros.studies import hd_vs_ct
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -153,7 +154,9 @@ def test_reports_tell_deviations_and_the_experiment_that_helps(identified):
     assert 'Which experiment would help' not in out
     report = (folder / 'report.md').read_text()
     assert 'Which experiment would help' in report
-    assert re.search(r'\| 0\.3\d+ \| 0\.05\d+ \| [56]\.\d+ ± 0\.\d+ \| -\d\.\d+ ± 0\.\d+', report)
+    low = load_estimate(folder / 'model.json').verdict.excitation[0].low / 10.0     # [rad/s]
+    first = rf'\| {number(low)} \| {number(low / math.tau, 3)} \|'
+    assert re.search(rf'{first} [56]\.\d+ ± 0\.\d+ \| -\d\.\d+ ± 0\.\d+', report)
     page = (folder / 'report.html').read_text()
     assert page.count('"fill": "toself"') >= 3    # bands: magnitude, phase, step response
     assert 'two standard deviations' in page

@@ -140,6 +140,35 @@ def test_stored_models_are_drawn_over_each_other_on_the_same_data(run, verb):
     drawn = [{t['meta'] for t in f['data']} for f in figures]
     assert sum({'hd-pbsid', 'ct-pbsid', '=1+1'} <= names for names in drawn) >= 4
     assert rows_of(f'{verb}/comparison.csv') == rows_of('compare/comparison.csv')
+    assert rows[2]['agrees'] == 'cannot tell'       # its deviations are not known
+    assert told['models'][2]['agrees'] is None
+
+
+def test_vague_models_are_not_said_to_agree_and_table_page_and_json_say_so_alike(run):
+    """Deviations fifty times as large: anything would lie within them."""
+    for name in ('hd-pbsid', 'ct-pbsid'):
+        found = load_estimate(f'methods/{name}.json')
+        save_model(f'vague_{name}.json', replace(found, covariance=replace(
+            found.covariance, root=50.0 * found.covariance.root)), force=True)
+    for names, word, json_word in ((('methods/hd-pbsid', 'methods/ct-pbsid'), 'yes', True),
+                                   (('vague_hd-pbsid', 'vague_ct-pbsid'), 'cannot tell', None)):
+        models = [f'{name}.json' for name in names]
+        code, out, _ = run('compare', *models, '--out', 'sure', '--force')
+        table = next(line for line in out.splitlines() if 'ct-pbsid ' in line)
+        _, told, _ = run('compare', *models, '--out', 'sure', '--force', '--json')
+        model = json.loads(told)['models'][1]
+        row, page = rows_of('sure/comparison.csv')[1], words_of('sure/report.html')
+        report = Path('sure/report.md').read_text(encoding='utf-8')
+        assert code == 0
+        assert f' {word} ' in table
+        assert (row['agrees'], model['agrees']) == (word, json_word)
+        for key in ('difference', 'difference_std'):
+            assert float(row[f'{key} [%]']) == 100.0 * model[key]
+        both = ' ± '.join(percent(100.0 * model[k]) for k in ('difference', 'difference_std'))
+        assert all(f'{both}' in text for text in (table, page, report))
+        said = ('1 of 1' if json_word else '0 of 1, of 1 it cannot be told')
+        assert f'models that agree with {Path(models[0]).stem} {said}' in page
+        assert model['agreement'] in page
 
 
 def test_models_without_data_say_how_far_they_are_apart(run):

@@ -116,12 +116,12 @@ def test_the_input_whose_response_differs_is_named():
 
 
 @pytest.mark.parametrize(('relative', 'spread', 'method', 'agrees'), [
-    (0.2, 0.2 / 2.5, 'gobf', True), (0.2, 0.2 / 2.5, 'hd-pbsid', False),
-    (0.2, 0.2 / 3.2, 'gobf', False), (0.2, 0.2 / 1.8, 'hd-pbsid', True),
+    (0.1, 0.1 / 2.5, 'gobf', True), (0.1, 0.1 / 2.5, 'hd-pbsid', False),
+    (0.1, 0.1 / 3.2, 'gobf', False), (0.1, 0.1 / 1.8, 'hd-pbsid', True),
     (0.01, 1e-4, 'hd-pbsid', True), (0.2, 0.0, 'gobf', False)])
 def test_both_limits_have_to_be_exceeded(relative, spread, method, agrees):
     found = agreement(first_order(1.0, spread), first_order(1.0 + relative), method)
-    assert found.agrees == agrees
+    assert (found.agrees, found.contradicts) == (agrees, not agrees)
     assert ('agrees' in found.words) == agrees
     assert bool(found.weakness) == (not agrees)
 
@@ -140,14 +140,58 @@ def test_states_do_not_matter_nor_do_units():
     assert scaled.deviations == pytest.approx(found.deviations, rel=1e-4)
 
 
-def test_deviations_that_are_not_known_excuse_nothing():
+def test_deviations_that_are_not_known_excuse_nothing_and_prove_nothing():
     vague = replace(first_order(1.1), covariance=None)
     found = agreement(first_order(1.0, 1.0), vague, 'gobf')
-    assert not found.agrees
+    assert found.contradicts
     assert np.isnan(found.deviations)
     assert 'standard deviations' not in found.weakness
-    assert agreement(first_order(1.0, 1.0), replace(first_order(1.01), covariance=None),
-                     'gobf').agrees
+    found = agreement(first_order(1.0, 1.0), replace(first_order(1.01), covariance=None), 'gobf')
+    assert (found.agrees, found.contradicts) == (False, False)
+    assert found.words == ('gobf cannot tell: over the excited band it differs by 1 % of the '
+                           'response, but standard deviations are not known.')
+
+
+@pytest.mark.parametrize(('factor', 'spread', 'other', 'word'), [
+    (1.02, 0.03, 0.04, 'agrees'), (1.1, 0.06, 0.06, 'agrees'),
+    (1.02, 1.0, 1.0, 'cannot tell'),            # anything would lie within these deviations
+    (1.0, 0.0, 0.13, 'cannot tell'), (1.0, 0.0, 0.11, 'agrees'),
+    (1.2, 0.05, 0.05, 'cannot tell'),           # by chance, or by more than matters
+    (1.3, 0.03, 0.03, 'does not agree')])
+def test_agreement_is_told_only_where_difference_and_deviation_are_within_what_matters(
+        factor, spread, other, word):
+    """Both in the unit, and with the limit, that the verdict has for the response to an input."""
+    found = agreement(first_order(3.0, spread), first_order(3.0 * factor, other), 'gobf')
+    assert found.difference == pytest.approx(factor - 1.0)
+    assert found.difference_std == pytest.approx(np.hypot(spread, factor * other))
+    assert found.words.startswith(f'gobf {word}: ')
+    assert (found.agrees, found.contradicts) == (word == 'agrees', word == 'does not agree')
+    assert bool(found.weakness) == found.contradicts
+    verdict = checked(first_order(3.0, spread), first_order(3.0 * factor, other)).verdict
+    assert verdict.grade is (Grade.WEAK if found.contradicts else Grade.GOOD)
+
+
+@pytest.mark.parametrize('spread', [0.02, 0.08, 0.3, 3.0])
+def test_models_of_two_plants_are_not_told_to_agree_however_vague(spread):
+    """Gains drawn with the deviations that they claim, of plants 36 % apart, and of the same."""
+    rng, apart, same = np.random.default_rng(5), 0, []
+    for _ in range(300):
+        a, b, c = 1.0 + spread * rng.standard_normal(3)
+        def drawn(gain):
+            return first_order(gain, spread / gain)
+        apart += agreement(drawn(a), drawn(b + 0.36), 'gobf').agrees
+        same.append(agreement(drawn(a), drawn(c), 'gobf'))
+    assert apart <= 0.03 * 300
+    assert sum(f.contradicts for f in same) <= 0.01 * 300
+    assert sum(f.agrees for f in same) >= (0.95 if spread < 0.05 else 0.0) * 300
+
+
+def test_the_deviation_of_the_difference_is_the_response_std_of_the_verdict():
+    found = identify(record(), Settings(order=2))
+    seen = agreement(found, found, 'gobf')
+    own = max(x.uncertainty for x in found.verdict.excitation)
+    assert seen.difference == 0.0
+    assert seen.difference_std / np.sqrt(2.0) == pytest.approx(own, rel=0.4)
 
 
 def checked(found: Estimate, other: Estimate) -> Estimate:
@@ -173,7 +217,7 @@ def test_a_second_method_without_a_model_is_no_silent_agreement():
 def test_a_verdict_never_gets_better():
     weak = first_order(1.0, verdict=replace(GOOD, grade=Grade.WEAK, reason='A pole is uncertain.'))
     for factor in (1.0, 2.0):
-        found = checked(weak, first_order(factor))
+        found = checked(weak, first_order(factor, 0.01))
         assert (found.verdict.grade, found.verdict.reason) == (Grade.WEAK, 'A pole is uncertain.')
         assert found.verdict.agreement.agrees == (factor == 1.0)
     rejected = Estimate(status=Status.CHANGED, settings=Settings(),
@@ -270,17 +314,18 @@ def test_several_records_and_dead_time_are_checked():
 
 
 @pytest.mark.parametrize('seen', [
-    Agreement('gobf', True, 0.012, 0.7, 'stick "é"', 3.25),
-    Agreement('ct-pbsid', False, np.inf, np.nan, 'u', 0.1 + 0.2),
-    Agreement('hd-pbsid', False, 0.01, 0.3, 'u', 2.0, 'u', 1 / 30),
-    Agreement('gobf', False, problem='TOO_SHORT. Take more.')])
+    Agreement('gobf', True, False, 0.012, 0.7, 'stick "é"', 3.25, 0.01, 1 / 3),
+    Agreement('gobf', False, False, 0.3, 0.7, 'u', 3.25, 0.2, 1.7),
+    Agreement('ct-pbsid', False, True, np.inf, np.nan, 'u', 0.1 + 0.2),
+    Agreement('hd-pbsid', False, True, 0.01, 0.3, 'u', 2.0, late='u', dead_time=1 / 30),
+    Agreement('gobf', False, True, problem='TOO_SHORT. Take more.')])
 def test_it_is_stored_to_the_last_bit(seen):
     found = first_order(1.0, verdict=weakened(replace(GOOD, agreement=seen)))
     text = to_json(found)
     again = from_json(text)
     assert to_json(again) == text
     assert repr(again.verdict.agreement) == repr(seen)       # NaN is not equal to itself
-    assert again.verdict.grade is (Grade.GOOD if seen.agrees else Grade.WEAK)
+    assert again.verdict.grade is (Grade.WEAK if seen.contradicts else Grade.GOOD)
     for key, value, said in (('agrees', 1, 'true or false'), ('method', 3, 'a word'),
                              ('relative', 'x', 'finite number')):
         document = json.loads(text)

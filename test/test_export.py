@@ -105,6 +105,9 @@ def test_a_mat_file_has_everything(folder, model):
 @pytest.mark.skipif(OCTAVE is None, reason='octave-cli is not installed')
 def test_octave_reads_the_mat_file_and_runs_the_script(folder):
     """One start of Octave for all: it takes a second."""
+    if subprocess.run([OCTAVE, '--norc', '--no-window-system', '--eval', 'pkg load control'],
+                      capture_output=True, check=False).returncode:
+        pytest.skip('the package control of Octave is not installed')
     models = [model_of(names=True), model_of(1, 0)]
     program = ['w = load("w.mat").w;']
     scipy.io.savemat('w.mat', {'w': OMEGA})

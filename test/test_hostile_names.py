@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from importlib.util import find_spec
 import io
 import json
 from pathlib import Path
 import re
+import shutil
 import subprocess
 import sys
 
@@ -37,10 +39,12 @@ from ctsid_ros.messages.health import Health, Level
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.report.watching import Watched, picture
 
+FLEET = '=fleet <b>x\x1b[2J'      # a folder: the vehicle of the bags in it
 TOPIC = '<script>alert(1)</script>'
 UNIT = '=HYPERLINK("http://a.b")\x1b]0;owned\x07\x1b[31m\u202e\n# head\n```\n|*_`$x</script><!--'
 FRAME = '"\'\n\r\\{{7*7}}' + 'x' * 10**6
 FORMULA = tuple('=+-@\t\r')
+DASK = bool(find_spec('distributed') and find_spec('pyarrow'))
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -56,6 +60,9 @@ def place(tmp_path_factory) -> Path:
         sent[sent.index(one)] = replace(one, message=message)
     sent.append(Sent('/=1+1', 'std_msgs/msg/Float64MultiArray', sent[0].log_ns, array(1.0)))
     write_rosbag2(folder / 'bag', sorted(sent, key=lambda s: s.log_ns))
+    (folder / FLEET).mkdir()
+    shutil.copytree(folder / 'bag', folder / FLEET / 'one')
+    (folder / FLEET / '`|*.mcap').write_bytes(b'\x1b[31m<script>alert(1)</script>' * 99)
     params = yaml.safe_load(PARAMS)
     params['/**']['ros__parameters']['rate'] |= {'topic': TOPIC, 'unit': UNIT}
     (folder / 'params.yaml').write_text(yaml.safe_dump(params))
@@ -77,6 +84,7 @@ def said(place) -> str:
                       ('compare', 'bag', *given, '--out', 'methods', '--orders', '2'),
                       ('show', 'one'), ('show', 'one', 'methods/gobf.json', '--out', 'both'),
                       ('simulate', 'one/model.json', 'bag', '--out', 'again'),
+                      *([('batch', FLEET, *given, '--out', 'fleet', '--jobs', '1')] * DASK),
                       *(('export', 'one/model.json', '--to', to, '-o', f'model{end}', *more)
                         for to, end, more in (('yaml', '.yaml', ()),
                                               ('c', '.c', ('--rate', '100'))))):
@@ -94,7 +102,7 @@ def test_a_terminal_gets_no_escape_sequence(said):
 
 def test_pages_show_it_and_run_nothing(place, said):
     pages = sorted(place.rglob('report.html'))
-    assert len(pages) == 5
+    assert len(pages) == 5 + DASK
     for path in pages:
         page = path.read_text(encoding='utf-8')
         assert len(page) < 8_000_000
@@ -102,12 +110,15 @@ def test_pages_show_it_and_run_nothing(place, said):
         found = Tags(page)
         assert sum(t == 'script' for t, _ in found.tags) in (0, 4)
         assert not any(key.startswith('on') for _, a in found.tags for key in a)
-        assert 'HYPERLINK' in page        # it is shown, in the tables or at the axes
+        assert 'HYPERLINK' in page or path.parent.name == 'fleet'   # in tables or at axes
         if 'id="figures"' in page:
             texts = json.dumps(data_of(page, 'figures'))
             assert '</script>' not in texts.replace('&lt;/script&gt;', '')
     shown = ' '.join(Tags((place / 'one/report.html').read_text(encoding='utf-8')).words)
     assert TOPIC in shown
+    if DASK:
+        shown = ' '.join(Tags((place / 'fleet/report.html').read_text(encoding='utf-8')).words)
+        assert r'=fleet <b>x\x1b[2J' in shown
 
 
 def test_markdown_stays_text(place, said):

@@ -26,6 +26,7 @@ from ctsid_core.model.verdict import Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
+from ctsid_ros.replay.along import Windows, changes
 from ctsid_ros.report.document import (
     Bullets,
     Command,
@@ -46,7 +47,7 @@ from ctsid_ros.report.responses import bode_figures
 from ctsid_ros.report.sections import gain_section
 from ctsid_ros.report.spectra import spectra
 from ctsid_ros.report.tables import Table, percent, pole_text
-from ctsid_ros.report.window_figures import Windows, changes, window_figure
+from ctsid_ros.report.window_figures import window_figure
 from ctsid_ros.report.words import lines, markdown, printable
 from ctsid_ros.verbs.arguments import run_of
 
@@ -218,7 +219,7 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
     change, = changes(windows)
     assert change.time == pytest.approx(8.0)
     assert change.words == (
-        'The plant changed about 8.000 s after the start of the bag: one model fits 45.2 and '
+        'The plant changed about 8.0 s after the start of the bag: one model fits 45.2 and '
         '69.7 % before and after, two models 98.9 and 98.9 %; one model of both loses 54 points '
         'of fit.')
     marks = window_figure(windows).drawing.panels[0].marks

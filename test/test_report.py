@@ -24,6 +24,7 @@ from ctsid_core.model.verdict import Excitation, Grade, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
 from ctsid_ros.progress import progress, time_left, working
+from ctsid_ros.replay.along import Windows
 from ctsid_ros.replay.replay import Result
 from ctsid_ros.report.document import Bullets, Figure, Section, to_markdown, to_text
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
@@ -31,7 +32,13 @@ from ctsid_ros.report.drawing import thinned as fewer
 from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import track_curve
-from ctsid_ros.report.responses import bode_figures, response_of, response_std
+from ctsid_ros.report.responses import (
+    bode_figures,
+    frequencies,
+    response_of,
+    response_std,
+    step_figures,
+)
 from ctsid_ros.report.sections import (
     advice_section,
     bode_section,
@@ -40,10 +47,10 @@ from ctsid_ros.report.sections import (
     window_section,
 )
 from ctsid_ros.report.spectra import supported_band
-from ctsid_ros.report.static import inline_svg
+from ctsid_ros.report.static import inline_svg, write_drawings
 from ctsid_ros.report.tables import Table, join, number, percent, plus_minus, pole_text, thinned
 from ctsid_ros.report.tracks import Mode, Track, match, modes, tracks
-from ctsid_ros.report.window_figures import Windows, window_figure
+from ctsid_ros.report.window_figures import window_figure
 
 GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.',
                excitation=(Excitation('torque', 0.1, 30.0, 12.0, 1.0, 0.01),),
@@ -491,3 +498,55 @@ def test_choices_are_told_in_the_files_only():
 
 def test_mode_of_zero_has_no_damping():
     assert math.isnan(Mode(0j).damping)
+
+
+def test_nothing_slower_than_what_was_excited_is_drawn():
+    """A pole that is zero but for rounding made eight empty decades and 1000 s of nothing."""
+    model = StateSpace(np.diag([-1.7e-8, -3.0]), [[1.0], [1.0]], [[1.0, 1.0]], input_names=('u',),
+                       output_names=('y',))
+    band = (0.12, 17.0)
+    assert frequencies(model, band)[[0, -1]] == pytest.approx([0.012, 170.0])
+    assert frequencies(model)[[0, -1]] == pytest.approx([0.3, 30.0])
+    bode = bode_figures({'model': (model, None)}, [band])[0].drawing.panels[0]
+    step = step_figures({'model': (model, None)}, bands=[band])[0].drawing.panels[0]
+    assert bode.x_limits[0] == pytest.approx(0.012)
+    assert step.x_limits[1] == pytest.approx(10.0 / 0.12)
+    fast = StateSpace([[-3.0]], [[1.0]], [[1.0]])
+    assert step_figures({'model': (fast, None)}, bands=[band])[0].drawing.panels[0].x_limits[
+        1] == pytest.approx(5.0 / 3.0)
+
+
+def test_a_compact_drawing_has_every_point_where_it_was(monkeypatch, tmp_path):
+    """A cloud of 500 dots is a path of as many points; lines keep theirs to 0.005 points."""
+    rng = np.random.default_rng(3)
+    x, y = rng.standard_normal((2, 500))
+    axes = Axes([Curve(x, y, 'runs', 1, 'cloud', opacity=0.6), Curve(np.sort(x), y, 'line', 2)],
+                'A title', 'x 0.123456')
+    write_drawings(tmp_path / 'compact.svg', [axes])
+    monkeypatch.setattr('ctsid_ros.report.static.compact', lambda text, size: text)
+    write_drawings(tmp_path / 'whole.svg', [axes])
+    compact, whole = ((tmp_path / f'{name}.svg').read_text() for name in ('compact', 'whole'))
+    ET.fromstring(compact)
+    assert len(compact) < 0.5 * len(whole)
+    assert 'x 0.123456' in compact
+
+    def numbers(text: str) -> np.ndarray:
+        return np.array([[float(v) for v in pair] for pair in text])
+
+    dots = numbers(re.findall(r'M([-\d.]+) ([-\d.]+)h0', compact))
+    before = numbers(re.findall(r'x="([-\d.]+)" y="([-\d.]+)" style="fill: #1769c4', whole))
+    assert len(dots) == len(before) - 1 == 500      # the last one is in the legend
+    assert np.abs(dots - before[:500]).max() <= 0.00501
+    longest = [max(re.findall(r'<path d="([^"]*)" clip-path', text), key=len)
+               for text in (compact, whole)]
+    line, line_before = (numbers(re.findall(r'([-\d.]+) ([-\d.]+)', t)) for t in longest)
+    assert np.abs(line - line_before).max() <= 0.00501
+
+
+def test_a_logarithmic_axis_has_plain_numbers(tmp_path):
+    x = np.geomspace(0.01, 100.0, 50)
+    write_drawings(tmp_path / 'log.svg', [Axes([Curve(x, x)], x_log=True, y_log=True)])
+    text = (tmp_path / 'log.svg').read_text()
+    assert all(f'>{tick}<' in text for tick in ('0.1', '1', '10'))
+    assert 'e−01' not in text
+    assert 'e-01' not in text

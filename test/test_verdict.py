@@ -192,6 +192,22 @@ def test_one_sine_is_never_good(seed):
     assert verdict.excitation[0].frequencies < 3.0
 
 
+@pytest.mark.parametrize(('rate', 'jitter', 'waves'), [
+    (20.0, 0.2, [2.5]), (10.0, 0.4, [2.5]), (20.0, 0.2, [2.5, 7.1]), *slow(
+        (20.0, 0.0, [2.5]), (50.0, 0.5, [2.5]), (50.0, 0.5, [2.5, 7.1]))])
+def test_one_or_two_sines_are_never_good_at_whatever_stamps_they_are_held(rate, jitter, waves):
+    """The edges of a hold are no further frequencies: no plant answers to them."""
+    rng = np.random.default_rng(4)
+    p = random_plant(rng, 2, 1, 1)
+    t, t_u = np.arange(0.0, 10.0, 0.01), np.arange(-8.0, 10.0, 1.0 / rate)
+    t_u = t_u + rng.uniform(0.0, jitter / rate, len(t_u))
+    u = np.sin(np.outer(t_u, waves)).sum(axis=1, keepdims=True)
+    y = noisy(rng, held_response(p, t_u, u, t), 35)
+    verdict = judged(Record.from_arrays(t_u, u, t, y, input_hold='zoh'), Settings(order=2))
+    assert verdict.grade is not Grade.GOOD
+    assert verdict.excitation[0].frequencies < len(waves) + 0.5
+
+
 @pytest.mark.parametrize('signal', ['step', 'doublet', 'sweep'])
 def test_the_usual_experiments_are_good(signal):
     def of(rng, t):

@@ -14,6 +14,7 @@ from ctsid_core.judge.changed import Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
+from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import uniform, with_noise
 from ctsid_core.likelihood.output_error import fit_states
@@ -172,8 +173,8 @@ def _where(part: Joint, change: Change) -> str:
         return ''
     own = part.parts[change.record].whole
     at = _share(part, change) * own.duration
-    which = f' of record {part.numbers[change.record]}' if part.several else ' of the window'
-    return f'about {at:.2g} s after the start{which}'
+    return 'about ' + (f'{at:.3g} s after the start of record {part.numbers[change.record]}'
+                       if part.several else after_start(at))
 
 
 def _worst(solution: Solution) -> str:

@@ -7,8 +7,9 @@ if that looks for them.
 
 Two methods that treat the same data differently agree where the model is right, to within what
 noise does; where it cannot be right (a dead time not allowed for, an order too low), each errs in
-its own way. That they agree does not prove that they are right: a wrong order,
-dead time, hold or stamp that is given to both is wrong for both.
+its own way. Where noise leaves room for a difference that matters, they cannot tell: a difference
+within its deviations is no agreement. That they agree does not prove that they are right: a wrong
+order, dead time, hold or stamp that is given to both is wrong for both.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.judge.rules import weakened
+from ctsid_core.judge.rules import KNOWN, weakened
 from ctsid_core.linear.types import Array
 from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate
@@ -80,26 +81,37 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     Compared is, for each input, the response of all outputs together, each in units of its own
     size, over the band that the input excites (`Excitation`). Standard deviations are those of
     both estimates, as if they were independent.
+
+    A difference beyond chance at any frequency contradicts. To agree is more than not to
+    contradict: the difference over the band, and its standard deviation, are both no more than
+    what the verdict lets the response to an input be uncertain by.
     """
     problem = '' if second.ok else f'{second.status.name}. {second.verdict.reason}'
     one, other = (e.model or e.rejected_model for e in (first, second))
     if one is None or other is None:
-        return Agreement(method, False, problem=problem or 'there is no model to compare.')
+        return Agreement(method, False, True,
+                         problem=problem or 'there is no model to compare.')
     bands = _bands(first)
     if not bands:
-        return Agreement(method, False,
+        return Agreement(method, False, True,
                          problem=problem or 'no input excites a band to compare in.')
     try:
         found = _differences(first, second, one, other, bands)
     except np.linalg.LinAlgError:                       # an undamped pole at one of them
-        return Agreement(method, False, problem=problem or 'a response is not finite.')
+        return Agreement(method, False, True,
+                         problem=problem or 'a response is not finite.')
     late, dead_time = _later(first, second, one, other)
     beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= _limit(method))
     seen = np.where(np.isfinite(found.relative), found.relative, np.inf)
     at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
-    return Agreement(method, not (problem or late or beyond.any()), float(found.relative[at]),
+    contradicts = bool(problem or late or beyond.any())
+    away, std = found.over_bands()
+    worst = int(np.argmax(np.nan_to_num(np.hypot(away, std), nan=np.inf)))
+    told = bool(np.all((away <= KNOWN) & (std <= KNOWN)))
+    return Agreement(method, told and not contradicts, contradicts, float(found.relative[at]),
                      float(found.deviations[at]), one.input_names[found.input[at]],
-                     float(found.omega[at]), late, dead_time, problem)
+                     float(found.omega[at]), float(away[worst]), float(std[worst]), late,
+                     dead_time, problem)
 
 
 def _later(first: Estimate, second: Estimate, one: StateSpace,
@@ -135,7 +147,20 @@ class _Differences(NamedTuple):
     input: NDArray[np.int_]
     omega: Array
     relative: Array
-    deviations: Array
+    std: Array
+
+    @property
+    def deviations(self) -> Array:
+        """The difference over its standard deviation."""
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.asarray(self.relative / self.std)
+
+    def over_bands(self) -> tuple[Array, Array]:
+        """Return difference and standard deviation, rms over the band of each input."""
+        places = [self.input == j for j in np.unique(self.input)]
+        away, std = (np.array([np.sqrt(np.mean(values[one] ** 2)) for one in places])
+                     for values in (self.relative, self.std))
+        return away, std
 
 
 def _differences(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
@@ -147,9 +172,9 @@ def _differences(first: Estimate, second: Estimate, one: StateSpace, other: Stat
                               axis=1)
         size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
         with np.errstate(divide='ignore', invalid='ignore'):
-            rows.append((np.full(len(omega), j), omega, away / size, away / np.hypot(
+            rows.append((np.full(len(omega), j), omega, away / size, np.hypot(
                 _deviation(first, one, omega, scale, j),
-                _deviation(second, other, omega, scale, j))))
+                _deviation(second, other, omega, scale, j)) / size))
     return _Differences(*(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 

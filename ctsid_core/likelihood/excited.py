@@ -43,7 +43,9 @@ def input_spectra(samples: Samples,
     power = np.abs(lines) ** 2 / omega
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
-    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * np.hanning(count - 1), axis=1)) ** 2
+    # Over omega as well: the edges of a hold are no further frequencies.
+    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * np.hanning(count - 1),
+                                 axis=1))[:, 1:] ** 2 / omega
     breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
     return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
             breadth / _LOBE)

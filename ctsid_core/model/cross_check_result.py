@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
+UNKNOWN = 'cannot tell'     # whether a second method agrees
+
 
 @dataclass(frozen=True)
 class Agreement:
@@ -17,9 +19,13 @@ class Agreement:
     method : str
         The second method.
     agrees : bool
-        Whether it has a model, this differs by less than 5 % or by less than 3 standard
-        deviations (2 if the second method is hd-pbsid) at every frequency compared, and has no
-        dead time that the model lacks.
+        Whether that is told: `difference` and `difference_std` are both within what the verdict
+        allows for the response to an input (12 %), and nothing contradicts. Where deviations are
+        too large to tell, or not known, neither this nor `contradicts` is true.
+    contradicts : bool
+        Whether it has no model, or this differs at a frequency by more than 5 % and by more than 3
+        standard deviations (2 if the second method is hd-pbsid), or it has a dead time that the
+        model lacks.
     relative : float
         Difference of the frequency responses over the response, rms, of the model within the
         band that the input excites: the largest of those beyond both limits, or of all if there
@@ -30,6 +36,11 @@ class Agreement:
         Of whose response.
     frequency : float
         Where that is [rad/s].
+    difference : float
+        As `relative`, but rms over the band, every octave alike; of the input for which this and
+        its deviation are largest. NaN if there is nothing to compare.
+    difference_std : float
+        Standard deviation of that difference: of both models together; NaN if not known.
     late : str
         Input that the second method finds to act later, by more than 3 standard deviations; empty
         if there is none.
@@ -41,18 +52,26 @@ class Agreement:
 
     method: str
     agrees: bool
+    contradicts: bool
     relative: float = float('nan')
     deviations: float = float('nan')
     input: str = ''
     frequency: float = float('nan')
+    difference: float = float('nan')
+    difference_std: float = float('nan')
     late: str = ''
     dead_time: float = 0.0
     problem: str = ''
 
     @property
+    def answer(self) -> str:
+        """Yes, no, or cannot tell: whether the second method agrees."""
+        return 'yes' if self.agrees else 'no' if self.contradicts else UNKNOWN
+
+    @property
     def weakness(self) -> str:
-        """What is wrong and what to do; empty if the methods agree."""
-        if self.agrees:
+        """What is wrong and what to do; empty unless the methods contradict each other."""
+        if not self.contradicts:
             return ''
         if self.problem:
             return f'The cross-check by {self.method} failed: {self.problem}'
@@ -67,9 +86,18 @@ class Agreement:
         """The outcome in a sentence."""
         if self.problem:
             return self.weakness
+        if not self.contradicts:
+            return f'{self.method} {"agrees" if self.agrees else UNKNOWN}: {self._within}.'
         late = f', and finds that input {self.late} acts {self._late}' if self.late else ''
-        return (f'{self.method} {"agrees" if self.agrees else "does not agree"}: it '
-                f'{self._differs}{late}.')
+        return f'{self.method} does not agree: it {self._differs}{late}.'
+
+    @property
+    def _within(self) -> str:
+        differs = f'over the excited band it differs by {100 * self.difference:.2g} % of the ' \
+            'response'
+        if math.isnan(self.difference_std):
+            return f'{differs}, but standard deviations are not known'
+        return f'{differs}, with a standard deviation of {100 * self.difference_std:.2g} %'
 
     @property
     def _late(self) -> str:

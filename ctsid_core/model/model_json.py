@@ -241,6 +241,10 @@ def _upgrade(document: dict[str, Any]) -> None:
     if isinstance(verdict, dict):
         verdict.update({f.name: None if f.name in SCALARS else [] for f in fields(Verdict)
                         if f.name not in verdict and f.name != 'agreement'})
+        seen = verdict.get('agreement')
+        if isinstance(seen, dict):      # then every difference within its deviations agreed
+            seen.update({'contradicts': not seen.get('agrees'), 'difference': None,
+                         'difference_std': None})
     for found in changed:
         for key in GONE:
             if isinstance(found, dict):
@@ -432,14 +436,15 @@ def _read_agreement(found: Any) -> Agreement:
     where = 'verdict.agreement'
     found = _object(found, where)
     _check_keys(found, AGREEMENT_KEYS, where)
-    if not isinstance(found['agrees'], bool):
-        raise StorageError(f'`{where}.agrees` is {_shown(found["agrees"])}, but true or false is '
-                           'wanted')
-    words = [_word(found[key], f'{where}.{key}') for key in ('method', 'input', 'late', 'problem')]
-    numbers = [_number(found[key], f'{where}.{key}', nan=True)
-               for key in ('relative', 'deviations', 'frequency', 'dead_time')]
-    return Agreement(words[0], found['agrees'], numbers[0], numbers[1], words[1], numbers[2],
-                     words[2], numbers[3], words[3])
+    answers, words = ('agrees', 'contradicts'), ('method', 'input', 'late', 'problem')
+    for key in answers:
+        if not isinstance(found[key], bool):
+            raise StorageError(f'`{where}.{key}` is {_shown(found[key])}, but true or false is '
+                               'wanted')
+    known: dict[str, Any] = {
+        key: value if key in answers else _word(value, f'{where}.{key}') if key in words else
+        _number(value, f'{where}.{key}', nan=True) for key, value in found.items()}
+    return Agreement(**known)
 
 
 def _read_settings(found: Any) -> Settings:

@@ -40,8 +40,8 @@ class Excitation:
         Excited band [rad/s]: all but 2 % of the response to this input, differenced, lies in it;
         NaN if there is none.
     frequencies : float
-        Effective number of frequencies of its differences, as far as the window resolves them; one
-        sine has about 1.
+        Effective number of frequencies of its differences, every octave alike, as far as the
+        window resolves them; one sine has about 1.
     own : float
         Uncorrelated part: share of its power that is not correlated with other inputs, 0 to 1.
     uncertainty : float

@@ -18,6 +18,7 @@ import numpy as np
 
 from ctsid_core.errors import StorageError
 from ctsid_core.linear.types import Array
+from ctsid_ros.replay.along import Windows, along
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -77,14 +78,32 @@ def schema() -> pa.Schema:
                          'damping', 'damping_std')),
         ('fits', listed('output', 'fit', 'held_out_fit', 'next_fit')),
         ('delays', listed('input', 'delay', 'delay_std')),
-        ('failure', pa.string())])
+        ('bag_verdict', pa.string()), ('bag_reason', pa.string()), ('failure', pa.string())])
 
 
-def window_rows(bag: str, recorded_ns: int, results: Sequence[Result], best: int | None
-                ) -> Rows:
-    """Return a row for each window of a bag."""
+def window_rows(bag: str, recorded_ns: int, results: Sequence[Result], best: int | None,
+                zero_ns: int) -> Rows:
+    """
+    Return a row for each window of a bag.
+
+    Parameters
+    ----------
+    bag : str
+    recorded_ns : int
+        When its first message was recorded.
+    results : sequence of Result
+    best : int or None
+        Place of the window whose model is kept; None if none was accepted.
+    zero_ns : int
+        What the reason for the bag counts seconds from.
+    """
+    place = len(results) - 1 if best is None else best
+    windows = Windows.of(results, zero_ns)
+    whole = along(windows, place)
+    reason = ' '.join((*whole.changed, *whole.failed)) or windows.estimates[place].verdict.reason
     return [{'bag': bag, 'recorded': recorded_ns, 'window': number,
-             **_row(result.estimate, result.next_fit), 'best': number - 1 == best}
+             **_row(result.estimate, result.next_fit), 'best': number - 1 == best,
+             'bag_verdict': whole.word, 'bag_reason': reason}
             for number, result in enumerate(results, 1)]
 
 

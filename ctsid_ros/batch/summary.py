@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 import io
 import math
 from pathlib import Path
+import shlex
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,22 @@ import numpy as np
 from ctsid_ros.batch.bags import vehicle
 from ctsid_ros.batch.outliers import FAR, FEWEST, Poles, outliers
 from ctsid_ros.batch.rows import Rows, read_rows
-from ctsid_ros.report.document import Bullets, Figure, Section
+from ctsid_ros.replay.along import CHANGED, PARTLY
+from ctsid_ros.report.document import Bullets, Figure, Headline, Section
 from ctsid_ros.report.drawing import COLORS, Axes, Curve, Drawing
 from ctsid_ros.report.tables import Table, number, percent, pole_text, thinned
+from ctsid_ros.report.words import spreadsheet
 
 GRADES = ('GOOD', 'WEAK', 'REJECT')
-_COLUMNS = ('recorded', 'window', 'verdict', 'reason', 'best', 'order', 'poles', 'fits', 'delays',
-            'failure')
+FAILED = 'FAILED'
+# Words for bags, the gravest first: in this order they are told.
+WORDS = (CHANGED, PARTLY, 'REJECT', FAILED, 'WEAK', 'GOOD')
+_COLUMNS = ('recorded', 'window', 'verdict', 'best', 'order', 'poles', 'fits', 'delays',
+            'bag_verdict', 'bag_reason', 'failure')
 _MOST_ROWS = 300    # of a table on the page; bags.csv has all
 _MOST_NAMED = 40    # bags in a list
-_DAY = 86_400e9     # [ns]
+_MOST_TOLD = 3      # bags in the first sentence
+_UNITS = (('days', 86_400e9), ('hours', 3600e9), ('minutes', 60e9), ('seconds', 1e9))    # [ns]
 _APART = 5.0        # frequencies that differ by more have a logarithmic axis
 
 
@@ -44,8 +51,10 @@ class Flight:
         Windows with each verdict.
     best : mapping
         The row of the window whose model is kept; empty if no model was accepted.
+    verdict : str
+        The word for the bag, as on the page of its replay; FAILED if there is no window.
     reason : str
-        Of the verdict on the first window, where no model was accepted.
+        Why it is not GOOD, by the clock of the bag; of a GOOD one, what its model passed.
     failure : str
         Why there is no window; empty if there are.
     """
@@ -55,6 +64,7 @@ class Flight:
     recorded_ns: int
     grades: Mapping[str, int]
     best: Mapping[str, Any]
+    verdict: str
     reason: str
     failure: str
 
@@ -80,8 +90,10 @@ def flight(bag: str, path: Path, pattern: str = '') -> Flight:
     """Return what came of a bag, from the file of its rows."""
     rows = read_rows(path, _COLUMNS)
     best: Mapping[str, Any] = next((row for row in rows if row['best']), {})
-    return Flight(bag, vehicle(bag, pattern), rows[0]['recorded'] or 0, _grades(rows), best,
-                  '' if best else rows[0]['reason'] or '', rows[0]['failure'] or '')
+    first = rows[0]
+    return Flight(bag, vehicle(bag, pattern), first['recorded'] or 0, _grades(rows), best,
+                  first['bag_verdict'] or FAILED, first['bag_reason'] or '',
+                  first['failure'] or '')
 
 
 def _grades(rows: Rows) -> dict[str, int]:
@@ -113,10 +125,11 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
         entry[word] for f in flights for entry in f.best.get(column) or []))
         for column, word in (('fits', 'output'), ('delays', 'input')))
     names = ('re', 'im', 'std')
-    head = ['bag', 'vehicle', 'date', 'windows', *(g.lower() for g in GRADES), 'best_window',
-            'order', *(f'pole{k}_{n} [rad/s]' for k in range(1, most + 1) for n in names),
-            *(f'fit_{name} [%]' for name in outputs), *(f'delay_{name} [s]' for name in inputs),
-            'outlier', 'reason', 'failure']
+    head = ['bag', 'vehicle', 'date', 'verdict', 'windows', *(g.lower() for g in GRADES),
+            'best_window', 'order',
+            *(f'pole{k}_{n} [rad/s]' for k in range(1, most + 1) for n in names),
+            *(f'fit_{spreadsheet(name)} [%]' for name in outputs),
+            *(f'delay_{spreadsheet(name)} [s]' for name in inputs), 'outlier', 'reason', 'failure']
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(head)
@@ -125,24 +138,88 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
         fits = {e['output']: e['fit'] for e in f.best.get('fits') or []}
         delays = {e['input']: e['delay'] for e in f.best.get('delays') or []}
         writer.writerow([
-            f.bag, f.vehicle, f.date, f.windows, *f.grades.values(), f.best.get('window', ''),
-            f.best.get('order', ''), *poles, *[''] * (3 * most - len(poles)),
+            spreadsheet(f.bag, whole=True), spreadsheet(f.vehicle), f.date, f.verdict, f.windows,
+            *f.grades.values(), f.best.get('window', ''), f.best.get('order', ''), *poles,
+            *[''] * (3 * most - len(poles)),
             *(fits.get(name) for name in outputs), *(delays.get(name) for name in inputs),
-            odd.get(f.bag, ''), f.reason, f.failure])
+            odd.get(f.bag, ''), spreadsheet(f.reason, whole=True),
+            spreadsheet(f.failure, whole=True)])
     return stream.getvalue()
 
 
 def sections(flights: Sequence[Flight], odd: Mapping[str, str]) -> list[Section]:
     """Return what is said of all bags, on the terminal and on the page."""
     shown = _names([f.bag for f in flights])
-    failed = [f for f in flights if f.failure]
     return [
+        Section('Bags to look at', _bullets([_why(f, shown) for f in _doubtful(flights)])),
         _counts(flights), _vehicles(flights),
         Section('Bags with other poles than most', _bullets(
             [f'{shown[bag]}: {why}' for bag, why in odd.items()])),
-        Section('Bags that gave no window', _bullets(
-            [f'{shown[f.bag]}: {f.failure}' for f in failed])),
         *_figures(flights, shown), _bags(flights, shown)]
+
+
+def _doubtful(flights: Sequence[Flight]) -> list[Flight]:
+    """Return the bags that are not GOOD, the gravest first."""
+    return sorted((f for f in flights if f.verdict != 'GOOD'),
+                  key=lambda f: WORDS.index(f.verdict))
+
+
+def _why(f: Flight, shown: Mapping[str, str]) -> str:
+    return f'{shown[f.bag]}, {f.verdict}: {f.failure or f.reason}'
+
+
+def batch_headline(flights: Sequence[Flight], odd: Mapping[str, str], params: str,
+                   many: Sequence[str]) -> Headline:
+    """
+    Return the word for all bags, the reason, and the command that looks at the worst of them.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+    odd : mapping of str to str
+        Bags with other poles than most.
+    params : str
+        The parameter file.
+    many : sequence of str
+        The bags as they were named.
+    """
+    shown, doubtful = _names([f.bag for f in flights]), _doubtful(flights)
+    found = [f.verdict for f in flights]
+    word = found[0] if len(set(found)) == 1 else PARTLY if any(f.best for f in flights) else \
+        'REJECT'
+    said = [_counted(flights)]
+    said += [_why(f, shown) for f in doubtful[:1]]
+    if len(doubtful) > 1:
+        said.append(_and_more([f'{shown[f.bag]} ({f.verdict})' for f in doubtful[1:]])
+                    + ': see below.')
+    if odd:
+        said.append('Other poles than most: ' + _and_more([shown[bag] for bag in odd]) + '.')
+    readable = [f for f in doubtful if not f.failure]
+    asked = [*[f.bag for f in readable], *odd, *[f.bag for f in doubtful if f.failure]]
+    whole = ('ctsid', 'identify', *many, '--params', params)
+    if not asked:
+        purpose, line = 'one model of all of them, if they are of one plant', whole
+    elif asked[0] in {f.bag for f in doubtful if f.failure}:
+        purpose, line = f'what is wrong with {shown[asked[0]]}', ('ctsid', 'info', asked[0])
+    else:
+        purpose, line = f'every window of {shown[asked[0]]}, with plots', (
+            'ctsid', 'replay', asked[0], '--params', params)
+    facts = [(f'{w} bags', str(found.count(w))) for w in WORDS if w in found]
+    return Headline(word, ' '.join(said), shlex.join(line), (
+        ('bags', str(len(flights))), *facts,
+        ('windows ' + '/'.join(GRADES), ' / '.join(
+            str(sum(f.grades[g] for f in flights)) for g in GRADES))), purpose)
+
+
+def _and_more(names: list[str]) -> str:
+    more = len(names) - _MOST_TOLD
+    return ', '.join(names[:_MOST_TOLD]) + (f' and {more} more' if more > 0 else '')
+
+
+def _counted(flights: Sequence[Flight]) -> str:
+    found = [f.verdict for f in flights]
+    counts = ', '.join(f'{found.count(w)} {w}' for w in reversed(WORDS) if w in found)
+    return f'{len(flights)} bag{"s" * (len(flights) != 1)}: {counts}.'
 
 
 def _bullets(items: list[str]) -> tuple[Bullets, ...]:
@@ -161,12 +238,12 @@ def _names(bags: Sequence[str]) -> dict[str, str]:
 
 
 def _counts(flights: Sequence[Flight]) -> Section:
-    failed = sum(bool(f.failure) for f in flights)
-    none = sum(not f.best and not f.failure for f in flights)
-    return Section(f'{len(flights)} bag{"s" * (len(flights) != 1)}', (
-        f'{len(flights) - failed - none} gave an accepted model, {none} none that the data '
-        f'support, {failed} no window at all. Of each bag the poles are those of its best window '
-        '(as of `ctsid replay`).',))
+    meaning = ('CHANGED: the plant, or a signal, is not the same all along. PARTLY: windows are '
+               'rejected though inputs move, as after a sensor that died. REJECT: no window has a '
+               'model. FAILED: no window at all. ') if _doubtful(flights) else ''
+    return Section('Bags by verdict', (
+        f'{_counted(flights)} {meaning}Of each bag the poles are those of its best window (as of '
+        '`ctsid replay`).',))
 
 
 def _vehicles(flights: Sequence[Flight]) -> Section:
@@ -189,16 +266,18 @@ def _slowest(flights: Sequence[Flight]) -> str:
 
 
 def _bags(flights: Sequence[Flight], shown: Mapping[str, str]) -> Section:
-    rows = [(shown[f.bag], f.vehicle or '-', f.date or '-',
+    rows = [(shown[f.bag], f.vehicle or '-', f.date or '-', f.verdict,
              ' / '.join(str(n) for n in f.grades.values()), str(f.best.get('order', '-')),
-             ', '.join(_pole(p) for p in f.poles) or ('failed' if f.failure else 'no model'),
+             ', '.join(_pole(p) for p in f.poles) or '-',
              ' / '.join(percent(_known(e['fit'])) for e in f.best.get('fits') or []) or '-')
             for f in flights]
-    head = ('bag', 'vehicle', 'date', '/'.join(GRADES), 'order', 'poles [rad/s]', 'fit [%]')
+    head = ('bag', 'vehicle', 'date', 'verdict', '/'.join(GRADES), 'order', 'poles [rad/s]',
+            'fit [%]')
     few = () if len(rows) <= _MOST_ROWS else (
         f'About {_MOST_ROWS} of {len(rows)} bags; bags.csv has all.',)
     return Section('All bags', (*few, Table(head, thinned(rows, _MOST_ROWS),
-                                            ('bag', 'vehicle', 'date', 'poles [rad/s]'))),
+                                            ('bag', 'vehicle', 'date', 'verdict',
+                                             'poles [rad/s]'))),
                    brief=len(rows) <= _MOST_NAMED)
 
 
@@ -214,19 +293,22 @@ def _figures(flights: Sequence[Flight], shown: Mapping[str, str]) -> list[Sectio
         return []
     first = min(f.recorded_ns for f in known)
     day = next(f.date for f in known if f.recorded_ns == first)
+    span = max(f.recorded_ns for f in known) - first
+    word, unit = next(((w, u) for w, u in _UNITS if span >= 2.0 * u), _UNITS[-1])
+    day = day if word == 'days' else 'the first bag'
     curves: dict[str, list[Curve]] = {'natural_frequency': [], 'damping': []}
     crosses = []
     for k, name in enumerate(dict.fromkeys(f.vehicle for f in known)):
         own = [(f, p) for f in known if f.vehicle == name for p in f.poles]
         color = 1 + k % (len(COLORS) - 1)
-        days = np.array([(f.recorded_ns - first) / _DAY for f, _ in own])
+        days = np.array([(f.recorded_ns - first) / unit for f, _ in own])
         texts = [f'{shown[f.bag]}, {f.date}: {_pole(p)} rad/s' for f, p in own]
         for key, found in curves.items():
             found.append(_dots(own, key, days, name, color, texts))
         crosses.append(Curve(np.array([p['re'] for _, p in own], float),
                              np.array([p['im'] for _, p in own], float), name or '-', color,
                              'cross', texts=texts))
-    across = f'days after {day}'
+    across = f'{word} after {day}'
     sizes = [p['natural_frequency'] for f in known for p in f.poles if p['natural_frequency']]
     apart = bool(sizes) and max(sizes) > _APART * min(sizes)
     along = Drawing((
@@ -255,7 +337,8 @@ def _known(value: float | None) -> float:
 
 def words(flights: Sequence[Flight]) -> list[dict[str, Any]]:
     """Return what came of each bag, for JSON."""
-    return [{'bag': f.bag, 'vehicle': f.vehicle, 'date': f.date, 'windows': f.windows,
+    return [{'bag': f.bag, 'vehicle': f.vehicle, 'date': f.date, 'verdict': f.verdict,
+             'reason': f.reason, 'windows': f.windows,
              **{g.lower(): n for g, n in f.grades.items()},
              'best_window': f.best.get('window'), 'order': f.best.get('order'),
              'poles': f.best.get('poles') or [], 'fits': f.best.get('fits') or [],

@@ -162,12 +162,14 @@ def _known(task: Task, content: str) -> tuple[Rows, str] | None:
 
 def _rows(task: Task) -> Rows:
     from ctsid_ros.recordings.bag import open_bag  # here: solvers are for those who solve
+    from ctsid_ros.replay.clock import zero_ns
     from ctsid_ros.replay.replay import Replay
 
     with open_bag(task.bag) as bag:
         run = Replay(bag, task.recipe.config)
         run.run()
-        return window_rows(task.bag, bag.start_ns, run.results, run.best)
+        return window_rows(task.bag, bag.start_ns, run.results, run.best,
+                           zero_ns(bag, run.results[0].estimate.start_ns))
 
 
 def _words(error: Exception) -> str:

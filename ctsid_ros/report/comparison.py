@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from ctsid_core.judge.cross_check import DEVIATIONS, EFFICIENT, RELATIVE
+from ctsid_core.judge.rules import KNOWN
 from ctsid_core.linear.types import Array
-from ctsid_core.model.cross_check_result import Agreement
+from ctsid_core.model.cross_check_result import UNKNOWN, Agreement
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
@@ -82,9 +84,11 @@ def reference(found: Sequence[Contender]) -> str | None:
 
 
 def agreeing(found: Sequence[Contender]) -> str:
-    """Return how many agree with the reference."""
-    asked = [c.agreement for c in found if c.agreement is not None]
-    return f'{sum(a.agrees for a in asked)} of {len(asked)}'
+    """Return how many agree with the reference, and of how many that cannot be told."""
+    answers = [c.agreement.answer for c in found if c.agreement is not None]
+    unknown = answers.count(UNKNOWN)
+    return f'{answers.count("yes")} of {len(answers)}' + (
+        f', of {unknown} it cannot be told' if unknown else '')
 
 
 def table_section(found: Sequence[Contender], kind: str) -> Section:
@@ -92,10 +96,12 @@ def table_section(found: Sequence[Contender], kind: str) -> Section:
     columns = _columns(found)
     rows = tuple((c.name, *(shown(c) for shown in columns.values())) for c in found)
     words = [] if reference(found) is None else [
-        f'Difference: of the frequency response from that of {reference(found)}, relative to its '
-        'size, the largest in the excited band; and the same over the standard deviation of both. '
-        'It agrees if one of the two is small everywhere (5 %, 3 standard deviations). '
-        f'{GLOSSARY}']
+        f'Difference: of the frequency response from that of {reference(found)}, over its size, '
+        'rms over the excited band, with the standard deviation of both. A model agrees where '
+        f'both are at most {100 * KNOWN:g} %, as the verdict asks of the response to an input. It '
+        f'does not where the largest difference is beyond {100 * RELATIVE:g} % and beyond chance '
+        f'({DEVIATIONS:g} standard deviations, {EFFICIENT:g} for HD-PBSID), or its dead time is '
+        f'another one. Else these data cannot tell. {GLOSSARY}']
     return Section(f'{kind.capitalize()}s side by side', (
         Table((kind, *columns), rows, (kind, 'verdict', 'agrees')), *words))
 
@@ -113,7 +119,8 @@ def _columns(found: Sequence[Contender]) -> dict[str, Any]:
                 f'{own}held-out fit [%]': lambda c: fit_words(c.estimate.held_out_fit),
                 'agrees': lambda c: _differs(c.agreement)[0],
                 'difference [%]': lambda c: _differs(c.agreement)[1],
-                'difference / std': lambda c: _differs(c.agreement)[2]}
+                'largest [%]': lambda c: _differs(c.agreement)[2],
+                'largest / std': lambda c: _differs(c.agreement)[3]}
     if any(math.isfinite(c.seconds) for c in found):
         columns['time [s]'] = lambda c: number(c.seconds, 2)
     return columns
@@ -123,10 +130,11 @@ def _fits(values: Array | None) -> str:
     return '-' if values is None else fit_words(values)
 
 
-def _differs(a: Agreement | None) -> tuple[str, str, str]:
+def _differs(a: Agreement | None) -> tuple[str, str, str, str]:
     if a is None or math.isnan(a.relative):
-        return '-', '-', '-'
-    return 'yes' if a.agrees else 'no', percent(100.0 * a.relative), number(a.deviations, 2)
+        return '-', '-', '-', '-'
+    return (a.answer, f'{percent(100.0 * a.difference)} ± {percent(100.0 * a.difference_std)}',
+            percent(100.0 * a.relative), number(a.deviations, 2))
 
 
 def pole_section(found: Sequence[Contender], kind: str) -> Section:
@@ -147,9 +155,10 @@ def _pole(c: Contender, k: int) -> tuple[str, str, str]:
 
 
 def verdict_section(found: Sequence[Contender]) -> Section:
-    """Return the reason of each verdict."""
+    """Return the reason of each verdict, and how each agrees with the reference."""
     return Section('Verdicts', (Bullets(tuple(
-        f'{c.name}: {c.estimate.verdict.reason}' for c in found)),))
+        f'{c.name}: {c.estimate.verdict.reason}' for c in found)), Bullets(tuple(
+            c.agreement.words for c in found if c.agreement is not None))))
 
 
 def drawn_sections(found: Sequence[Contender], record: Record | None = None, offset: float = 0.0
@@ -283,18 +292,24 @@ def as_csv(found: Sequence[Contender], kind: str) -> str:
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow([kind, 'verdict', 'status', 'order', *(f'fit_{y} [%]' for y in shown),
                      *(f'held_out_fit_{y} [%]' for y in shown),
-                     *(f'fit_on_these_data_{y} [%]' for y in shown), 'difference [%]',
-                     'difference / std', 'time [s]'])
+                     *(f'fit_on_these_data_{y} [%]' for y in shown), 'agrees',
+                     'difference [%]', 'difference_std [%]', 'largest [%]', 'largest / std',
+                     'time [s]'])
     for c in found:
         seen = np.empty(0) if c.simulated is None else c.simulated
         a = c.agreement
-        numbers = [*(v for row in (c.estimate.fit, c.estimate.held_out_fit, seen)
-                     for v in _padded(row, len(shown))), 100.0 * a.relative if a else math.nan,
-                   a.deviations if a else math.nan, c.seconds]
+        fits = [v for row in (c.estimate.fit, c.estimate.held_out_fit, seen)
+                for v in _padded(row, len(shown))]
+        apart = [100.0 * a.difference, 100.0 * a.difference_std, 100.0 * a.relative,
+                 a.deviations] if a else [math.nan] * 4
         writer.writerow([spreadsheet(c.name), c.estimate.verdict.grade.name,
-                         c.estimate.status.name, c.model.n if c.model else '',
-                         *('' if math.isnan(v) else repr(float(v)) for v in numbers)])
+                         c.estimate.status.name, c.model.n if c.model else '', *_exact(fits),
+                         _differs(a)[0].strip('-'), *_exact([*apart, c.seconds])])
     return stream.getvalue()
+
+
+def _exact(values: Sequence[float]) -> list[str]:
+    return ['' if math.isnan(v) else repr(float(v)) for v in values]
 
 
 def _padded(values: Array, count: int) -> list[float]:
@@ -312,7 +327,10 @@ def document(c: Contender) -> dict[str, object]:
             'fit': c.estimate.fit, 'held_out_fit': c.estimate.held_out_fit,
             **({} if c.simulated is None else {
                 'fit_on_these_data': c.simulated, 'predicted_fit': c.ahead}),
-            'agrees': a.agrees if a else None,
-            **({'differs': a.relative, 'deviations': a.deviations} if a else
-               dict.fromkeys(('differs', 'deviations'), 0.0 if c.model else math.nan)),
+            'agrees': None if a is None or a.answer == UNKNOWN else a.agrees,
+            'agreement': a.words if a else '',
+            **({'difference': a.difference, 'difference_std': a.difference_std,
+                'differs': a.relative, 'deviations': a.deviations} if a else
+               dict.fromkeys(('difference', 'difference_std', 'differs', 'deviations'),
+                             0.0 if c.model else math.nan)),
             'input': a.input if a else '', 'frequency': a.frequency if a else math.nan}

@@ -91,7 +91,7 @@ class Headline:
     Parameters
     ----------
     grade : str
-        GOOD, WEAK or REJECT.
+        GOOD, WEAK or REJECT; of a whole bag, or of several, CHANGED or PARTLY as well.
     sentence : str
         Why.
     command : str

@@ -13,15 +13,21 @@ import numpy as np
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.step_response import horizon, step_response
+from ctsid_core.model.step_response import step_response
+from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.interactive import figure, numbers
 from ctsid_ros.report.poles import region
-from ctsid_ros.report.responses import frequencies, response_of, response_std
+from ctsid_ros.report.responses import (
+    excited,
+    frequencies,
+    response_of,
+    response_std,
+    step_length,
+)
 from ctsid_ros.report.tables import fit_words, label, number, plus_minus, pole_text
 from ctsid_ros.report.tracks import modes_of
-from ctsid_ros.report.window_figures import Windows
 from ctsid_ros.report.words import cell, printable
 
 _POINTS = 32            # of a curve
@@ -73,11 +79,13 @@ def series(items: Sequence[Item]) -> dict[str, Any]:
     first = known[0]
     pairs = [(i, j) for i in range(first.ny) for j in range(first.nu)]
     pairs = pairs[:max(int(_MOST / (_OF_PAIR * len(models))), 1)]
-    every = [frequencies(m, count=2) for m in known]
+    bands = [excited(i.estimate) for i, m in zip(items, models, strict=True) if m is not None]
+    every = [frequencies(m, band, 2) for m, band in zip(known, bands, strict=True)]
     sizes = [m.n for m in known]
     usual = max(sizes, key=lambda n: (sizes.count(n), n))
     omega = _shown([m for m in known if m.n == usual], every)
-    length = float(np.median([horizon(m) + max(m.delay, default=0.0) for m in known]))
+    length = float(np.median([step_length(m, band) + max(m.delay, default=0.0)
+                              for m, band in zip(known, bands, strict=True)]))
     times = np.linspace(0.0, length, _POINTS)
     frames = _frames(first, pairs, omega, times)
     found = []

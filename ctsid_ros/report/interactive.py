@@ -24,6 +24,7 @@ POINTS = 4000   # of a curve
 _GAP = 30.0     # pixels above each axes, for its title
 _BOTTOM = 46.0
 _DIGITS = 6
+_MOST_DECADES = 6   # that have a number along a logarithmic axis
 # Numbers along a logarithmic axis of fewer decades than these; plotly's own would be small.
 _TICKS = ((0.5, (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8)), (1.2, (1, 2, 3, 5, 7)),
           (2.6, (1, 2, 5)))
@@ -86,13 +87,15 @@ def _across(panel: Axes, number: str, *, last: bool) -> dict[str, Any]:
 
 def _log(limits: tuple[float, float] | None, values: Sequence[Array]) -> dict[str, Any]:
     """Return a logarithmic axis with numbers of full size, and enough of them."""
-    axis: dict[str, Any] = {'type': 'log', 'exponentformat': 'none', 'dtick': 1}
+    axis: dict[str, Any] = {'type': 'log', 'exponentformat': 'none', 'dtick': 1,
+                            'tickangle': 0}
     with np.errstate(invalid='ignore'):
         known = np.concatenate([*(v[np.isfinite(v) & (v > 0.0)] for v in values),
                                 np.array(limits or ())])
     if not len(known):
         return axis
     low, high = limits or (float(np.min(known)), float(np.max(known)))
+    axis['dtick'] = max(math.ceil(math.log10(high / low) / _MOST_DECADES), 1)
     for most, factors in _TICKS:
         if math.log10(high / low) < most:
             decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)

@@ -111,7 +111,7 @@ def response_sections(models: Models, shown: Shown | None = None,
     columns = min(first.nu, _COLUMNS) if first.ny * first.nu > 1 else 1
     yield Section('Frequency response', (' '.join(words), Gallery(
         tuple(bode_figures(models, bands, seen, truth)), columns)))
-    steps = step_figures(models, truth)
+    steps = step_figures(models, truth, bands)
     poles = pole_figure(models, truth)
     if len(steps) == 1:
         yield Section('Step response and poles', (Gallery((

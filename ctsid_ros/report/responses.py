@@ -10,6 +10,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, response_deviation
+from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.step_response import horizon, step_response
 from ctsid_ros.report.document import Figure
@@ -22,16 +23,39 @@ _MOST_DB, _MOST_DEG = 20.0, 90.0    # half the width of a band
 _COHERENT = 0.3     # coherence below which spectra show no response
 _BEYOND = 3.0       # times the supported frequencies: there the phase is worth its room
 _AXIS = 'frequency [rad/s]'
+_BELOW = 10.0       # times below the excited band is nothing drawn
+_STILL = 1e-4       # of the fastest pole: a slower one integrates
 
 Bands = Sequence[tuple[float, float] | None]
 
 
 def frequencies(model: StateSpace, band: tuple[float, float] | None = None, count: int = 300
                 ) -> Array:
-    """Return frequencies that show all of a model's poles, and the band [rad/s]."""
-    known = [w for w in model.natural_frequency if w > 0] + list(band or ())
-    low, high = (min(known), max(known)) if known else (1.0, 1.0)
-    return np.geomspace(low / 10, high * 10, count)
+    """
+    Return frequencies that show a model's poles, and the band [rad/s].
+
+    What is slower than a tenth of the band was not seen: a pole there only goes on as a slope.
+    Without a band that is a pole which integrates, beside the fastest.
+    """
+    known = [w for w in model.natural_frequency if w > 0]
+    high = max((*known, *(band or ())), default=1.0)
+    low = min(band) if band else min((w for w in known if w > _STILL * high), default=high)
+    return np.geomspace(low / _BELOW, high * 10, count)
+
+
+def excited(estimate: Estimate) -> tuple[float, float] | None:
+    """Return the band in which inputs excite the plant, all together [rad/s]."""
+    return _together([(x.low, x.high) for x in estimate.verdict.excitation if x.high > x.low])
+
+
+def _together(bands: Bands) -> tuple[float, float] | None:
+    ends = [w for band in bands if band for w in band if 0.0 < w < math.inf]
+    return (min(ends), max(ends)) if ends else None
+
+
+def step_length(model: StateSpace, band: tuple[float, float] | None = None) -> float:
+    """Return how long a step response is shown [s]: nothing slower than `frequencies` does."""
+    return min(horizon(model), _BELOW / band[0]) if band else horizon(model)
 
 
 def response_std(model: StateSpace, omega: Array, covariance: Covariance | None
@@ -90,12 +114,11 @@ def pairs(model: StateSpace) -> list[tuple[int, int]]:
 
 def _shown(models: Mapping[str, tuple[StateSpace, Covariance | None]], bands: Bands,
            seen: Spectra | None) -> Array:
-    ends = [w for band in bands if band for w in band if 0.0 < w < math.inf]
-    known = [frequencies(model, (min(ends), max(ends)) if ends else None)
-             for model, _ in models.values()]
+    band = _together(bands)
+    known = [frequencies(model, band) for model, _ in models.values()]
     low, high = min(w[0] for w in known), max(w[-1] for w in known)
     if seen is not None:    # beyond the samples' highest frequency there is nothing to compare
-        top = max([float(seen.omega[-1]), *ends, *(
+        top = max([float(seen.omega[-1]), *(band or ()), *(
             2.0 * w for model, _ in models.values() for w in model.natural_frequency)])
         high = min(high, 1.5 * top)
     return np.geomspace(low, high, 300)
@@ -183,10 +206,10 @@ def _phase_range(omega: Array, phase: Array, band: tuple[float, float] | None
 
 
 def step_figures(models: Mapping[str, tuple[StateSpace, Covariance | None]],
-                 truth: StateSpace | None = None) -> list[Figure]:
+                 truth: StateSpace | None = None, bands: Bands = ()) -> list[Figure]:
     """Draw the response of each output to a unit step of each input, with bands."""
     first = next(iter(models.values()))[0]
-    length = max(horizon(model) for model, _ in models.values())
+    length = max(step_length(model, _together(bands)) for model, _ in models.values())
     found = {name: step_response(model, covariance, length=length if all(
         model.poles.real < 0.0) else None) for name, (model, covariance) in models.items()}
     shown = length + max(max(model.delay, default=0.0) for model, _ in models.values())

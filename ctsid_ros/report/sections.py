@@ -186,10 +186,10 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
         Table(('output', *heads), rows, ('output',)), *unknown))
 
 
-def bode_section(model: StateSpace, points: int = 13,
-                 covariance: Covariance | None = None) -> Section:
+def bode_section(model: StateSpace, points: int = 13, covariance: Covariance | None = None,
+                 band: tuple[float, float] | None = None) -> Section:
     """Return the frequency response as a table, with its standard deviations."""
-    omega = frequencies(model, count=points)
+    omega = frequencies(model, band, points)
     std = response_std(model, omega, covariance)
     columns: dict[str, list[str]] = {}
     for i, y in enumerate(model.output_names):

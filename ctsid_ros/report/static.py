@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctsid_core.linear.types import Array
+from ctsid_ros.report.compact_svg import compact
 from ctsid_ros.report.drawing import COLORS, INK, LINE, PAPER, SOFT, Axes, Curve, Drawing, thinned
 from ctsid_ros.report.words import cell
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 NARROW, WIDE = 350.0, 900.0     # points: of a phone, and of a page
 _POINTS = 1200  # more than these make a file large and no curve finer
 _FONT = 11.0    # points; the page shows drawings at their size or larger
+_DOT = 2.5      # points
 _GAP = 30.0     # above each axes, for its title
 _LEFT, _RIGHT, _BOTTOM = 58.0, 12.0, 42.0
 _STYLE = {'font.size': _FONT, 'font.family': 'sans-serif', 'svg.fonttype': 'none',
@@ -37,7 +39,6 @@ def inline_svg(drawing: Drawing, width: float) -> str:
     """Return a drawing as an element of a page, in the colours of the page."""
     text = _saved(_stacked(drawing, width), 'svg').decode()
     text = text[text.index('<svg'):]
-    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
     text = re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1" role="img" '
                   f'style="max-width:{1.35 * width:.0f}px">', text, count=1)
     return re.sub(r'#[0-9a-f]{6}\b', lambda m: f'var({_VARIABLES[m[0]]})'
@@ -74,7 +75,8 @@ def _saved(figure: Figure, kind: str) -> bytes:
     with matplotlib.rc_context(_STYLE):
         figure.savefig(stream, format=kind, metadata=known[kind], dpi=144,
                        transparent=False, facecolor=PAPER)
-    return stream.getvalue()
+    return compact(stream.getvalue().decode(), _DOT).encode() if kind == 'svg' else \
+        stream.getvalue()
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -144,12 +146,18 @@ def _draw(figure: Figure, axes: Axes, box: tuple[float, float, float, float], *,
 def _scales(own: Any, axes: Axes, limits: tuple[float, float] | None) -> None:
     from matplotlib.ticker import LogFormatter, MultipleLocator
 
+    class Plain(LogFormatter):
+        """Numbers where a LogFormatter has them, 0.1 and not 1e-01."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f'{x:g}' if super().__call__(x, pos) else ''
+
     for log, axis, set_scale in ((axes.x_log, own.xaxis, own.set_xscale),
                                  (axes.y_log, own.yaxis, own.set_yscale)):
         if log:
             set_scale('log')
-            axis.set_major_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.4)))
+            axis.set_major_formatter(Plain(minor_thresholds=(2, 0.5)))
+            axis.set_minor_formatter(Plain(minor_thresholds=(1.2, 0.4)))
     for step, axis in ((axes.x_step, own.xaxis), (axes.step, own.yaxis)):
         if step:
             axis.set_major_locator(MultipleLocator(step))
@@ -179,7 +187,7 @@ def _curve(own: Any, curve: Curve) -> None:
         own.plot(curve.x, y, 'x', markersize=5 + 2 * curve.width, markeredgewidth=2, color=color,
                  label=label)
     elif curve.kind in ('cloud', 'dots'):
-        own.plot(curve.x, y, 'o', markersize=2.5, markeredgewidth=0, color=color,
+        own.plot(curve.x, y, 'o', markersize=_DOT, markeredgewidth=0, color=color,
                  alpha=curve.opacity, label=label)
     elif curve.kind == 'stems':
         own.vlines(curve.x, 0.0, y, **line)

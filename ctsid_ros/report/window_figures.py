@@ -4,94 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-import math
 
 import numpy as np
 
 from ctsid_core.linear.types import Array
-from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Grade
+from ctsid_ros.replay.along import Windows, changes
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import AMBER, GREEN, RED, Axes, Curve, Drawing, Span
 from ctsid_ros.report.poles import around, track_curve
-from ctsid_ros.report.tables import label, number, percent
+from ctsid_ros.report.tables import label
 from ctsid_ros.report.tracks import modes, tracks
 
 PAINT = {Grade.GOOD: GREEN, Grade.WEAK: AMBER, Grade.REJECT: RED}
 _TIME = 'time after the start of the bag [s]'
 _MOST_TRACKS, _MOST_GAINS = 12, 12
-_NOTED = 2.0    # points of fit from which on a change is drawn
-
-
-@dataclass(frozen=True)
-class Windows:
-    """
-    Estimates along a bag, and where they lie.
-
-    Parameters
-    ----------
-    estimates : sequence of Estimate
-    starts, ends : ndarray
-        Of each window, after the start of the bag [s].
-    next_fits : ndarray, shape (number of windows, ny)
-        Fit on the first later window that shares no data with it [%]; NaN where there is none.
-    """
-
-    estimates: Sequence[Estimate]
-    starts: Array
-    ends: Array
-    next_fits: Array
-
-    @property
-    def middles(self) -> Array:
-        """Middle of each window [s]."""
-        middles: Array = 0.5 * (self.starts + self.ends)
-        return middles
-
-
-@dataclass(frozen=True)
-class ChangeSeen:
-    """A change of the plant: when [s], what it costs [%], the fits of one model and of two [%]."""
-
-    time: float
-    cost: float
-    one: tuple[float, float]
-    two: tuple[float, float]
-
-    @property
-    def words(self) -> str:
-        """The change in a sentence."""
-        one, two = (' and '.join(percent(v) for v in pair) for pair in (self.one, self.two))
-        known = '' if math.isnan(self.one[0]) else (
-            f': one model fits {one} % before and after, two models {two} %')
-        return (f'The plant changed about {number(self.time, 4)} s after the start of the bag'
-                f'{known}; one model of both loses {number(self.cost, 2)} points of fit.')
-
-
-def changes(windows: Windows) -> list[ChangeSeen]:
-    """Return the changes that windows show, each as the window shows it that it costs most."""
-    found = [(s, change) for e, s, t in zip(windows.estimates, windows.starts, windows.ends,
-                                            strict=True)
-             if (change := _change(e, float(s), float(t))) is not None]
-    found.sort(key=lambda pair: -pair[1].cost)
-    length = float(np.median(windows.ends - windows.starts)) if len(windows.ends) else 0.0
-    kept: list[ChangeSeen] = []
-    for _, one in found:
-        if all(abs(one.time - other.time) > 0.5 * length for other in kept):
-            kept.append(one)
-    return sorted(kept, key=lambda c: c.time)
-
-
-def _change(estimate: Estimate, start: float, end: float) -> ChangeSeen | None:
-    numbers, cost = estimate.statistics, estimate.verdict.change_cost
-    share = numbers.get('change_share', math.nan)
-    if not (cost > _NOTED or estimate.status is Status.CHANGED) or not math.isfinite(share):
-        return None
-    fits = {who: (numbers.get(f'change_fit_{who}_before', math.nan),
-                  numbers.get(f'change_fit_{who}_after', math.nan)) for who in ('one', 'two')}
-    return ChangeSeen(start + share * (end - start), cost, fits['one'], fits['two'])
 
 
 def window_figure(windows: Windows, truth: StateSpace | None = None) -> Figure:

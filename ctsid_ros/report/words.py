@@ -54,7 +54,7 @@ def markdown(text: str) -> str:
                    for piece, code in parts(text))
 
 
-def spreadsheet(text: str) -> str:
-    """Return the text of a cell of a CSV file: one that looks like a formula is none."""
-    shown = cell(text)
+def spreadsheet(text: str, *, whole: bool = False) -> str:
+    """Return the text of a cell of a CSV file, short or whole: a formula becomes text."""
+    shown = printable(text) if whole else cell(text)
     return f"'{shown}" if shown[:1] in tuple('=+-@') else shown

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from ctsid_ros.report.headline import Run
 
 ACCEPTED, NO_MODEL, INTERRUPTED = 0, 3, 130
-_DAY = 86_400 * 10**9
 
 
 def seconds(text: str) -> float:
@@ -304,11 +303,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, Path) else value
-
-
-def zero_ns(bag: Bag, stamp_ns: int) -> int:
-    """Return what times are shown after: the start of the bag, or the stamp of another clock."""
-    return bag.start_ns if abs(stamp_ns - bag.start_ns) < _DAY else stamp_ns
 
 
 def date(stamp_ns: int) -> str:

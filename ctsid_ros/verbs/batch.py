@@ -143,7 +143,14 @@ def _flights(store: Store, bags: Sequence[str], pattern: str) -> list[Flight]:
 
 def _tell(flights: Sequence[Flight], out: Path, args: argparse.Namespace, *, interrupted: bool
           ) -> None:
-    from ctsid_ros.batch.summary import explained, odd_ones, sections, table, words
+    from ctsid_ros.batch.summary import (
+        batch_headline,
+        explained,
+        odd_ones,
+        sections,
+        table,
+        words,
+    )
     from ctsid_ros.report.document import Command
     from ctsid_ros.report.page import to_html
 
@@ -151,11 +158,14 @@ def _tell(flights: Sequence[Flight], out: Path, args: argparse.Namespace, *, int
     parts = sections(flights, odd)
     title = f'Models of {len(flights)} bags'
     more = [explained(), Section('How to repeat it', (Command(args.command_line),), brief=False)]
-    write_report(out, {TABLE: table(flights, odd), REPORT: to_markdown(title, [*parts, *more]),
-                       PAGE: to_html(title, [*parts, *more])})
+    first = batch_headline(flights, odd, args.params, args.bag)
+    write_report(out, {TABLE: table(flights, odd),
+                       REPORT: to_markdown(title, [*parts, *more], first),
+                       PAGE: to_html(title, [*parts, *more], first)})
     if args.json:
         tell({'verb': 'batch', 'results': out, 'interrupted': interrupted,
-              'bags': words(flights), 'outliers': odd})
+              'verdict': first.grade, 'reason': first.sentence, 'bags': words(flights),
+              'outliers': odd})
     else:
         print(to_text(parts))
         print(f'\nResults: {out}/ ({PAGE} has the plots, {TABLE} a row for each bag, rows/ one '

@@ -33,7 +33,6 @@ from ctsid_ros.verbs.arguments import (
     read_params,
     run_of,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
@@ -53,8 +52,9 @@ EPILOG = """example: ctsid compare flight.mcap --params params.yaml --duration 2
 example: ctsid compare results/monday/model.json results/tuesday/model.json wednesday.mcap
          (stored models in the same drawings, and how each explains another bag)
 
-With the same wrong setting all methods err alike; a large standard deviation hides any difference,
-so look at the percentage. `validation.cross_check` lets one of them take part in every verdict."""
+With the same wrong setting all methods err alike. Where standard deviations leave room for a
+difference that matters, models neither agree nor differ: "cannot tell". `validation.cross_check`
+lets one of them take part in every verdict."""
 TABLE = 'comparison.csv'
 _ABOVE = 2      # so many orders above the chosen one are tried
 
@@ -108,6 +108,16 @@ class Compared:
     notes: tuple[str, ...] = ()
     orders: Mapping[int, Order] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def told(self) -> Sequence[Contender]:
+        """The same as people are told of it: instants by the clock of the bag."""
+        from ctsid_ros.replay.clock import by_bag_clock
+
+        if self.kind != 'method' or self.data is None:
+            return self.found
+        start_ns = self.data.record.epoch_ns - round(self.offset * 1e9)
+        return [replace(c, estimate=by_bag_clock(c.estimate, start_ns)) for c in self.found]
 
 
 def command(args: argparse.Namespace) -> int:
@@ -193,6 +203,7 @@ def _read(bag: Any, config: Config, args: argparse.Namespace
           ) -> tuple[Recorded, float, tuple[str, ...]]:
     """Return the record, the offset of its times after the start of the bag [s], and notes."""
     from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.replay.clock import zero_ns
 
     with progress('reading', quiet=args.quiet) as advance:
         data = read_record(bag, config, interval_of(args), advance=advance)
@@ -312,7 +323,7 @@ def _numbers(compared: Compared) -> list[Section]:
     )
     from ctsid_ros.report.sections import complaint_section
 
-    found, lead = compared.found, leader(compared.found)
+    found, lead = compared.told, leader(compared.found)
     return [table_section(found, compared.kind), pole_section(found, compared.kind),
             *order_sections(compared.orders, lead.model.n if lead.model else 0),
             verdict_section(found), complaint_section(compared.notes)]
@@ -365,7 +376,7 @@ def _headline(compared: Compared, run: Run) -> Headline:
     from ctsid_ros.report.comparison import agreeing, leader
     from ctsid_ros.report.headline import headline
 
-    found, lead = compared.found, leader(compared.found)
+    found, lead = compared.told, leader(compared.told)
     if compared.kind == 'model':
         return _headline_of_models(compared, run)
     first = headline(lead.estimate, run, [('methods that agree', agreeing(found))])

@@ -48,7 +48,6 @@ from ctsid_ros.verbs.arguments import (
     seconds,
     span,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
@@ -163,6 +162,14 @@ class Outcome:
         return self.estimate.model or self.estimate.rejected_model
 
     @property
+    def told(self) -> Estimate:
+        """The estimate as people are told of it: instants by the clock of the bag."""
+        from ctsid_ros.replay.clock import by_bag_clock
+
+        start_ns = self.estimate.start_ns - round(self.sources[0].span[0] * 1e9)
+        return by_bag_clock(self.estimate, start_ns) if len(self.sources) == 1 else self.estimate
+
+    @property
     def config(self) -> Config:
         """Channels and settings."""
         return self.sources[0].data.config
@@ -173,7 +180,7 @@ class Outcome:
         several = len(self.sources) > 1
         own = [f'record {i}: {note}' if several else note
                for i, source in enumerate(self.sources, 1) for note in source.notes]
-        return (*own, *self.estimate.notes)
+        return (*own, *self.told.notes)
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -246,6 +253,7 @@ def _read(bags: tuple[str, ...], time: Sequence[str], config: Config, interval: 
           split: float | None, advance: Advance) -> Source:
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
+    from ctsid_ros.replay.clock import zero_ns
 
     with open_bag(bags, time) as bag:
         if split is not None and split >= (bag.end_ns - bag.start_ns) * 1e-9 > 0.0:
@@ -294,7 +302,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
         truth_section,
     )
 
-    estimate, model, sources = outcome.estimate, outcome.model, outcome.sources
+    estimate, model, sources = outcome.told, outcome.model, outcome.sources
     fits = [t.test.fit for t in outcome.tests]
     fit = np.min(fits, axis=0) if fits else np.empty(0)
     start, end = (round(t, 1) + 0.0 for t in sources[0].span)        # no -0.0
@@ -339,7 +347,7 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
     if len(outcome.sources) > 1:
         title = f'One model of {len(outcome.sources)} records'
     found = _origin(outcome, args)
-    first = headline(estimate, run, _facts(outcome), better)
+    first = headline(outcome.told, run, _facts(outcome), better)
     numbers = [*_sections(outcome, truth, verdict=False), *_numbers(outcome),
                repeat_section(run, found)]
     write_results(out, {
@@ -363,6 +371,7 @@ def _numbers(outcome: Outcome) -> list[Section]:
     from ctsid_core.advice.advice import advise
     from ctsid_core.model.validation import residual_tests
     from ctsid_ros.report.experiment import experiment_section, helps
+    from ctsid_ros.report.responses import excited
     from ctsid_ros.report.sections import bode_section, residual_section
 
     estimate, model, sections = outcome.estimate, outcome.model, []
@@ -378,7 +387,7 @@ def _numbers(outcome: Outcome) -> list[Section]:
         advice = advise(estimate, outcome.sources[0].learnt)
         if helps(estimate, advice):
             sections.append(experiment_section(advice, brief=False, rejected=not estimate.ok))
-    sections.append(bode_section(model, covariance=estimate.covariance))
+    sections.append(bode_section(model, covariance=estimate.covariance, band=excited(estimate)))
     return sections
 
 

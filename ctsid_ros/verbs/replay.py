@@ -45,14 +45,13 @@ from ctsid_ros.verbs.arguments import (
     say,
     say_better,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.recordings.bag import Bag
+    from ctsid_ros.replay.along import Windows
     from ctsid_ros.replay.replay import Replay, Result
-    from ctsid_ros.report.window_figures import Windows
 
 HELP = 'identify models in sliding windows along a bag'
 EPILOG = """example: ctsid replay flight.mcap --params params.yaml --out results/flight
@@ -140,13 +139,17 @@ class _Report:
 
     def __init__(self, run: Replay, bag: Bag, args: argparse.Namespace, truth: StateSpace | None
                  ) -> None:
-        self.args, self.truth, self.played, self.results = args, truth, run.played, run.results
+        from ctsid_ros.replay.clock import by_bag_clock, zero_ns
+
+        self.args, self.truth, self.played = args, truth, run.played
+        self.zero_ns = zero_ns(bag, run.results[0].estimate.start_ns)
+        self.results = [replace(r, tracked=replace(r.tracked, estimate=by_bag_clock(
+            r.estimate, self.zero_ns))) for r in run.results]
         best = len(run.results) - 1 if run.best is None else run.best
-        self.run, self.best, self.number = run, run.results[best], best + 1
+        self.run, self.best, self.number = run, self.results[best], best + 1
         self.better = [] if run.best is not None else better_pairs(args.bag, args.time,
                                                                    run.played.config)
         self.notes = tuple(dict.fromkeys((*bag.notes, *self.played.complaints)))
-        self.zero_ns = zero_ns(bag, run.results[0].estimate.start_ns)
 
     @property
     def model(self) -> StateSpace | None:
@@ -168,7 +171,7 @@ class _Report:
         count = len(self.results)
         title = (f'{named(self.args.bag)}: {count} window{"s" if count > 1 else ""} of '
                  f'{settings.window_length:g} s, one every {settings.window_stride:g} s')
-        sections = [Section(title, (_INTRODUCTION,)), channel_section(
+        sections = [self._changes(), Section(title, (_INTRODUCTION,)), channel_section(
             self.played, delays=delay_words(estimate, self.played.config)),
                     window_section(self.results, self.zero_ns, self.number - 1),
                     status_section(self.results),
@@ -201,36 +204,31 @@ class _Report:
         from ctsid_ros.report.explorer import window_series
         from ctsid_ros.report.headline import headline, repeat_section
         from ctsid_ros.report.page import to_html
+        from ctsid_ros.report.responses import excited
         from ctsid_ros.report.sections import bode_section
+        from ctsid_ros.report.window_headline import window_headline
 
-        estimate = self.best.estimate
+        estimate, stored = self.best.estimate, self.run.results
         metadata = origin(self.played.config, self.args.bag, {
             'start': self.args.start, 'duration': self.args.duration, 'window': self.number})
         span = ((t - self.zero_ns) * 1e-9 for t in (estimate.start_ns, estimate.end_ns))
         run = run_of(self.args, str(out / MODEL), (next(span), next(span)))
-        first = headline(estimate, run, self._facts(), self.better)
-        first = replace(first, sentence=f'{self._counted()} {first.sentence}')
-        numbers = [self._changes(), *self.sections(verdict=False)]
+        first = window_headline(headline(estimate, run, self._facts(), self.better), self.windows,
+                                self.number - 1, self._which(), run)
+        numbers = self.sections(verdict=False)
         if self.model:
-            numbers.append(bode_section(self.model, covariance=estimate.covariance))
+            numbers.append(bode_section(self.model, covariance=estimate.covariance,
+                                        band=excited(estimate)))
         numbers.append(repeat_section(run, metadata))
         title = f'Models along {bag_name(self.args.bag)}'
-        write_results(out, {MODEL: to_json(estimate, metadata),
+        write_results(out, {MODEL: to_json(stored[self.number - 1].estimate, metadata),
                             REPORT: to_markdown(title, numbers, first),
                             PAGE: to_html(title, [*self._drawn(), *numbers], first,
                                           window_series(self.windows))})
         for name in (SERIES, TABLE):
-            save_series(out / name, [r.estimate for r in self.results],
+            save_series(out / name, [r.estimate for r in stored],
                         columns=self._columns(), force=True)
-        write_estimates(out / TOPICS_BAG, self.played.config, [r.tracked for r in self.results])
-
-    def _counted(self) -> str:
-        """Return how many windows got which verdict, and of which one the model is."""
-        grades = [r.estimate.verdict.grade.name for r in self.results]
-        counts = ', '.join(f'{grades.count(g)} {g}' for g in dict.fromkeys(grades))
-        count = f'{len(grades)} window{"s" if len(grades) > 1 else ""}: {counts}.'
-        kept = 'Kept is the model of' if self.model else 'None has a model; shown is'
-        return f'{count} {kept} window {self.number}, {self._which()}.'
+        write_estimates(out / TOPICS_BAG, self.played.config, [r.tracked for r in stored])
 
     def _facts(self) -> list[tuple[str, str]]:
         from ctsid_ros.report.tables import fit_words
@@ -239,22 +237,17 @@ class _Report:
                 ('window', f'{self.number} of {len(self.results)}')]
 
     def _changes(self) -> Section:
-        from ctsid_ros.report.window_figures import changes
+        from ctsid_ros.replay.along import changes
 
         found = tuple(change.words for change in changes(self.windows))
-        return Section('Changes of the plant', (Bullets(found),) if found else (), brief=False)
+        return Section('Changes of the plant', (Bullets(found),) if found else ())
 
     @property
     def windows(self) -> Windows:
         """The windows as they are drawn."""
-        import numpy as np
+        from ctsid_ros.replay.along import Windows
 
-        from ctsid_ros.report.window_figures import Windows
-
-        estimates = [r.estimate for r in self.results]
-        starts, ends = ((np.array([getattr(e, key) - self.zero_ns for e in estimates]) * 1e-9)
-                        for key in ('start_ns', 'end_ns'))
-        return Windows(estimates, starts, ends, np.array([r.next_fit for r in self.results]))
+        return Windows.of(self.results, self.zero_ns)
 
     def _columns(self) -> dict[str, Sequence[float]]:
         """Return what the series has beside the estimates."""
@@ -304,8 +297,17 @@ class _Report:
         return [*sections, sampling_section(record, offset, self.played.counts)]
 
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
+        from dataclasses import asdict
+
+        from ctsid_ros.replay.along import along
+
+        found = along(self.windows, self.number - 1)
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
-                'interrupted': interrupted, 'accepted': sum(r.estimate.ok for r in self.results),
+                'interrupted': interrupted, 'verdict': found.word,
+
+                'changes': [asdict(c) for c in found.changes],
+                'unlike': [asdict(one) for one in found.unlike],
+                'accepted': sum(r.estimate.ok for r in self.results),
                 'good': sum(r.estimate.good for r in self.results),
                 'best_window': self.number if self.best.estimate.ok else None,
                 'windows': [self._window(i, r) for i, r in enumerate(self.results, 1)],

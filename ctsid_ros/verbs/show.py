@@ -65,6 +65,7 @@ def command(args: argparse.Namespace) -> int:
 
 def _sections(path: str, estimate: Estimate, metadata: Mapping[str, object]
               ) -> Iterator[Section]:
+    from ctsid_ros.report.responses import excited
     from ctsid_ros.report.sections import bode_section, gain_section, model_section
 
     model = estimate.model or estimate.rejected_model
@@ -81,7 +82,7 @@ def _sections(path: str, estimate: Estimate, metadata: Mapping[str, object]
     yield model_section(estimate, 'Model')
     if model:
         yield gain_section(model, estimate.covariance)
-        yield bode_section(model, covariance=estimate.covariance)
+        yield bode_section(model, covariance=estimate.covariance, band=excited(estimate))
 
 
 def _channels(channels: list[Any]) -> Table:

@@ -28,7 +28,6 @@ from ctsid_ros.verbs.arguments import (
     say,
     steps,
     tell,
-    zero_ns,
 )
 
 if TYPE_CHECKING:
@@ -126,6 +125,7 @@ def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> Sta
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
     from ctsid_core.model.validation import prediction, simulation
+    from ctsid_ros.replay.clock import zero_ns
 
     record = data.record
     offset = (record.epoch_ns - zero_ns(bag, record.epoch_ns)) * 1e-9
