@@ -486,3 +486,19 @@ def test_times_in_a_ros1_index_are_not_believed_blindly(tmp_path):
     with open_bag(path) as bag:
         assert (bag.end_ns - bag.start_ns) * 1e-9 == pytest.approx(0.295, abs=0.01)
         assert [m.log_ns for m in bag.messages()] == [s.log_ns for s in sent]
+
+
+def test_an_index_that_has_become_a_message_hides_none(tmp_path):
+    """One lost and one invented: the counts agree, the index of the chunk in the summary tells."""
+    sent = flight(60)
+    path = write_mcap(tmp_path / 'b.mcap', sent)
+    data = bytearray(path.read_bytes())
+    _, at = chunk_at(data, 0)
+    single = 9 + 22  # the record of an index of one message is as long as that of an empty one
+    while data[at] == 7 and int.from_bytes(data[at + 1:at + 9], 'little') + 9 != single:
+        at += 9 + int.from_bytes(data[at + 1:at + 9], 'little')
+    assert data[at] == 7
+    data[at] = 5
+    path.write_bytes(data)
+    assert set(written(sent)) <= set(rows(path))
+    assert 'statistics state 75 messages, 76 are there' in notes(path)

@@ -229,5 +229,6 @@ def _look(start: bytes) -> str:
         if error.start < len(start) - 4:
             return f'binary data ({start[:4].hex(" ")} ...)'
         text = start[:error.start].decode('utf-8')
-    return f'text ({text.splitlines()[0][:40]!r} ...)' if text.isprintable() or '\n' in text \
-        else f'binary data ({start[:4].hex(" ")} ...)'
+    if text and (text.isprintable() or '\n' in text):
+        return f'text ({text.splitlines()[0][:40]!r} ...)'
+    return f'binary data ({start[:4].hex(" ")} ...)'

@@ -3,8 +3,9 @@
 rosbag2 files in SQLite (.db3), of any schema version, sound or cut off.
 
 A file left behind by a crash may have its last messages in a write-ahead log beside it, which is
-then read as well. A cut-off file is malformed for SQLite; filled up with zeros to the size its
-header states, it gives up every message before the first missing page.
+then read as well. A cut-off file is malformed for SQLite; its messages are taken out of the pages
+that are there, by `sqlite_pages.py`, and its topics by SQLite, the file filled up with zeros to the
+size that its header states.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.chunks import NO_CHECKSUMS, YEAR
 from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
+from ctsid_ros.recordings.sqlite_pages import rows
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
@@ -158,14 +160,19 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
     """Copy into a new database what can be read of a malformed one."""
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix='ctsid-')))
     copy = folder / 'damaged.db3'
-    _fill_up(path, copy)
+    page, unused = _fill_up(path, copy)
     damaged = _connect(copy, resources)
     new = sqlite3.connect(folder / 'salvaged.db3', check_same_thread=False)
     resources.callback(new.close)
     new.executescript('PRAGMA synchronous = OFF; PRAGMA journal_mode = OFF')  # quick, temporary
     for table, columns in TABLES.items():
-        new.execute(f'CREATE TABLE {table} ({", ".join(columns)})')
-        _copy_rows(damaged, new, table, columns)
+        key = ' INTEGER PRIMARY KEY' if columns[0] == 'id' else ''
+        new.execute(f'CREATE TABLE {table} ({columns[0]}{key}, {", ".join(columns[1:])})')
+        if table != 'messages':
+            _copy_rows(damaged, new, table, columns)
+    with copy.open('rb') as file:
+        new.executemany('INSERT OR IGNORE INTO messages VALUES (?, ?, ?, ?)',
+                        rows(file, page, unused))
     new.execute('CREATE INDEX by_time ON messages (timestamp)')
     new.commit()
     (count,) = new.execute('SELECT COUNT(*) FROM messages').fetchone()
@@ -175,8 +182,12 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
     return new, count
 
 
-def _fill_up(path: Path, copy: Path) -> None:
-    """Copy a file without its last, half-written page, filled with zeros to its stated size."""
+def _fill_up(path: Path, copy: Path) -> tuple[int, int]:
+    """
+    Copy a file without its last, half-written page, filled with zeros to its stated size.
+
+    Return the size of a page, and how much at its end SQLite does not use.
+    """
     shutil.copyfile(path, copy)
     with copy.open('r+b') as file:
         header = file.read(100).ljust(100, b'\0')
@@ -185,6 +196,7 @@ def _fill_up(path: Path, copy: Path) -> None:
         whole = _end_of_data(file) // page * page
         file.truncate(whole)
         file.truncate(max(whole, page * int.from_bytes(header[28:32], 'big')))
+    return page, header[20]
 
 
 def _end_of_data(file: BinaryIO) -> int:
