@@ -36,9 +36,10 @@ _BULKY = re.compile(
     r'ParameterEvent|ParameterDescriptions|Config|RobotDescription|Clock)$')
 # Numbers that are no signals: bookkeeping, and what says how sure the others are.
 _NOT_A_SIGNAL = re.compile(
-    r'covariance|variance|(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
+    r'covariance|variance|_var($|[._\[])|'
+    r'(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
     r'(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|buttons|flags|'
-    r'checksum|crc|height|width|step|data_offset)($|[._\[])')
+    r'checksum|crc|height|width|step|data_offset|e[pv][hv]|[hvpt]dop)($|[._\[])')
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,8 @@ def scan_ulog(path: Path) -> Recording:
         raise BagError(f'{path}: the file is damaged before its first message '
                        f'({type(error).__name__}: {error}); nothing can be recovered') from None
     notes: list[str] = []
-    series = [one for data in log.data_list if (one := _series(data, path, notes))]
+    span = _span_us(log)
+    series = [one for data in log.data_list if (one := _series(data, span, path, notes))]
     count = sum(map(len, series))
     if not count:
         raise BagError(f'{path}: the file is cut off or damaged before its first message; nothing '
@@ -66,8 +67,9 @@ def scan_ulog(path: Path) -> Recording:
                      'one: the logger was not stopped, or the copy is not complete)')
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-        notes.append(f'{path.name}: the logger dropped messages {len(log.dropouts)} times, for '
-                     f'{lost:.1f} s in all: the card could not keep up')
+        times = 'once' if len(log.dropouts) == 1 else f'{len(log.dropouts)} times'
+        notes.append(f'{path.name}: the logger dropped messages {times}, for {lost:.2g} s in all: '
+                     'the card could not keep up')
     return recording(series, notes, own_clock=True)
 
 
@@ -83,7 +85,20 @@ class _Watched(io.BufferedReader):
         return data
 
 
-def _series(data: Any, path: Path, notes: list[str]) -> Series | None:
+def _span_us(log: Any) -> tuple[int, int]:
+    """
+    Return when the log begins and ends.
+
+    The first message of a topic may be one that was waiting when the logger began: it was published
+    long before, or its time is even that of an earlier run.
+    """
+    later = [data.data['timestamp'][1:] for data in log.data_list if 'timestamp' in data.data]
+    known = np.concatenate([np.empty(0, np.uint64), *later])
+    sound = known[sound_times(known, 1000)[1]]
+    return log.start_timestamp, max(int(np.max(sound, initial=0)), log.start_timestamp)
+
+
+def _series(data: Any, span_us: tuple[int, int], path: Path, notes: list[str]) -> Series | None:
     text = {entry.field_name for entry in data.field_data if entry.type_str == 'char'}
     columns = {name: column for name, column in data.data.items()
                if name not in _TIMES and name not in text and '_padding' not in name}
@@ -91,6 +106,8 @@ def _series(data: Any, path: Path, notes: list[str]) -> Series | None:
     if time is None or not columns:
         return None
     topic = data.name + (f'.{data.multi_id}' if data.multi_id else '')
+    if len(time) and time[0] and not span_us[0] <= time[0] <= span_us[1]:
+        time = np.concatenate((np.clip(time[:1], *span_us), time[1:]))
     log_ns, sound = sound_times(time, 1000)
     notes += left_out(path, topic, sound)
     columns |= _quaternions(columns)
