@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Recordings spoilt at random, and what reading them may end in: data, or one of the errors that say so.
+Recordings spoilt at random, and what reading them may end in: data, or an error that says so.
 
     python test/mutations.py --count 100000     # half an hour, and a table
     python test/mutations.py --bits 2000        # which share of single bits is wrong and not said
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 import faulthandler
 from pathlib import Path
 import resource
@@ -218,10 +219,8 @@ def decode(kind: MessageType, sound: bytes, spoilt: bytes) -> int:
             rows.append(extractor(raw)[1])
         except DecodeError:
             rows.append(None)
-    try:
+    with suppress(DecodeError):
         scalar_fields(kind, spoilt)
-    except DecodeError:
-        pass
     lengths = np.array([len(sound), len(spoilt)])
     offsets = np.array([0, len(sound)])
     found = Extractor(kind, extractor.fields).columns(
@@ -233,12 +232,12 @@ def decode(kind: MessageType, sound: bytes, spoilt: bytes) -> int:
     return int(rows[1] is not None)
 
 
-class TooSlow(Exception):
+class TooSlowError(Exception):
     """A case that takes too long."""
 
 
 def _stop(number: int, frame: object) -> None:
-    raise TooSlow
+    raise TooSlowError
 
 
 def cases(count: int, seed: int, formats: list[str]) -> Iterator[tuple[str, int, Callable[[], int],

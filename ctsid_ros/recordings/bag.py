@@ -237,6 +237,24 @@ class Bag:
                     continue
         return scalar_fields(kind, None, most=most)
 
+    def problem(self, topic: str, fields: Sequence[FieldPath]) -> str:
+        """
+        Say why messages of a topic do not hold some fields, by the first that does not.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic or field, or the bag cannot be read on.
+        """
+        extract = self.extractor(topic, fields)
+        with closing(self._stream_of(topic)) as messages:
+            for message in messages:
+                try:
+                    extract(message.raw)
+                except DecodeError as error:
+                    return str(error)
+        return ''
+
     def close(self) -> None:
         """Close files and remove temporary ones."""
         self._resources.close()

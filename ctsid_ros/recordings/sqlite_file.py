@@ -4,8 +4,8 @@ rosbag2 files in SQLite (.db3), of any schema version, sound or cut off.
 
 A file left behind by a crash may have its last messages in a write-ahead log beside it, which is
 then read as well. A cut-off file is malformed for SQLite; its messages are taken out of the pages
-that are there, by `sqlite_pages.py`, and its topics by SQLite, the file filled up with zeros to the
-size that its header states.
+that are there, by `sqlite_pages.py`, and its topics by SQLite, the file filled up with zeros to
+the size that its header states.
 """
 
 from __future__ import annotations

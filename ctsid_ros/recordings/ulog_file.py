@@ -89,8 +89,8 @@ def _span_us(log: Any) -> tuple[int, int]:
     """
     Return when the log begins and ends.
 
-    The first message of a topic may be one that was waiting when the logger began: it was published
-    long before, or its time is even that of an earlier run.
+    The first message of a topic may be one that was waiting when the logger began: it was
+    published long before, or its time is even that of an earlier run.
     """
     later = [data.data['timestamp'][1:] for data in log.data_list if 'timestamp' in data.data]
     known = np.concatenate([np.empty(0, np.uint64), *later])
