@@ -510,5 +510,5 @@ def test_why_messages_cannot_be_decoded_is_said(tmp_path, capsys):
     assert ' '.join(capsys.readouterr().out.split()).count('DELIMITED_CDR2 of XCDR2') == 2
     config = Config((Channel('u', 'input', '/cmd', '', 'data[0]'),
                      Channel('y', 'output', '/imu', '', 'angular_velocity.x')))
-    with open_bag(path) as bag, pytest.raises(BagError, match='`y`: messages that begin with 00 09'):
+    with open_bag(path) as bag, pytest.raises(BagError, match='`y`: messages that .* 00 09'):
         read_record(bag, config)

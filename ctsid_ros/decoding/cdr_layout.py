@@ -121,8 +121,8 @@ class _Walker:
     def encapsulation(self) -> None:
         kind = bytes(self.raw[:2])
         if kind in _XCDR2:
-            raise DecodeError(f'messages that begin with {kind.hex(" ")} ({_XCDR2[kind]} of XCDR2) '
-                              'are not read: no middleware of ROS 2 writes them')
+            raise DecodeError(f'messages that begin with {kind.hex(" ")} ({_XCDR2[kind]} of '
+                              'XCDR2) are not read: no middleware of ROS 2 writes them')
         if len(self.raw) < 4 or kind not in (b'\0\0', b'\0\1'):
             raise DecodeError(f'{len(self.raw)} bytes that begin with {kind.hex(" ") or "nothing"}'
                               ' are not a CDR message: 00 00 or 00 01 and two more come first')
