@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import BytesIO
 import sqlite3
 import struct
@@ -502,3 +503,12 @@ def test_an_index_that_has_become_a_message_hides_none(tmp_path):
     path.write_bytes(data)
     assert set(written(sent)) <= set(rows(path))
     assert 'statistics state 75 messages, 76 are there' in notes(path)
+
+
+def test_two_messages_of_different_centuries(tmp_path):
+    """Between their times there is none of either."""
+    sent = [replace(one, log_ns=one.log_ns + k * 10**18) for k, one in enumerate(flight(9)[::9])]
+    path = write_mcap(tmp_path / 'b.mcap', sent, 'none', use_chunking=False)
+    data = path.read_bytes()
+    path.write_bytes(data[:-60])
+    assert len(rows(path)) >= 1

@@ -111,10 +111,10 @@ class Table:
 
 
 def take(content: Content, offsets: NDArray[np.intp], size: int) -> NDArray[Any]:
-    """Return `size` bytes from each of the offsets, those outside moved to where there are any."""
+    """Return `size` bytes from each of the offsets, of what lies before the end instead."""
     # Windows that overlap: one begins at every byte, and none is copied but those asked for.
     count = len(content) - size + 1
     if count <= 0:
         return np.zeros(len(offsets), f'V{size}')
     windows = np.ndarray(count, f'V{size}', content, 0, (1,))
-    return windows[np.clip(offsets, 0, count - 1)]
+    return windows[np.minimum(offsets, count - 1)]

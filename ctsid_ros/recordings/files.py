@@ -115,6 +115,16 @@ def files_in(folder: Path) -> list[Path]:
     return [path for path in files if path.name.lower().endswith(OTHER_SUFFIXES)]
 
 
+def only_inside(folder: Path) -> Path | None:
+    """Return the only bag in the subfolders of a folder that has none itself, if it is so."""
+    try:
+        inner = [] if files_in(folder) else [
+            path for path in folder.iterdir() if path.is_dir() and files_in(path)]
+    except OSError:
+        return None  # who opens it will say why
+    return inner[0] if len(inner) == 1 else None
+
+
 def scan_file(path: Path, resources: ExitStack, time: Sequence[str] = ()) -> Recording:
     """
     Read what a bag file of any kind contains.

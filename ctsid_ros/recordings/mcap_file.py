@@ -51,7 +51,8 @@ def scan_mcap(path: Path, resources: ExitStack) -> Recording:
     BagError
         If nothing of it can be read.
     """
-    with path.open('rb') as file:
+    # Not buffered: a few bytes are read of each record, and the next one is far away.
+    with path.open('rb', buffering=0) as file:
         scan = _Scan(path, file)
         scan.records()
         scan.known_compression()
@@ -99,6 +100,8 @@ class _Scan:
                 if opcode == Opcode.MESSAGE.value:
                     channel, _, log_ns, _ = _MESSAGE.unpack_from(head, RECORD.size)
                     self.loose_message(position, end, channel, log_ns)
+                elif opcode == Opcode.MESSAGE_INDEX.value:
+                    self.message_index(head, end)
                 else:
                     self.record(opcode, position + RECORD.size, end)
             except (McapError, ValueError, struct.error):
@@ -116,8 +119,6 @@ class _Scan:
         self.end_loose()
         if opcode == Opcode.CHUNK:
             self.chunk(start, end, end)
-        elif opcode == Opcode.MESSAGE_INDEX:
-            self.message_index(end)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.define(opcode, self.file.read(end - start))
         elif opcode == Opcode.STATISTICS:
@@ -190,8 +191,9 @@ class _Scan:
             offset, max(min(size, limit - offset), 0), compression, start_ns, end_ns, self.index,
             full_size, 0 if cut else crc, cut=cut))
 
-    def message_index(self, end: int) -> None:
-        channel, size = _INDEX.unpack(self.file.read(_INDEX.size))
+    def message_index(self, head: bytes, end: int) -> None:
+        self.end_loose()
+        channel, size = _INDEX.unpack_from(head, RECORD.size)
         self.index[channel] += size // 16
         self.index_ends[len(self.chunks) - 1] = end
 

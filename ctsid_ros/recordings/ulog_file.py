@@ -27,6 +27,7 @@ MAGIC = b'ULog\x01\x12\x35'
 _TIMES = ('timestamp', 'timestamp_sample')
 # What acts does so from its publishing on; `timestamp_sample` is that of the gyro it answers to.
 _COMMAND = re.compile('setpoint|actuator|command|control')
+_LATEST = 60_000_000  # us: a first message may come so long after all others, or as a log lasts
 _ATTITUDE = re.compile(r'(^|\.)q(_d)?\[3\]$')
 
 
@@ -95,7 +96,8 @@ def _span_us(log: Any) -> tuple[int, int]:
     later = [data.data['timestamp'][1:] for data in log.data_list if 'timestamp' in data.data]
     known = np.concatenate([np.empty(0, np.uint64), *later])
     sound = known[sound_times(known, 1000)[1]]
-    return log.start_timestamp, max(int(np.max(sound, initial=0)), log.start_timestamp)
+    start = int(log.start_timestamp)
+    return start, max(int(np.max(sound, initial=0)), start)
 
 
 def _series(data: Any, span_us: tuple[int, int], path: Path, notes: list[str]) -> Series | None:
@@ -106,8 +108,9 @@ def _series(data: Any, span_us: tuple[int, int], path: Path, notes: list[str]) -
     if time is None or not columns:
         return None
     topic = data.name + (f'.{data.multi_id}' if data.multi_id else '')
-    if len(time) and time[0] and not span_us[0] <= time[0] <= span_us[1]:
-        time = np.concatenate((np.clip(time[:1], *span_us), time[1:]))
+    start, end = span_us
+    if len(time) and time[0] and (time[0] < start or time[0] > end + max(end - start, _LATEST)):
+        time = np.concatenate((np.clip(time[:1], start, end), time[1:]))
     log_ns, sound = sound_times(time, 1000)
     notes += left_out(path, topic, sound)
     columns |= _quaternions(columns)

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import input_polynomials
@@ -89,7 +88,7 @@ def _inputs(model: StateSpace, record: Record, times: Array, e: Array) -> list[A
 
 def correlation(a: Array, b: Array, count: int) -> Array:
     """Return sum_t a(t) b(t + k), circular in k, with room for what would meet at the ends."""
-    size = next_fast_len(2 * count, real=True)
+    size = 1 << (2 * count - 1).bit_length()
     found: Array = np.fft.irfft(np.fft.rfft(a, size).conj() * np.fft.rfft(b, size), size)
     return found
 
