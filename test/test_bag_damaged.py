@@ -9,6 +9,7 @@ import sqlite3
 import struct
 
 from bag_fixtures import (
+    STORE,
     Sent,
     bare,
     flight,
@@ -512,3 +513,22 @@ def test_two_messages_of_different_centuries(tmp_path):
     data = path.read_bytes()
     path.write_bytes(data[:-60])
     assert len(rows(path)) >= 1
+
+
+def test_pages_of_a_row_that_go_round_in_a_circle(tmp_path):
+    """Its length is false as well, so that it would never end."""
+    sent = [Sent('/camera', 'sensor_msgs/msg/Image', one.log_ns, make(
+        'sensor_msgs/msg/Image', data=np.full(9000, i, np.uint8)))
+        for i, one in enumerate(flight(9))]
+    path = bare(write_rosbag2(tmp_path / 'b', sent, 'sqlite3'), '.db3')
+    data = bytearray(path.read_bytes())
+    size = len(STORE.serialize_cdr(sent[0].message, sent[0].type))
+    at = data.index(bytes(STORE.serialize_cdr(sent[3].message, sent[3].type))[:60])
+    kind = 12 + 2 * size
+    short = bytes((0x80 | kind >> 14, 0x80 | kind >> 7 & 0x7f, kind & 0x7f))
+    head = data.rindex(short, 0, at)
+    data[head:head + 3] = b'\xff\xff\x7e'         # a blob of a million bytes
+    path.write_bytes(data[:-4096])
+    got = rows(path)
+    assert set(got) <= set(written(sent))
+    assert 0 < len(got) < len(sent)

@@ -162,7 +162,7 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
     """Copy into a new database what can be read of a malformed one."""
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix='ctsid-')))
     copy = folder / 'damaged.db3'
-    page, unused = _fill_up(path, copy)
+    page, unused, end = _fill_up(path, copy)
     damaged = _connect(copy, resources)
     new = sqlite3.connect(folder / 'salvaged.db3', check_same_thread=False)
     resources.callback(new.close)
@@ -174,7 +174,7 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
             _copy_rows(damaged, new, table, columns)
     with copy.open('rb') as file:
         new.executemany('INSERT OR IGNORE INTO messages VALUES (?, ?, ?, ?)',
-                        rows(file, page, unused))
+                        rows(file, page, unused, end))
     new.execute('CREATE INDEX by_time ON messages (timestamp)')
     new.commit()
     (count,) = new.execute('SELECT COUNT(*) FROM messages').fetchone()
@@ -184,11 +184,11 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
     return new, count
 
 
-def _fill_up(path: Path, copy: Path) -> tuple[int, int]:
+def _fill_up(path: Path, copy: Path) -> tuple[int, int, int]:
     """
     Copy a file without its last, half-written page, filled with zeros to its stated size.
 
-    Return the size of a page, and how much at its end SQLite does not use.
+    Return the size of a page, how much at its end SQLite does not use, and what was there.
     """
     shutil.copyfile(path, copy)
     with copy.open('r+b') as file:
@@ -198,7 +198,7 @@ def _fill_up(path: Path, copy: Path) -> tuple[int, int]:
         whole = _end_of_data(file) // page * page
         file.truncate(whole)
         file.truncate(max(whole, page * int.from_bytes(header[28:32], 'big')))
-    return page, header[20]
+    return page, header[20], whole
 
 
 def _end_of_data(file: BinaryIO) -> int:

@@ -30,7 +30,7 @@ class Row(NamedTuple):
     data: bytes
 
 
-def rows(file: BinaryIO, page: int, unused: int) -> Iterator[Row]:
+def rows(file: BinaryIO, page: int, unused: int, end: int) -> Iterator[Row]:
     """
     Yield the messages of all pages, in their order.
 
@@ -41,21 +41,21 @@ def rows(file: BinaryIO, page: int, unused: int) -> Iterator[Row]:
         Size of a page [bytes].
     unused : int
         Bytes at the end of each page that SQLite does not use.
+    end : int
+        Size of what is there of the file: whole pages [bytes].
     """
-    file.seek(0)
-    number = 0
-    while len(content := file.read(page)) == page:
-        number += 1
+    for number in range(1, end // page + 1):
+        file.seek((number - 1) * page)
+        content = file.read(page)
         start = _FIRST if number == 1 else 0
         if content[start] == _LEAF:
             for at in _cells(content, start):
                 try:
-                    row = _row(file, content, at, page - unused)
+                    row = _row(file, content, at, page - unused, end)
                 except (IndexError, ValueError):
                     continue  # it is damaged, or of another table
                 if row:
                     yield row
-            file.seek(number * page)
 
 
 def _cells(content: bytes, start: int) -> list[int]:
@@ -67,7 +67,7 @@ def _cells(content: bytes, start: int) -> list[int]:
     return [at for at in places if first + 2 * count <= at < len(content)]
 
 
-def _row(file: BinaryIO, content: bytes, at: int, usable: int) -> Row | None:
+def _row(file: BinaryIO, content: bytes, at: int, usable: int, end: int) -> Row | None:
     """Return the message in a cell; None if it is one of another table."""
     size, at = _varint(content, at)
     id_, at = _varint(content, at)
@@ -82,7 +82,7 @@ def _row(file: BinaryIO, content: bytes, at: int, usable: int) -> Row | None:
     widths = [_WIDTHS[kind] for kind in types[:3]] + [(types[3] - _BLOB) // 2]
     if head + sum(widths) != size:
         raise ValueError('a row is not as long as its columns')
-    record = _payload(file, content, at, size, usable)
+    record = _payload(file, content, at, size, usable, end)
     values = []
     for kind, width in zip(types, widths, strict=True):
         values.append(record[head:head + width] if kind >= _BLOB else kind - 8 if kind > 7 else
@@ -92,7 +92,7 @@ def _row(file: BinaryIO, content: bytes, at: int, usable: int) -> Row | None:
     return Row(id_, topic, timestamp, data)  # type: ignore[arg-type]
 
 
-def _payload(file: BinaryIO, content: bytes, at: int, size: int, usable: int) -> bytes:
+def _payload(file: BinaryIO, content: bytes, at: int, size: int, usable: int, end: int) -> bytes:
     """Return the columns of a cell, with what did not fit into its page."""
     own = size
     if size > usable - 35:
@@ -101,12 +101,14 @@ def _payload(file: BinaryIO, content: bytes, at: int, size: int, usable: int) ->
         own = own if own <= usable - 35 else least
     parts, left = [content[at:at + own]], size - own
     following = content[at + own:at + own + 4] if left else b''
+    if left > end:
+        raise ValueError('a row is longer than the file')  # its pages might go round in a circle
     while left > 0:
         number = int.from_bytes(following, 'big')
+        if not 0 < number <= end // len(content):
+            raise ValueError('a row goes on in a page that is lost')
         file.seek((number - 1) * len(content))
         more = file.read(len(content))
-        if not number or len(more) < len(content):
-            raise ValueError('a row goes on in a page that is lost')
         parts.append(more[4:min(usable, 4 + left)])
         following, left = more[:4], left - (usable - 4)
     return b''.join(parts)
