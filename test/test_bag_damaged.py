@@ -532,3 +532,17 @@ def test_pages_of_a_row_that_go_round_in_a_circle(tmp_path):
     got = rows(path)
     assert set(got) <= set(written(sent))
     assert 0 < len(got) < len(sent)
+
+
+def test_a_time_in_the_index_of_a_database_that_is_none(tmp_path):
+    """In the table it is sound: only the order of reading is by the index."""
+    sent = flight(60)
+    path = bare(write_rosbag2(tmp_path / 'b', sent, 'sqlite3'), '.db3')
+    data = bytearray(path.read_bytes())
+    found = [at for at in range(4096, len(data), 4096) if data[at] == 10]    # pages of an index
+    at = data.index(sent[30].log_ns.to_bytes(8, 'big'), found[0])
+    assert data[at - 2] == 6
+    data[at - 2] = 28                                                       # a blob of 8 bytes
+    path.write_bytes(data)
+    assert rows(path) == written(sent)
+    assert '75 messages recovered (its index of times is damaged)' in notes(path)
