@@ -185,3 +185,16 @@ def test_messages_that_were_waiting_when_the_log_began(tmp_path):
         assert bag.notes == ()
     assert numbers(path, 'mission', 'x') + numbers(path, 'mission.1', 'x') == [(1.0,), (2.0,)]
     assert columns(path, 'gyro', 'x').values[:, 0].tolist() == list(range(50))
+
+
+def test_a_log_that_pyulog_has_written(tmp_path, log):
+    from pyulog import ULog
+    again = tmp_path / 'again.ulg'
+    ULog(str(log)).write_ulog(str(again))
+    for topic, field in (('vehicle_torque_setpoint', 'xyz[0]'), ('esc_status', 'esc[1].rpm'),
+                         ('vehicle_angular_velocity', 'xyz[0]')):
+        one, other = (columns(path, topic, field) for path in (log, again))
+        np.testing.assert_array_equal(one.values, other.values)
+        np.testing.assert_array_equal(one.log_ns, other.log_ns)
+    with open_bag(again) as bag:
+        assert bag.notes == ()
