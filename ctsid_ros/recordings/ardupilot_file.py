@@ -99,7 +99,8 @@ def _unread(log: Any) -> tuple[int, int, bool]:
              for number, form in log.formats.items() if len(log.offsets[number])]
     whole = [(ends[ends <= log.data_len], length) for ends, length in found]
     last = max((int(np.max(ends)) for ends, _ in whole if len(ends)), default=0)
-    begun = 0 < log.data_len - last < _HEAD and MAGIC.startswith(log.data_map[last:])
+    # pymavlink does not look at the head of a message with nothing behind it.
+    begun = 0 < log.data_len - last <= _HEAD and MAGIC.startswith(log.data_map[last:][:2])
     return (last - sum(len(ends) * length for ends, length in whole), log.data_len - last, begun
             or any(len(own) < len(ends) for (ends, _), (own, _) in zip(found, whole, strict=True)))
 
