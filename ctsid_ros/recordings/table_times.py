@@ -196,9 +196,9 @@ def read_time(column: Column, told: str) -> Time:
     unit, note = told or _WORDS.get(word, ''), ''
     if not unit:
         unit, note = _guess(column)
-    values = np.where(known, column.values, 0)
+    values, far = np.where(known, column.values, 0), _FAR / UNITS[unit]
     log_ns = values.astype(np.int64) * UNITS[unit] if values.dtype.kind in 'iu' \
-        else np.rint(np.clip(values * float(UNITS[unit]), -_FAR, _FAR)).astype(np.int64)
+        else np.rint(np.clip(values, -far, far) * float(UNITS[unit])).astype(np.int64)
     middle = float(np.median(log_ns[known])) * 1e-9 if known.any() else 0.0
     is_date = _CENTURY[0] < middle < _CENTURY[1]
     return Time(column.name, np.where(known, log_ns + BOOT_NS * (not is_date), 0), is_date, note)
