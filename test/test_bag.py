@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 import json
 import math
 import os
@@ -38,9 +39,12 @@ import pytest
 import yaml
 import zstandard
 
+from ctsid_ros.cli import main
+from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.playback import read_record
 
 
 def without_metadata(folder: Path) -> Path:
@@ -496,3 +500,15 @@ def test_what_the_fixtures_write_comes_back(tmp_path):
     with open_bag(write_mcap(tmp_path / 'b.mcap', sent)) as bag:
         extract = bag.extractor('/imu', [parse_field('angular_velocity.x')])
         assert [extract(m.raw) for m in bag.messages()] == [(5, (0.5,))]
+
+
+def test_why_messages_cannot_be_decoded_is_said(tmp_path, capsys):
+    sent = [replace(s, message=bytes((0, 9)) + bytes(STORE.serialize_cdr(s.message, s.type))[2:])
+            for s in flight(60)]
+    path = write_mcap(tmp_path / 'a.mcap', sent)
+    assert main(['info', str(path)]) == 0
+    assert ' '.join(capsys.readouterr().out.split()).count('DELIMITED_CDR2 of XCDR2') == 2
+    config = Config((Channel('u', 'input', '/cmd', '', 'data[0]'),
+                     Channel('y', 'output', '/imu', '', 'angular_velocity.x')))
+    with open_bag(path) as bag, pytest.raises(BagError, match='`y`: messages that .* 00 09'):
+        read_record(bag, config)

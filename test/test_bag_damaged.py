@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import BytesIO
 import sqlite3
 import struct
 
 from bag_fixtures import (
+    STORE,
     Sent,
     bare,
     flight,
@@ -486,3 +488,61 @@ def test_times_in_a_ros1_index_are_not_believed_blindly(tmp_path):
     with open_bag(path) as bag:
         assert (bag.end_ns - bag.start_ns) * 1e-9 == pytest.approx(0.295, abs=0.01)
         assert [m.log_ns for m in bag.messages()] == [s.log_ns for s in sent]
+
+
+def test_an_index_that_has_become_a_message_hides_none(tmp_path):
+    """One lost and one invented: the counts agree, the index of the chunk in the summary tells."""
+    sent = flight(60)
+    path = write_mcap(tmp_path / 'b.mcap', sent)
+    data = bytearray(path.read_bytes())
+    _, at = chunk_at(data, 0)
+    single = 9 + 22  # the record of an index of one message is as long as that of an empty one
+    while data[at] == 7 and int.from_bytes(data[at + 1:at + 9], 'little') + 9 != single:
+        at += 9 + int.from_bytes(data[at + 1:at + 9], 'little')
+    assert data[at] == 7
+    data[at] = 5
+    path.write_bytes(data)
+    assert set(written(sent)) <= set(rows(path))
+    assert 'statistics state 75 messages, 76 are there' in notes(path)
+
+
+def test_two_messages_of_different_centuries(tmp_path):
+    """Between their times there is none of either."""
+    sent = [replace(one, log_ns=one.log_ns + k * 10**18) for k, one in enumerate(flight(9)[::9])]
+    path = write_mcap(tmp_path / 'b.mcap', sent, 'none', use_chunking=False)
+    data = path.read_bytes()
+    path.write_bytes(data[:-60])
+    assert len(rows(path)) >= 1
+
+
+def test_pages_of_a_row_that_go_round_in_a_circle(tmp_path):
+    """Its length is false as well, so that it would never end."""
+    sent = [Sent('/camera', 'sensor_msgs/msg/Image', one.log_ns, make(
+        'sensor_msgs/msg/Image', data=np.full(9000, i, np.uint8)))
+        for i, one in enumerate(flight(9))]
+    path = bare(write_rosbag2(tmp_path / 'b', sent, 'sqlite3'), '.db3')
+    data = bytearray(path.read_bytes())
+    size = len(STORE.serialize_cdr(sent[0].message, sent[0].type))
+    at = data.index(bytes(STORE.serialize_cdr(sent[3].message, sent[3].type))[:60])
+    kind = 12 + 2 * size
+    short = bytes((0x80 | kind >> 14, 0x80 | kind >> 7 & 0x7f, kind & 0x7f))
+    head = data.rindex(short, 0, at)
+    data[head:head + 3] = b'\xff\xff\x7e'         # a blob of a million bytes
+    path.write_bytes(data[:-4096])
+    got = rows(path)
+    assert set(got) <= set(written(sent))
+    assert 0 < len(got) < len(sent)
+
+
+def test_a_time_in_the_index_of_a_database_that_is_none(tmp_path):
+    """In the table it is sound: only the order of reading is by the index."""
+    sent = flight(60)
+    path = bare(write_rosbag2(tmp_path / 'b', sent, 'sqlite3'), '.db3')
+    data = bytearray(path.read_bytes())
+    found = [at for at in range(4096, len(data), 4096) if data[at] == 10]    # pages of an index
+    at = data.index(sent[30].log_ns.to_bytes(8, 'big'), found[0])
+    assert data[at - 2] == 6
+    data[at - 2] = 28                                                       # a blob of 8 bytes
+    path.write_bytes(data)
+    assert rows(path) == written(sent)
+    assert '75 messages recovered (its index of times is damaged)' in notes(path)

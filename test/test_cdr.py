@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import struct
 
 from bag_fixtures import ROS1, STORE, array, flight_ros1, header, imu, joints, make, vector
 import numpy as np
@@ -314,3 +315,21 @@ def test_types_of_rosidl_classes_equal_those_of_definitions():
 def test_of_message_class_wants_a_message_class():
     with pytest.raises(TypeError, match='not a message class'):
         of_message_class(dict)
+
+
+@pytest.mark.parametrize(('kind', 'name'), [(7, 'PLAIN_CDR2'), (9, 'DELIMITED_CDR2'),
+                                            (11, 'PL_CDR2')])
+def test_xcdr2_is_called_by_its_name(kind, name):
+    raw = bytearray(raw_of(array(1.0)))
+    raw[1] = kind
+    with pytest.raises(DecodeError, match=f'begin with 00 {kind:02x} .{name} of XCDR2'):
+        extractor('std_msgs/msg/Float64MultiArray', 'data[0]')(bytes(raw))
+
+
+def test_a_text_of_wide_characters_hides_what_comes_behind_it():
+    kind = message_type(Connection(0, '/t', 'p/msg/T', 'cdr', 'ros2msg',
+                                   'float64 x\nwstring w\nfloat64 y\n', 1))
+    raw = bytes((0, 1, 0, 0)) + struct.pack('<dI2H4xd', 0.5, 2, 65, 66, 1.5)
+    assert Extractor(kind, fields('x'))(raw) == (None, (0.5,))
+    with pytest.raises(DecodeError, match='wstring'):
+        Extractor(kind, fields('y'))(raw)

@@ -17,6 +17,7 @@ from recording_files import flight, write_ardupilot, write_csv, write_ulog
 from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main
 from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.grouping import recordings
 from ctsid_ros.recordings.playback import read_record
@@ -150,3 +151,50 @@ def test_a_table_beside_a_bag(tmp_path):
         times = np.concatenate([block.log_ns for block in bag.blocks({'load': [], '/imu': []})])
     assert (np.diff(times) >= 0).all()
     assert len(times) == 20 + 40
+
+
+def parts_of_a_table(tmp_path: Path, count: int = 11) -> list[str]:
+    """A flight that its logger has split into tables, part1.csv to part11.csv."""
+    t_u, u, t_y, y = flight(SECONDS)
+    edges = np.linspace(t_u[0], t_y[-1] + 0.01, count + 1)
+    files = []
+    for i, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True), 1):
+        a, b = ((t >= start) & (t < end) for t in (t_u, t_y))
+        files.append(write_csv(tmp_path / f'part{i}.csv', {
+            't_cmd': t_u[a], 'cmd': u[a], 't_imu': t_y[b], 'rate.x': y[b]}))
+    return [str(file) for file in files]
+
+
+def test_parts_of_a_table_are_one_recording(ctsid, tmp_path):
+    """Each continues the times of the one before, in whatever order they are given."""
+    t_u, u, t_y, y = flight(SECONDS)
+    files = sorted(parts_of_a_table(tmp_path))
+    assert files[1].endswith('part10.csv')
+    (group,) = recordings(files)
+    assert sorted(group) == files
+    with open_bag(files) as bag:
+        assert {n: t.count for n, t in bag.topics.items()} == {
+            'part1/t_cmd': len(u), 'part1/t_imu': len(y)}
+        found = np.concatenate([block.columns[0].values[:, 0] for block in bag.blocks(
+            {'part1/t_imu': [parse_field('rate.x')]})])
+    np.testing.assert_allclose(found, y)
+    ctsid('init', *files, '-o', 'p.yaml')
+    said = json.loads(ctsid('identify', *files, '--params', 'p.yaml', '--out', 'one', '--json'))
+    assert 'records' not in said
+    assert abs(load_estimate('one/model.json').model.poles[0] + 3.0) < 0.1
+    # Those that begin anew are others.
+    again = [str(write_csv(tmp_path / f'{name}.csv', {'t': np.arange(50) * 0.1, 'u': np.ones(50)}))
+             for name in 'ab']
+    assert recordings(again) == [(again[0],), (again[1],)]
+
+
+def test_a_folder_whose_only_bag_is_in_a_subfolder(ctsid, tmp_path):
+    outer = tmp_path / 'monday'
+    (outer / 'flight').mkdir(parents=True)
+    (outer / 'notes').mkdir()
+    write(outer / 'flight' / 'a.csv')
+    named = str(outer / 'flight' / 'a.csv')
+    time = [word for name in TIME['.csv'] for word in ('--time', name)]
+    ctsid('init', named, '-o', 'p.yaml', *time)
+    assert 'a/tick_u' in ctsid('info', outer, *time)
+    assert 'Results: one/' in ctsid('identify', outer, '--params', 'p.yaml', '--out', 'one', *time)

@@ -9,6 +9,9 @@ import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.model.validation import prediction, simulation
+from ctsid_ros.cli import main
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.survey import survey
 
 # Output samples as they are, or a quarter of them lost and the other stamps off by up to 5 % of
 # the period. Lost samples of a held input would be another input: those are kept.
@@ -151,3 +154,41 @@ def test_all_joints_of_a_walking_robot_are_not_explained(data_folder, joints, st
     estimate = identify(joints(data_folder, list(range(12)), start=start))
     assert estimate.status is not Status.OK
     assert estimate.model is None
+
+
+@pytest.fixture(params=['sample_px4_events', 'sample_log_small'])
+def px4_log(request, data_folder):
+    """Logs of PX4 in simulation and of a CubeOrange; neither is of an experiment."""
+    pytest.importorskip('pyulog')
+    return data_folder / 'ulog' / f'{request.param}.ulg'
+
+
+def test_px4_logs_are_as_long_as_the_logger_ran(px4_log):
+    """One message of `mission` in the second is stamped 1168 s after all others."""
+    seconds, topics, messages = {'sample_px4_events': (31.1, 66, 29468),
+                                 'sample_log_small': (6.5, 69, 14603)}[px4_log.stem]
+    with open_bag(px4_log) as bag:
+        assert (bag.end_ns - bag.start_ns) * 1e-9 == pytest.approx(seconds, abs=0.1)
+        assert (len(bag.topics), sum(t.count for t in bag.topics.values())) == (topics, messages)
+        gyro = bag.topics['vehicle_angular_velocity']
+        found = survey(bag)
+    (topic,) = (t for t in found.topics if t.info == gyro)
+    assert topic.stamp == 'header'
+    assert {f.field for f in topic.moving} == {'xyz[0]', 'xyz[1]', 'xyz[2]'} | {
+        f'xyz_derivative[{i}]' for i in range(3) if px4_log.stem == 'sample_px4_events'}
+
+
+def test_px4_logs_with_the_verbs_of_a_newcomer(px4_log, tmp_path, monkeypatch, capsys):
+    """No traceback, no model that is trusted where nothing was moved on purpose."""
+    monkeypatch.chdir(tmp_path)
+    assert main(['info', str(px4_log)]) == 0
+    assert 'vehicle_angular_velocity' in capsys.readouterr().out
+    assert main(['init', str(px4_log), '-o', 'p.yaml']) == 0
+    capsys.readouterr()
+    codes = {verb: main([verb, str(px4_log), '--params', 'p.yaml', '--out', verb])
+             for verb in ('identify', 'replay')}
+    said = capsys.readouterr()
+    assert set(codes.values()) <= {0, 3}, said.err
+    assert main(['try', str(px4_log), '--out', 'try']) in (0, 3)
+    if px4_log.stem == 'sample_log_small':  # 6 s on the ground
+        assert '  GOOD. ' not in said.out + capsys.readouterr().out

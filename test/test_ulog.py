@@ -165,3 +165,36 @@ def test_without_its_library(log, monkeypatch, tmp_path):
     assert refused(copy).endswith('is a PX4 ULog: to read it, ctsid needs the Python package '
                                   'pyulog, which is not installed here: pip install pyulog (it '
                                   'is the extra `px4` of ctsid)')
+
+
+def test_messages_that_were_waiting_when_the_log_began(tmp_path):
+    """They keep the times at which they were published: before the log, or in an earlier run."""
+    log = ULogWriter(start_us=20_000_000)
+    log.format('gyro', 'uint64_t timestamp;float x;')
+    log.format('mission', 'uint64_t timestamp;float x;')
+    gyro, mission, old = log.subscribe('gyro'), log.subscribe('mission'), log.subscribe('mission',
+                                                                                        1)
+    for i in range(50):
+        log.data(gyro, 20_000_000 + 10_000 * i, struct.pack('<f', i))
+    log.data(mission, 1_200_000_000, struct.pack('<f', 1.0))
+    log.data(old, 3_000_000, struct.pack('<f', 2.0))
+    path = tmp_path / 'a.ulg'
+    path.write_bytes(log.bytes())
+    with open_bag(path) as bag:
+        assert (bag.start_ns, bag.end_ns) == (20_000_000_000, 20_490_000_000)
+        assert bag.notes == ()
+    assert numbers(path, 'mission', 'x') + numbers(path, 'mission.1', 'x') == [(1.0,), (2.0,)]
+    assert columns(path, 'gyro', 'x').values[:, 0].tolist() == list(range(50))
+
+
+def test_a_log_that_pyulog_has_written(tmp_path, log):
+    from pyulog import ULog
+    again = tmp_path / 'again.ulg'
+    ULog(str(log)).write_ulog(str(again))
+    for topic, field in (('vehicle_torque_setpoint', 'xyz[0]'), ('esc_status', 'esc[1].rpm'),
+                         ('vehicle_angular_velocity', 'xyz[0]')):
+        one, other = (columns(path, topic, field) for path in (log, again))
+        np.testing.assert_array_equal(one.values, other.values)
+        np.testing.assert_array_equal(one.log_ns, other.log_ns)
+    with open_bag(again) as bag:
+        assert bag.notes == ()

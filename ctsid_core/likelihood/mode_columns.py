@@ -112,27 +112,51 @@ def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequen
                turned: bool) -> Columns:
     times = record.streams[0].times if len(record.streams) == 1 else \
         np.concatenate([s.times for s in record.streams])
+    rows, shape, first = _rows(record, poles, delay, times)
+    size, triangles, place = len(rows) - record.streams[0].y.shape[1], [], 0
+    for s in record.streams:
+        both = rows[:, place:place + len(s.times)]
+        if len(record.streams) > 1:
+            both = np.concatenate((both[:size], s.y.T))
+        place += len(s.times)
+        both = triangle(both.T) if turned and len(s.times) > len(both) else both.T
+        triangles.append(_triangle(both[:, :size], both[:, size:], shape,
+                                   np.arange(s.channels.start, s.channels.stop), len(s.times)))
+    return Columns(tuple(triangles), first)
+
+
+def _rows(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
+          times: Array) -> tuple[Array, tuple[int, int, int, bool], Array]:
+    """
+    Return the columns as rows, those of the output below, their shape, and the first inputs.
+
+    All are written into one table, for records of millions of samples; the output's only where
+    there is one stream.
+    """
     steps = steps_of(record.drives, delay, record.start, times)
     since, first, wide = times - record.start, int(np.sum(poles.imag == 0.0)), len(delay) + 1
-    parts = []
+    y = record.streams[0].y.T
+    inputs = [steps.inputs] if steps.held else [steps.inputs, steps.rates]
+    rows = np.empty((2 * wide * (2 * len(poles) - first) + len(inputs) * (wide - 1) + 1 + len(y),
+                     len(times)))
+    place = 0
     for kind in (poles[:first].real, poles[first:]):
         if not len(kind):
             continue
         free = np.exp(kind[:, np.newaxis] * since)
         responses, slopes = steps.responses(kind)
         for driven, own in ((responses, free), (slopes, since * free)):
-            both = np.concatenate((driven, own[:, np.newaxis]), axis=1).reshape(-1, len(times))
-            parts += [both] if both.dtype == float else [both.real, both.imag]
-    parts += [steps.inputs] if steps.held else [steps.inputs, steps.rates]
-    rows = np.concatenate((*parts, np.ones((1, len(times)))))
-    shape, triangles, place = (first, len(poles) - first, wide, steps.held), [], 0
-    for s in record.streams:
-        both = np.concatenate((rows[:, place:place + len(s.times)], s.y.T))
-        place += len(s.times)
-        both = triangle(both.T) if turned and len(s.times) > len(both) else both.T
-        triangles.append(_triangle(both[:, :len(rows)], both[:, len(rows):], shape,
-                                   np.arange(s.channels.start, s.channels.stop), len(s.times)))
-    return Columns(tuple(triangles), steps.first)
+            for part in (np.real, np.imag)[:1 + np.iscomplexobj(own)]:
+                table = rows[place:place + wide * len(kind)].reshape(len(kind), wide, -1)
+                table[:, :-1], table[:, -1] = part(driven), part(own)
+                place += wide * len(kind)
+    for one in inputs:
+        rows[place:place + wide - 1] = one
+        place += wide - 1
+    rows[place] = 1.0
+    if len(record.streams) == 1:
+        rows[place + 1:] = y
+    return rows, (first, len(poles) - first, wide, steps.held), steps.first
 
 
 def _triangle(columns: Array, y: Array, shape: tuple[int, int, int, bool], channels: Array,

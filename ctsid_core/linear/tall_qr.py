@@ -118,11 +118,11 @@ def _extents(columns: Array) -> tuple[Places, Places]:
     m, n = columns.shape
     first, last = np.zeros(n, dtype=np.intp), np.full(n, m, dtype=np.intp)
     short = np.flatnonzero((columns[0] == 0.0) | (columns[-1] == 0.0))
-    if len(short):
-        there = columns.T[short] != 0.0
-        some = there.any(axis=1)
-        first[short] = np.where(some, np.argmax(there, axis=1), m)
-        last[short] = np.where(some, m - np.argmax(there[:, ::-1], axis=1), 0)
+    for column in short.tolist():            # one at a time: all at once are a copy of the whole
+        there = columns[:, column] != 0.0
+        some = bool(there.any())
+        first[column] = np.argmax(there) if some else m
+        last[column] = m - np.argmax(there[::-1]) if some else 0
     return first, last
 
 

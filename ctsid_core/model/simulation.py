@@ -162,14 +162,18 @@ def _by_modes(found: Modes, B: Array, offset: Array, u: Array, h: Array,
     gain = found.left @ B
     drive = np.zeros_like(z)
     for j, derivative in enumerate(u):
-        force = derivative[:-1] @ gain.T + (found.left @ offset if j == 0 else 0)
-        drive += h[:, np.newaxis] ** (j + 1) * functions[j + 1] * force
-    if x0 is not None:
-        return np.asarray((_chained(functions[0], drive, found.left @ x0) @ found.right.T).real)
+        # In place where it can be: each is a table of as many rows as there are steps.
+        np.multiply(h[:, np.newaxis] ** (j + 1), functions[j + 1], out=functions[j + 1])
+        drive += functions[j + 1] * (
+            derivative[:-1] @ gain.T + (found.left @ offset if j == 0 else 0))
+    step, grows = functions[0], found.values.real > 0
+    del functions
+    if x0 is not None or not grows.any():
+        start = np.zeros(len(grows), dtype=complex) if x0 is None else found.left @ x0
+        return np.asarray((_chained(step, drive, start) @ found.right.T).real)
     path = np.empty((len(h) + 1, len(found.values)), dtype=complex)
-    grows = found.values.real > 0
     rest = np.zeros(len(found.values), dtype=complex)
-    path[:, ~grows] = _chained(functions[0][:, ~grows], drive[:, ~grows], rest[~grows])
+    path[:, ~grows] = _chained(step[:, ~grows], drive[:, ~grows], rest[~grows])
     shrink = np.exp(-z[:, grows])[::-1]
     path[::-1, grows] = _chained(shrink, -shrink * drive[::-1, grows], rest[grows])
     return np.asarray((path @ found.right.T).real)

@@ -179,11 +179,11 @@ def information(errors: Array, samples: Samples, parameters: int) -> float:
     Parameters
     ----------
     errors : ndarray, shape (horizons, ny)
-        Root mean squares.
+        Root mean squares at the first of `HORIZONS`.
     samples : Samples
     parameters : int
     """
-    counts = samples.counts.sum(axis=0) / np.array(HORIZONS)[:, np.newaxis]
+    counts = samples.counts.sum(axis=0) / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
     return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
         + float(np.log(counts[0].max())) * parameters
 
@@ -280,7 +280,8 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
     Return rms errors of predictions so many samples ahead, over the motion, (horizons, ny).
 
     The first tenth of the record starts the filter and does not count. Infinite if the filter is
-    not stable.
+    not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
+    short record, of `HORIZONS` the last, are left out.
 
     Parameters
     ----------
@@ -308,7 +309,7 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
         states = predicted_states(F, F @ M, m.C, rest, first)
-        for horizon in horizons:
+        for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
             errors.append(np.sqrt(np.mean(e[max(first - horizon, 0):] ** 2, axis=0))

@@ -34,6 +34,12 @@ STAMP: tuple[Leaf, Leaf] = (('header', 'stamp', 'sec'), ('header', 'stamp', 'nan
 COUNT = '#'  # pseudo-field of a sequence: its length word
 
 
+# No middleware of ROS 2 writes these. Where their headers are depends on which types may be
+# extended, and the definitions in bags do not say that.
+_XCDR2 = {bytes((0, kind + end)): name for kind, name in (
+    (6, 'PLAIN_CDR2'), (8, 'DELIMITED_CDR2'), (10, 'PL_CDR2')) for end in (0, 1)}
+
+
 class DecodeError(ValueError):
     """A message that is too short for its type, or whose arrays lack a wanted element."""
 
@@ -114,6 +120,9 @@ class _Walker:
 
     def encapsulation(self) -> None:
         kind = bytes(self.raw[:2])
+        if kind in _XCDR2:
+            raise DecodeError(f'messages that begin with {kind.hex(" ")} ({_XCDR2[kind]} of '
+                              'XCDR2) are not read: no middleware of ROS 2 writes them')
         if len(self.raw) < 4 or kind not in (b'\0\0', b'\0\1'):
             raise DecodeError(f'{len(self.raw)} bytes that begin with {kind.hex(" ") or "nothing"}'
                               ' are not a CDR message: 00 00 or 00 01 and two more come first')
@@ -200,6 +209,10 @@ class _Walker:
         if base == 'string':
             length, position = self.word(position)
             return position + length
+        if base.rpartition('/')[2] == 'wstring':
+            raise DecodeError('a text of wide characters (wstring) comes first, which versions of '
+                              'ROS 2 write with 2 or 4 bytes for each; only fields before it can '
+                              'be read')
         if not wanted:
             size = self.fixed_size(base, (position - self.start) % 8)
             if size is not None:

@@ -102,6 +102,7 @@ class Table:
         seconds, nanoseconds = (rows[f'item {i}'].astype(np.int64) for i in self.stamp)
         return np.asarray(seconds * 1_000_000_000 + nanoseconds)
 
+    @np.errstate(invalid='ignore')  # what is no number may be of the kind that signals
     def fill(self, rows: NDArray[Any], values: Array) -> None:
         """Write the wanted fields of all rows into the columns of `values`."""
         for first, last, code in self._runs:
@@ -110,7 +111,7 @@ class Table:
 
 
 def take(content: Content, offsets: NDArray[np.intp], size: int) -> NDArray[Any]:
-    """Return `size` bytes from each of the offsets, or of what lies before the end instead."""
+    """Return `size` bytes from each of the offsets, of what lies before the end instead."""
     # Windows that overlap: one begins at every byte, and none is copied but those asked for.
     count = len(content) - size + 1
     if count <= 0:

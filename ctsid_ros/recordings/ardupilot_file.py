@@ -10,8 +10,9 @@ once. A topic is a message and its instance: `RATE`, `IMU`, and `IMU.1` for the 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 import io
+import os
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from ctsid_ros.recordings.series import (
 
 MAGIC = b'\xa3\x95\x80'
 _HEAD = 3  # bytes before each message
+_PAGE = 528  # bytes: logs of flash memory end with a page that is not full
 _TIMES = {'TimeUS': 1000, 'TimeMS': 1_000_000}
 # Those that describe the log, not the flight.
 _DEFINITIONS = {'FMT', 'FMTU', 'UNIT', 'MULT', 'PARM', 'FILE'}
@@ -49,13 +51,13 @@ def scan_ardupilot(path: Path) -> Recording:
     except ImportError as error:
         raise BagError(lacks_extra(error, f'{path} is an ArduPilot log: to read it', 'ardupilot')
                        ) from None
-    said = io.StringIO()
     notes: list[str] = []
     try:
-        with redirect_stderr(said), redirect_stdout(said):
+        with _silence():
             log = DFReader_binary(str(path))
         try:
             series = list(_all_series(log, path, notes))
+            gaps, tail, cut = _unread(log)
         finally:
             log.close()
     except OSError:
@@ -67,11 +69,40 @@ def scan_ardupilot(path: Path) -> Recording:
     if not count:
         raise BagError(f'{path}: the log is cut off or damaged before its first message; nothing '
                        'can be recovered')
-    if said.getvalue():
+    if gaps or (tail >= _PAGE and not cut):
         notes.append(f'{path.name}: damaged: {count} messages read, those in damaged places are '
                      'lost; such a log has no checksums, so what is false within messages cannot '
                      'be told')
+    if cut:
+        notes.append(f'{path.name}: truncated: {count} messages recovered (the log ends within '
+                     'its last message)')
     return recording(series, notes, own_clock=True)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep pymavlink from the terminal: it writes a line for each damaged byte, and in C."""
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
+
+
+def _unread(log: Any) -> tuple[int, int, bool]:
+    """Return the bytes between messages, those after the last, and whether it is cut off."""
+    found = [(np.asarray(log.offsets[number], np.intp) + form.len, form.len)
+             for number, form in log.formats.items() if len(log.offsets[number])]
+    whole = [(ends[ends <= log.data_len], length) for ends, length in found]
+    last = max((int(np.max(ends)) for ends, _ in whole if len(ends)), default=0)
+    # pymavlink does not look at the head of a message with nothing behind it.
+    begun = 0 < log.data_len - last <= _HEAD and MAGIC.startswith(log.data_map[last:][:2])
+    return (last - sum(len(ends) * length for ends, length in whole), log.data_len - last, begun
+            or any(len(own) < len(ends) for (ends, _), (own, _) in zip(found, whole, strict=True)))
 
 
 def _all_series(log: Any, path: Path, notes: list[str]) -> Iterator[Series]:
@@ -83,8 +114,6 @@ def _all_series(log: Any, path: Path, notes: list[str]) -> Iterator[Series]:
             continue  # it has no time, or is not what its format says
         offsets = np.asarray(log.offsets[number], dtype=np.intp) + _HEAD
         whole = offsets + kind.itemsize <= log.data_len
-        if not whole.all():
-            notes.append(f'{path.name}: the log ends within its last message, which is left out')
         rows = take(log.data_map, offsets[whole], kind.itemsize).view(kind)
         yield from _instances(form, rows, scales, times, path, notes)
 

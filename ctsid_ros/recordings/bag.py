@@ -33,7 +33,7 @@ from ctsid_ros.decoding.message_types import MessageType
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.files import find_files, scan_file
 from ctsid_ros.recordings.packed import raw, unpacking
-from ctsid_ros.recordings.recording import Recording, Wanted, merge_in_time
+from ctsid_ros.recordings.recording import Recording, Wanted, continued, merge_in_time
 from ctsid_ros.recordings.remote import local
 from ctsid_ros.recordings.topics import TopicInfo, join_topics
 
@@ -154,7 +154,8 @@ class Bag:
 
     def _by_part(self, name: str) -> str:
         """Return the topic of a table that is alone here, called by the name of another one."""
-        alone = self._recordings[0].alone if len(self._recordings) == 1 else ''
+        tables = {recording.alone for recording in self._recordings}
+        alone = tables.pop() if len(tables) == 1 else ''
         _, slash, part = name.partition('/')
         return f'{alone}{slash}{part}' if alone else name
 
@@ -237,6 +238,24 @@ class Bag:
                     continue
         return scalar_fields(kind, None, most=most)
 
+    def problem(self, topic: str, fields: Sequence[FieldPath]) -> str:
+        """
+        Say why messages of a topic do not hold some fields, by the first that does not.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic or field, or the bag cannot be read on.
+        """
+        extract = self.extractor(topic, fields)
+        with closing(self._stream_of(topic)) as messages:
+            for message in messages:
+                try:
+                    extract(message.raw)
+                except DecodeError as error:
+                    return str(error)
+        return ''
+
     def close(self) -> None:
         """Close files and remove temporary ones."""
         self._resources.close()
@@ -308,7 +327,7 @@ def open_bag(path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
             raise BagError(f'{" and ".join(time)} would be the time of a table (CSV, Parquet), '
                            'but there is none; leave --time out')
         size = sum(path.stat().st_size for path in recordings)
-        return Bag(tuple(recordings.values()), notes, resources.pop_all(), size)
+        return Bag(continued(tuple(recordings.values())), notes, resources.pop_all(), size)
 
 
 def _open_one(path: Path, recordings: dict[Path, Recording], notes: list[str],

@@ -19,6 +19,7 @@ from ctsid_ros.recordings.recording import Wanted
 C = TypeVar('C')
 _THREADS = 2  # that decompress while columns are made
 _AHEAD = 2  # batches that they may be ahead
+_SPARE = 8  # part of a chunk's size that is taken beyond it: the next may be a little larger
 YEAR = 3.2e16  # ns: none lasts so long
 NO_CHECKSUMS = 'it has no checksums, so what is false within messages cannot be told'
 BATCH = 8 << 20  # bytes of content that are decoded at once: NumPy's calls cost nothing then
@@ -75,7 +76,10 @@ def within(chunk: Chunk, part: Located) -> Located:
 
 def plausible(log_ns: Stamps) -> Stamps:
     """Return the log times that can be of one recording; others come from damage."""
-    return log_ns[np.abs(log_ns - np.median(log_ns)) < YEAR] if len(log_ns) else log_ns
+    if not len(log_ns):
+        return log_ns
+    middle = np.partition(log_ns, len(log_ns) // 2)[len(log_ns) // 2]  # one of them, not between
+    return log_ns[np.abs(log_ns - float(middle)) < YEAR]
 
 
 def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
@@ -104,15 +108,15 @@ class Room:
     def packed(self, size: int) -> memoryview:
         """Return memory for what is compressed, until the next call."""
         if len(self._packed) < size:
-            self._packed = bytearray(size)
+            self._packed = bytearray(size + size // _SPARE)
         return memoryview(self._packed)[:size]
 
     def content(self, size: int) -> memoryview:
         """Return memory for the content of one more chunk."""
         if self._used == len(self._contents):
-            self._contents.append(bytearray(size))
-        elif len(self._contents[self._used]) < size:
-            self._contents[self._used] = bytearray(size)
+            self._contents.append(bytearray())
+        if len(self._contents[self._used]) < size:
+            self._contents[self._used] = bytearray(size + size // _SPARE)
         self._used += 1
         return memoryview(self._contents[self._used - 1])[:size]
 

@@ -166,11 +166,14 @@ class _Damage:
     width: int
     ragged: int = 0
     first: str = ''
+    longest: int = 0  # last cell of a row
+    ended: bool = True  # whether the last line has an end
+    cut: bool = False
 
     def sound(self, lines: Iterable[str], form: _Form) -> Iterator[list[str]]:
         # A quotation mark that is not closed would take the rest of the file for one cell.
         reader = csv.reader((line if line.count('"') % 2 == 0 else line.replace('"', '')
-                             for line in lines), delimiter=form.separator)
+                             for line in self.watched(lines)), delimiter=form.separator)
         while True:
             try:
                 row = next(reader)
@@ -180,21 +183,33 @@ class _Damage:
                 self.note(form.skipped + reader.line_num, str(error))
                 continue
             if len(row) == self.width:
-                yield row
+                length = len(row[-1])
+                # A number that is cut off is shorter than it was.
+                self.cut = not self.ended and length < self.longest
+                if not self.cut:
+                    self.longest = max(self.longest, length)
+                    yield row
             elif len(row) == self.width + 1 and not row[-1].strip():
                 yield row[:-1]  # a separator at the end
             elif row and ''.join(row).strip() and not row[0].lstrip().startswith(_COMMENT):
                 self.note(form.skipped + reader.line_num,
                           f'{len(row)} cells instead of {self.width}')
 
+    def watched(self, lines: Iterable[str]) -> Iterator[str]:
+        for line in lines:
+            self.ended = line.endswith(('\n', '\r'))
+            yield line
+
     def note(self, line: int, what: str) -> None:
         self.ragged += 1
         self.first = self.first or f'line {line}: {what}'
 
     def notes(self) -> list[str]:
+        cut = ['truncated: its last line has no end, and its last number is shorter than others: '
+               'it is left out'] if self.cut else []
         if not self.ragged:
-            return []
-        return [f'{self.ragged} {"row" if self.ragged == 1 else "rows"} left out '
+            return cut
+        return [*cut, f'{self.ragged} {"row" if self.ragged == 1 else "rows"} left out '
                 f'({"" if self.ragged == 1 else "the first is "}{self.first})']
 
 

@@ -115,6 +115,16 @@ def files_in(folder: Path) -> list[Path]:
     return [path for path in files if path.name.lower().endswith(OTHER_SUFFIXES)]
 
 
+def only_inside(folder: Path) -> Path | None:
+    """Return the only bag in the subfolders of a folder that has none itself, if it is so."""
+    try:
+        inner = [] if files_in(folder) else [
+            path for path in folder.iterdir() if path.is_dir() and files_in(path)]
+    except OSError:
+        return None  # who opens it will say why
+    return inner[0] if len(inner) == 1 else None
+
+
 def scan_file(path: Path, resources: ExitStack, time: Sequence[str] = ()) -> Recording:
     """
     Read what a bag file of any kind contains.
@@ -229,5 +239,6 @@ def _look(start: bytes) -> str:
         if error.start < len(start) - 4:
             return f'binary data ({start[:4].hex(" ")} ...)'
         text = start[:error.start].decode('utf-8')
-    return f'text ({text.splitlines()[0][:40]!r} ...)' if text.isprintable() or '\n' in text \
-        else f'binary data ({start[:4].hex(" ")} ...)'
+    if text and (text.isprintable() or '\n' in text):
+        return f'text ({text.splitlines()[0][:40]!r} ...)'
+    return f'binary data ({start[:4].hex(" ")} ...)'

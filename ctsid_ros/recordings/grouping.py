@@ -7,8 +7,9 @@ tells. A recorder that splits its bag begins the next part with the next message
 recorders of different topics run at the same time. Bags that overlap, or follow each other within
 a second, are one recording; between recordings somebody has stopped and started the recorder.
 
-Autopilots and many tables count from a start of their own, so that time tells nothing: files with
-the same columns are recordings of their own, files with others belong together.
+Autopilots and many tables count from a start of their own, so that time tells little: files with
+the same columns are recordings of their own, unless the times of one continue those of another,
+and files with other columns belong together.
 """
 
 from __future__ import annotations
@@ -20,9 +21,8 @@ from pathlib import Path
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.files import files_in, find_files
+from ctsid_ros.recordings.recording import NEAR, follows
 from ctsid_ros.recordings.remote import local
-
-_NEAR = 10**9  # from the end of a part to the start of the next, or of their overlap, at most [ns]
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,12 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
         return [tuple(paths)]
     spans = _spans(bags, note, time)
     groups: list[list[_Span]] = []
-    for span in spans:
-        if span.own_clock:
-            _add_by_columns(groups, span, frozenset(topics))
+    for span in _in_chains([s for s in spans if s.own_clock]):
+        _add_by_columns(groups, span, frozenset(topics))
     alone = len(groups)
     for span in sorted((s for s in spans if not s.own_clock), key=lambda s: s.start_ns):
         if groups[alone:] and (not span.end_ns or span.start_ns <= max(
-                s.end_ns for s in groups[-1]) + _NEAR):
+                s.end_ns for s in groups[-1]) + NEAR):
             for other in groups[-1]:
                 if other.given != span.given:
                     _check_apart(other, span, topics)
@@ -89,13 +88,33 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
     return [_parts(sorted(group, key=spans.index), [s.given for s in spans]) for group in groups]
 
 
+def _continues(span: _Span, other: _Span) -> bool:
+    """Whether a logger has split a table there."""
+    return bool(span.types) and span.types == other.types and follows(span.start_ns, other.end_ns)
+
+
+def _in_chains(spans: Sequence[_Span]) -> list[_Span]:
+    """Put files that continue others behind them."""
+    following = {id(before): span for span in spans for before in spans
+                 if before is not span and _continues(span, before)}
+    behind = {id(span) for span in following.values()}
+    ordered = []
+    for head in spans:
+        if id(head) not in behind:
+            chain: _Span | None = head
+            while chain:
+                ordered.append(chain)
+                chain = following.get(id(chain))
+    return ordered
+
+
 def _add_by_columns(groups: list[list[_Span]], span: _Span, topics: frozenset[str]) -> None:
     """Add a file to the last recording if no file there has its columns, or both are asked for."""
     last = groups[-1] if groups else []
     again = any(span.types & other.types for other in last)
     asked = all(one.topics & topics for one in (span, *last)) \
         and not any(span.topics & other.topics for other in last)
-    if last and (asked or not again):
+    if last and (asked or not again or any(_continues(span, other) for other in last)):
         last.append(span)
     else:
         groups.append([span])
@@ -165,7 +184,7 @@ def _span(path: str, files: tuple[str, ...], time: Sequence[str]) -> _Span:
 
 def _check_apart(one: _Span, other: _Span, topics: Collection[str]) -> None:
     shared = one.topics & other.topics & (frozenset(topics) or one.topics)
-    if shared and min(one.end_ns, other.end_ns) - max(one.start_ns, other.start_ns) > _NEAR:
+    if shared and min(one.end_ns, other.end_ns) - max(one.start_ns, other.start_ns) > NEAR:
         raise BagError(f'{one.given} and {other.given} hold the same topics ('
                        f'{", ".join(sorted(shared)[:4])}) at the same time: the same recording '
                        'twice, or two robots; give one of them')

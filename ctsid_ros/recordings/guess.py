@@ -212,7 +212,8 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
     """Return a short name for a field that is not taken yet."""
     last = re.sub(r'\W+', '_', topic.info.name.strip('/').rpartition('/')[2]) or 'channel'
     words = re.findall(r'[A-Za-z_]\w*|\d+', text.replace('euler', ''))
-    plain = words[-1] if 'euler' in text else '_'.join(words[-2:])
+    named = next((i for i in range(len(words) - 2, 0, -1) if not words[i].isdigit()), 0)
+    plain = words[-1] if 'euler' in text else '_'.join(words[named:])
     short = len(plain) < 3 and not topic.info.type.startswith('table/')
     if plain.startswith('data') or short:
         plain = f'{last}_{words[-1]}'

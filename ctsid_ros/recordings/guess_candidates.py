@@ -44,7 +44,7 @@ _MEASURED_TYPE = re.compile(
     r'SensorCombined|NavSatFix|Range|Accel\w*|Altitude|\w*Measurement)$')
 _NO_MOTION = re.compile(
     r'.*(Battery\w*|Temperature|MagneticField|FluidPressure|Diagnostic\w*|\w*Health\w*|Cpu\w*|'
-    r'EstimatorStatus|TimeReference|Power\w*)$')
+    r'Estimator\w*(Status|Innovation|Bias|Drift|Flags|Ratio)\w*|EkfGpsDrift|TimeReference|Power\w*)$')
 STICK = re.compile(r'joy|stick|(^|[/_])rc|manual|teleop', re.IGNORECASE)
 _DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_?point|target|'
                             r'command|cmd)($|[._\[])|temperature|voltage|current|battery')

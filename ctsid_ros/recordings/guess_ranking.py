@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ctsid_core.linear.types import Array
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock
-from ctsid_ros.recordings.guess_candidates import FORCE_FIELD, Candidate, candidates
+from ctsid_ros.recordings.guess_candidates import FEWEST, FORCE_FIELD, Candidate, candidates
 from ctsid_ros.recordings.guess_pairs import (
     Comparison,
     Explained,
@@ -204,6 +204,8 @@ def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
 
 def _score(u: Candidate, y: Candidate, found: Explained, frequencies: float) -> float:
     first = float(np.clip(_TIE + 0.8 * (found.past - found.future), 0.2, 1.0))
+    if found.overlap * min(u.rate, y.rate) < FEWEST:
+        return 0.0  # so few samples are explained by anything
     stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
     spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
     together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0

@@ -84,6 +84,8 @@ def _decompressed(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
     fill(packed, file, chunk.offset)
     if not chunk.compression:
         return packed
+    if chunk.compression not in COMPRESSIONS:
+        raise ValueError('there is no such compression')
     if chunk.cut:
         unpacker = lz4.frame.LZ4FrameDecompressor() if chunk.compression == 'lz4' else \
             zstandard.ZstdDecompressor().decompressobj()

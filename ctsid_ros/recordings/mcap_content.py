@@ -23,15 +23,15 @@ from ctsid_ros.decoding.table import take
 
 RECORD = struct.Struct('<BQ')  # opcode, length of what follows
 _INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entries
-_ENTRY = np.dtype([('log', '<i8'), ('offset', '<i8')])
+_ENTRY = 2  # numbers of 8 bytes: log time and offset
 _HEAD = np.dtype({'names': ['opcode', 'length', 'channel', 'log', 'publish'],
                   'formats': ['u1', '<i8', '<u2', '<i8', '<i8'], 'offsets': [0, 1, 9, 15, 23],
                   'itemsize': 31})  # of the record of a message, up to its data
 _MESSAGE, _MESSAGE_INDEX = Opcode.MESSAGE.value, Opcode.MESSAGE_INDEX.value
 _DEFINITIONS = (Opcode.SCHEMA.value, Opcode.CHANNEL.value)
 _LEAST = _HEAD.itemsize - RECORD.size  # length of the record of an empty message
-_NONE = np.empty(0, _ENTRY)
-Table = NDArray[np.void]  # entries of the index of one channel
+_NONE = np.empty((0, _ENTRY), '<i8')
+Table = NDArray[np.int64]  # entries of the index of one channel, shape (N, 2)
 Define = Callable[[int, bytes], None]
 
 
@@ -75,9 +75,11 @@ class Messages(NamedTuple):
     @classmethod
     def at(cls, contents: Sequence[Content], places: Sequence[Index]) -> Messages:
         """Look at the records at these places of each content."""
-        heads = np.concatenate([take(content, own, _HEAD.itemsize) for content, own in
-                                zip(contents, places, strict=True)]).view(_HEAD)
         place = np.concatenate(places)
+        # An index that is damaged may list any number.
+        near = [np.maximum(own, 0) for own in places]
+        heads = np.concatenate([take(content, own, _HEAD.itemsize) for content, own in
+                                zip(contents, near, strict=True)]).view(_HEAD)
         offsets, lengths = place + _HEAD.itemsize, heads['length'] - _LEAST
         ends = np.repeat([len(content) for content in contents], [len(own) for own in places])
         return cls(offsets, lengths, heads, (heads['opcode'] == _MESSAGE) & (place >= 0)
@@ -132,8 +134,8 @@ def _listed(contents: Sequence[Content], entries: Sequence[Sequence[tuple[int, T
     tables = [np.concatenate([_NONE, *(table for _, table in own)]) for own in entries]
     pairs = [(channel, len(table)) for own in entries for channel, table in own]
     channels = np.repeat([channel for channel, _ in pairs], [count for _, count in pairs])
-    found = Messages.at(contents, [table['offset'] for table in tables])
-    return found, (found.whole & (found.heads['log'] == np.concatenate(tables)['log'])
+    found = Messages.at(contents, [table[:, 1] for table in tables])
+    return found, (found.whole & (found.heads['log'] == np.concatenate(tables)[:, 0])
                    & (found.heads['channel'] == channels))
 
 
@@ -205,6 +207,6 @@ def _entries(index: bytes) -> Iterator[tuple[int, Table]]:
         opcode, length, channel, size = _INDEX.unpack_from(index, position)
         end = position + RECORD.size + length
         if opcode == _MESSAGE_INDEX and position + _INDEX.size + size <= len(index):
-            yield channel, np.frombuffer(index, _ENTRY, size // _ENTRY.itemsize,
-                                         position + _INDEX.size)
+            yield channel, np.frombuffer(index, '<i8', size // 16 * _ENTRY,
+                                         position + _INDEX.size).reshape(-1, _ENTRY)
         position = end

@@ -51,9 +51,11 @@ def scan_mcap(path: Path, resources: ExitStack) -> Recording:
     BagError
         If nothing of it can be read.
     """
-    with path.open('rb') as file:
+    # Not buffered: a few bytes are read of each record, and the next one is far away.
+    with path.open('rb', buffering=0) as file:
         scan = _Scan(path, file)
         scan.records()
+        scan.known_compression()
         scan.contents()
         return scan.recording()
 
@@ -68,7 +70,7 @@ class _Scan:
         self.channels: dict[int, Channel] = {}
         self.statistics: Statistics | None = None
         self.known: set[int] = set()  # channels whose definitions can be believed
-        self.spans: dict[int, tuple[int, int]] = {}  # of chunks by position, in the summary
+        self.stated: dict[int, ChunkIndex] = {}  # chunks by position, in the summary
         self.starts: dict[int, int] = {}  # positions of chunks by that of their content
         self.in_summary = self.closed = False
         self.whole: tuple[int, int] | None = None  # first and last log time, by a checked summary
@@ -98,6 +100,8 @@ class _Scan:
                 if opcode == Opcode.MESSAGE.value:
                     channel, _, log_ns, _ = _MESSAGE.unpack_from(head, RECORD.size)
                     self.loose_message(position, end, channel, log_ns)
+                elif opcode == Opcode.MESSAGE_INDEX.value:
+                    self.message_index(head, end)
                 else:
                     self.record(opcode, position + RECORD.size, end)
             except (McapError, ValueError, struct.error):
@@ -115,16 +119,13 @@ class _Scan:
         self.end_loose()
         if opcode == Opcode.CHUNK:
             self.chunk(start, end, end)
-        elif opcode == Opcode.MESSAGE_INDEX:
-            self.message_index(end)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.define(opcode, self.file.read(end - start))
         elif opcode == Opcode.STATISTICS:
             self.statistics = Statistics.read(self.stream(end - start))
         elif opcode == Opcode.CHUNK_INDEX:
             index = ChunkIndex.read(self.stream(end - start))
-            self.spans[index.chunk_start_offset] = (index.message_start_time,
-                                                    index.message_end_time)
+            self.stated[index.chunk_start_offset] = index
         elif opcode == Opcode.DATA_END:
             self.in_summary = True
         elif opcode == Opcode.FOOTER:
@@ -149,7 +150,7 @@ class _Scan:
             return
         self.notes.append(f'{self.path.name}: its summary is damaged: the file was read anew')
         self.statistics = None
-        self.spans.clear()
+        self.stated.clear()
         self.index_ends.clear()
         self.chunks = [replace(chunk, counts=None) for chunk in self.chunks]
 
@@ -177,11 +178,8 @@ class _Scan:
         self.file.seek(start)
         start_ns, end_ns, full_size, crc, length = _CHUNK.unpack(self.file.read(_CHUNK.size))
         compression = self.file.read(min(length, 32)).decode()
-        if length > 32 or not compression.isprintable():
+        if len(compression) < length or not compression.isprintable():
             raise ValueError('that is no name of a compression')
-        if compression not in COMPRESSIONS:
-            raise BagError(f'{self.path}: chunks are compressed with {compression!r}; ctsid reads '
-                           'lz4, zstd and none: convert the bag with `mcap compress`')
         (size,) = struct.unpack('<Q', self.file.read(8))
         offset = start + _CHUNK.size + length + 8
         if offset + size > end:
@@ -193,8 +191,9 @@ class _Scan:
             offset, max(min(size, limit - offset), 0), compression, start_ns, end_ns, self.index,
             full_size, 0 if cut else crc, cut=cut))
 
-    def message_index(self, end: int) -> None:
-        channel, size = _INDEX.unpack(self.file.read(_INDEX.size))
+    def message_index(self, head: bytes, end: int) -> None:
+        self.end_loose()
+        channel, size = _INDEX.unpack_from(head, RECORD.size)
         self.index[channel] += size // 16
         self.index_ends[len(self.chunks) - 1] = end
 
@@ -211,6 +210,13 @@ class _Scan:
                 self.known.add(channel.id)
             if not self.in_summary or channel.id not in self.channels:
                 self.channels[channel.id] = channel
+
+    def known_compression(self) -> None:
+        """Refuse a file that is compressed in another way; of one chunk it is damage."""
+        unknown = [c.compression for c in self.chunks if c.compression not in COMPRESSIONS]
+        if unknown and len(unknown) == len(self.chunks):
+            raise BagError(f'{self.path}: chunks are compressed with {unknown[0]!r}; ctsid reads '
+                           'lz4, zstd and none: convert the bag with `mcap compress`')
 
     def contents(self) -> None:
         """Read those chunks of which the records of the file tell too little, or may lie."""
@@ -245,10 +251,12 @@ class _Scan:
         start = self.starts.get(chunk.offset)
         if start is None:  # messages outside of chunks have told their own times
             return True
-        span_ns = (chunk.start_ns, chunk.end_ns)
+        span_ns, stated = (chunk.start_ns, chunk.end_ns), self.stated.get(start)
+        stated_ns = (stated.message_start_time, stated.message_end_time) if stated else None
         whole = (self.statistics.message_start_time, self.statistics.message_end_time) \
-            if self.statistics else self.spans.get(start, (0, 0))
-        return (self.spans.get(start, span_ns) == span_ns
+            if self.statistics else stated_ns or (0, 0)
+        indexed = stated.message_index_offsets.keys() if stated else set()
+        return (stated_ns in (None, span_ns) and (not indexed or indexed == chunk.counts.keys())
                 and whole[0] <= span_ns[0] <= span_ns[1] <= whole[1])
 
     def truncated(self, found: int) -> None:

@@ -43,7 +43,7 @@ def scan_parquet(path: Path, time: Sequence[str] = ()) -> Recording:
     try:
         with parquet.ParquetFile(path) as file:
             table = _groups(file, path, notes)
-    except (pyarrow.ArrowException, OSError) as error:
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise BagError(f'{path}: the file is cut off or damaged ({_line(error)}); the description '
                        'of a Parquet file is at its end, so nothing can be recovered') from None
     words: list[str] = []

@@ -257,6 +257,8 @@ def why_nothing(bag: Bag, config: Config, ingest: Ingest, spans: Spans,
                           for c in config.channels if c.name in few)
         lines = [f'too few usable samples in this interval of {names}; choose another field, '
                  'topic or interval']
+        lines += [f'`{c.name}`: {problem}' for c in config.channels
+                  if few.get(c.name) == 0 and (problem := bag.problem(c.topic, [c.path]))]
     else:
         listed = ', '.join(
             f'`{c.name}` ({c.topic}) '

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from operator import itemgetter
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from ctsid_ros.decoding.block import Block, Decode, Located
 from ctsid_ros.decoding.message_types import MessageType
 
 Note = Callable[[str], None]
+NEAR = 10**9  # from the end of a part to the start of the next, or of their overlap, at most [ns]
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,30 @@ class Recording:
     def count(self) -> int:
         """Number of messages."""
         return sum(connection.count for connection in self.connections)
+
+
+def follows(start_ns: int, end_ns: int) -> bool:
+    """Whether a part that starts then continues one that has ended then."""
+    return 0 <= start_ns - end_ns <= NEAR
+
+
+def continued(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Give tables that continue each other the name of the first: a logger has split them."""
+    found = list(recordings)
+    for number in sorted(range(len(found)), key=lambda i: found[i].start_ns):
+        own = found[number]
+        before = next((one for one in found if one is not own and own.alone and _columns(one)
+                       == _columns(own) and follows(own.start_ns, one.end_ns)), None)
+        if before:
+            found[number] = replace(own, alone=before.alone, connections=tuple(
+                replace(c, topic=before.alone + c.topic.removeprefix(own.alone))
+                for c in own.connections))
+    return tuple(found)
+
+
+def _columns(table: Recording) -> list[tuple[str, MessageType | None]]:
+    return [(c.topic.removeprefix(table.alone), c.message_type) for c in table.connections
+            if table.alone]
 
 
 class _Stream(NamedTuple):

@@ -73,6 +73,7 @@ def scan_ros1(path: Path, resources: ExitStack) -> Recording:
                            'ctsid reads 2.0: convert it with `rosbag fix`')
         scan = _Scan(path, file)
         scan.records()
+        scan.known_compression()
         scan.contents()
         return scan.recording()
 
@@ -119,9 +120,6 @@ class _Scan:
         kind = header[b'op']
         if kind == _CHUNK:
             compression = header[b'compression'].decode()
-            if compression not in _DECOMPRESS:
-                raise BagError(f'{self.path}: chunks are compressed with {compression!r}; ctsid '
-                               'reads lz4, bz2 and none: convert the bag with `rosbag compress`')
             self.chunks[position] = Chunk(data, size, compression,
                                           full_size=U32.unpack(header[b'size'])[0])
         elif kind == _BAG_HEADER:
@@ -147,6 +145,14 @@ class _Scan:
         self.chunks[position] = replace(
             self.chunks[position], counts=dict(struct.iter_unpack('<II', data)),
             start_ns=time_ns(header[b'start_time']), end_ns=time_ns(header[b'end_time']))
+
+    def known_compression(self) -> None:
+        """Refuse a bag that is compressed in another way; of one chunk it is damage."""
+        unknown = [chunk.compression for chunk in self.chunks.values()
+                   if chunk.compression not in _DECOMPRESS]
+        if unknown and len(unknown) == len(self.chunks):
+            raise BagError(f'{self.path}: chunks are compressed with {unknown[0]!r}; ctsid reads '
+                           'lz4, bz2 and none: convert the bag with `rosbag compress`')
 
     def contents(self) -> None:
         """Read those chunks of which the index tells nothing, or what cannot be."""
@@ -221,6 +227,8 @@ def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> 
 def _content(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
     packed = room.content(chunk.size) if chunk.compression == 'none' else room.packed(chunk.size)
     fill(packed, file, chunk.offset)
+    if chunk.compression not in _DECOMPRESS:
+        raise ValueError(f'there is no compression {chunk.compression!r}')
     try:
         if chunk.cut and chunk.compression in _CUT:
             return bytes(_CUT[chunk.compression]().decompress(packed))

@@ -146,8 +146,8 @@ def sound_times(times: NDArray[Any], unit_ns: int) -> tuple[Stamps, NDArray[np.b
 def left_out(path: Path, topic: str, sound: NDArray[np.bool_]) -> list[str]:
     """Return the note on messages whose times are not sound, if there are any."""
     count = len(sound) - int(np.count_nonzero(sound))
-    return [f'{path.name}: topic {topic}: {count} messages left out whose times are zero or '
-            'cannot be'] if count else []
+    what = 'message left out whose time is' if count == 1 else 'messages left out whose times are'
+    return [f'{path.name}: topic {topic}: {count} {what} zero or cannot be'] if count else []
 
 
 def _blocks(series: Sequence[Series], wanted: Wanted, note: Note) -> Iterator[Block]:

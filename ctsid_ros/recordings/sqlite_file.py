@@ -3,8 +3,9 @@
 rosbag2 files in SQLite (.db3), of any schema version, sound or cut off.
 
 A file left behind by a crash may have its last messages in a write-ahead log beside it, which is
-then read as well. A cut-off file is malformed for SQLite; filled up with zeros to the size its
-header states, it gives up every message before the first missing page.
+then read as well. A cut-off file is malformed for SQLite; its messages are taken out of the pages
+that are there, by `sqlite_pages.py`, and its topics by SQLite, the file filled up with zeros to
+the size that its header states.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.chunks import NO_CHECKSUMS, YEAR
 from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
+from ctsid_ros.recordings.sqlite_pages import rows
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
@@ -37,6 +39,8 @@ _BATCH = 4 << 20  # bytes of messages that are decoded at once: 1 and 12 MB take
 _ROWS = 64  # fetched at once, before it is known how large they are
 # A damaged schema may even come with an error message that is not UTF-8.
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
+# Asked of each message when it is read as well: its time then comes out of the index, where it may
+# be another one than in the table.
 SOUND = "typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"  # columns can hold anything
 
 
@@ -84,6 +88,11 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
         f'SELECT group_concat(CASE WHEN {sound} THEN topic_id END), COUNT(*) FROM messages'
         ).fetchone()
     counts = Counter((topics or '').split(',') if topics else [])
+    # Messages are read in the order of an index, which may lack some of those in the table.
+    (listed,) = database.execute(
+        f'SELECT COUNT(*) FROM messages WHERE {_in_time(sound)}').fetchone()
+    if listed < counts.total():
+        raise sqlite3.DatabaseError('its index of times is damaged')
     if counts.total() < total:
         notes = (*notes, f'{path.name}: {total - counts.total()} messages are damaged and were '
                  f'left out; {NO_CHECKSUMS}')
@@ -117,6 +126,11 @@ def _sound(database: sqlite3.Connection) -> str:
     if not isinstance(middle, int):
         return SOUND
     return f'{SOUND} AND timestamp BETWEEN {middle - int(YEAR)} AND {middle + int(YEAR)}'
+
+
+def _in_time(sound: str) -> str:
+    """Return the part of the condition that is on the time, and needs nothing but the index."""
+    return sound.replace(" AND typeof(data) = 'blob'", '')
 
 
 def _blocks(path: Path, database: sqlite3.Connection, sound: str, wanted: Wanted, note: Note
@@ -158,14 +172,19 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
     """Copy into a new database what can be read of a malformed one."""
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix='ctsid-')))
     copy = folder / 'damaged.db3'
-    _fill_up(path, copy)
+    page, unused, end = _fill_up(path, copy)
     damaged = _connect(copy, resources)
     new = sqlite3.connect(folder / 'salvaged.db3', check_same_thread=False)
     resources.callback(new.close)
     new.executescript('PRAGMA synchronous = OFF; PRAGMA journal_mode = OFF')  # quick, temporary
     for table, columns in TABLES.items():
-        new.execute(f'CREATE TABLE {table} ({", ".join(columns)})')
-        _copy_rows(damaged, new, table, columns)
+        key = ' INTEGER PRIMARY KEY' if columns[0] == 'id' else ''
+        new.execute(f'CREATE TABLE {table} ({columns[0]}{key}, {", ".join(columns[1:])})')
+        if table != 'messages':
+            _copy_rows(damaged, new, table, columns)
+    with copy.open('rb') as file:
+        new.executemany('INSERT OR IGNORE INTO messages VALUES (?, ?, ?, ?)',
+                        rows(file, page, unused, end))
     new.execute('CREATE INDEX by_time ON messages (timestamp)')
     new.commit()
     (count,) = new.execute('SELECT COUNT(*) FROM messages').fetchone()
@@ -175,16 +194,23 @@ def _salvage(path: Path, resources: ExitStack, error: Exception
     return new, count
 
 
-def _fill_up(path: Path, copy: Path) -> None:
-    """Copy a file without its last, half-written page, filled with zeros to its stated size."""
+def _fill_up(path: Path, copy: Path) -> tuple[int, int, int]:
+    """
+    Copy a file without its last, half-written page, filled with zeros to its stated size.
+
+    Return the size of a page, how much at its end SQLite does not use, and what was there.
+    """
     shutil.copyfile(path, copy)
     with copy.open('r+b') as file:
         header = file.read(100).ljust(100, b'\0')
         page = int.from_bytes(header[16:18], 'big')
         page = 65536 if page == 1 else max(page, 512)
-        whole = _end_of_data(file) // page * page
+        size, end = file.seek(0, io.SEEK_END), _end_of_data(file)
+        # Zeros that fill pages never reached the disk; fewer may be the end of a message.
+        whole = (end if size - end >= page else size) // page * page
         file.truncate(whole)
         file.truncate(max(whole, page * int.from_bytes(header[28:32], 'big')))
+    return page, header[20], whole
 
 
 def _end_of_data(file: BinaryIO) -> int:

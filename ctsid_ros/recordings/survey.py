@@ -36,9 +36,10 @@ _BULKY = re.compile(
     r'ParameterEvent|ParameterDescriptions|Config|RobotDescription|Clock)$')
 # Numbers that are no signals: bookkeeping, and what says how sure the others are.
 _NOT_A_SIGNAL = re.compile(
-    r'covariance|variance|(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
+    r'covariance|variance|_var($|[._\[])|'
+    r'(^|[._])\w*(std_?dev|accuracy|noise|_cov|time_?stamp)\w*($|[._\[])|'
     r'(^|[._])(layout|seq|sequence|stamp|time_?stamp\w*|time|id|index|counter?|buttons|flags|'
-    r'checksum|crc|height|width|step|data_offset)($|[._\[])')
+    r'checksum|crc|height|width|step|data_offset|e[pv][hv]|[hvpt]dop)($|[._\[])')
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class TopicSurvey:
     fields : tuple of FieldStats
     undecodable : int
         Messages that could not be decoded, or lack fields that the first one has.
+    reason : str
+        Why, of the first of these.
     note : str
         Why nothing more is said, if so.
     """
@@ -71,6 +74,7 @@ class TopicSurvey:
     late: float = math.nan
     fields: tuple[FieldStats, ...] = ()
     undecodable: int = 0
+    reason: str = ''
     note: str = ''
 
     @property
@@ -173,7 +177,7 @@ def survey(bag: Bag, most: int = MOST) -> Survey:
             last_ns = int(block.log_ns[len(inside)])
             notes.append(f'only the first {most} messages were looked at')
             break
-    found = [*(_finish(watch, bag.start_ns) for watch in watches.values()), *skipped]
+    found = [*(_finish(watch, bag) for watch in watches.values()), *skipped]
     return Survey((bag.end_ns - bag.start_ns) * 1e-9, bag.start_ns,
                   sum(info.count for info in bag.topics.values()),
                   (last_ns - bag.start_ns) * 1e-9,
@@ -216,13 +220,13 @@ def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
     return watches, skipped
 
 
-def _finish(watch: _Watch, start_ns: int) -> TopicSurvey:
+def _finish(watch: _Watch, bag: Bag) -> TopicSurvey:
     if not watch.seen:
         return TopicSurvey(watch.info, note='no message among those looked at')
     log, publish = np.concatenate(watch.log), np.concatenate(watch.publish)
     header = np.concatenate(watch.header) if watch.header else np.empty(0, np.int64)
     sound = np.concatenate(watch.sound)
-    first, last = (log[[0, -1]] - start_ns) * 1e-9
+    first, last = (log[[0, -1]] - bag.start_ns) * 1e-9
     begins = np.zeros(len(log), bool)
     begins[[cut for cut in watch.cuts if cut < len(log)]] = True
     stamps = [stamp_stats('header', header, begins[sound])] if watch.info.has_header else []
@@ -239,4 +243,5 @@ def _finish(watch: _Watch, start_ns: int) -> TopicSurvey:
     length = float(steps.sum()) * 1e-9
     rate = len(steps) / length if length > 0 else math.nan
     return TopicSurvey(watch.info, float(first), float(last), float(rate), tuple(stamps), late,
-                       fields, watch.undecodable)
+                       fields, watch.undecodable,
+                       bag.problem(watch.info.name, watch.paths) if watch.undecodable else '')

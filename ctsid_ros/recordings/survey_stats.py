@@ -106,6 +106,7 @@ def stamp_stats(source: str, stamps: NDArray[np.int64], begins: NDArray[np.bool_
         int((step < 0).sum()), int((step == 0).sum()))
 
 
+@np.errstate(over='ignore', invalid='ignore')  # damaged numbers may be too large to be squared
 def field_stats(path: FieldPath, values: Array, run: int) -> FieldStats:
     """
     Measure a scalar.

@@ -33,6 +33,7 @@ _NAME = re.compile(
     r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec))?|time(us|ms|ns)')
 _SECONDS = re.compile(r'(?<![a-z])(secs?|seconds)$', re.IGNORECASE)
 _NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNORECASE)
+_FAR = 2.0**62  # ns: what is beyond is no time of any recording, and too large to be counted
 _CENTURY = (946_684_800, 4_102_444_800)  # 2000 to 2100 [s]
 _SLOWEST = 2.0  # interval of samples; twice as long is rather told in the next smaller unit [s]
 _ORDERED = 0.98  # of the steps of a time column go forward: a clock may have been set
@@ -195,9 +196,9 @@ def read_time(column: Column, told: str) -> Time:
     unit, note = told or _WORDS.get(word, ''), ''
     if not unit:
         unit, note = _guess(column)
-    values = np.where(known, column.values, 0)
+    values, far = np.where(known, column.values, 0), _FAR / UNITS[unit]
     log_ns = values.astype(np.int64) * UNITS[unit] if values.dtype.kind in 'iu' \
-        else np.rint(values * float(UNITS[unit])).astype(np.int64)
+        else np.rint(np.clip(values, -far, far) * float(UNITS[unit])).astype(np.int64)
     middle = float(np.median(log_ns[known])) * 1e-9 if known.any() else 0.0
     is_date = _CENTURY[0] < middle < _CENTURY[1]
     return Time(column.name, np.where(known, log_ns + BOOT_NS * (not is_date), 0), is_date, note)

@@ -27,6 +27,7 @@ MAGIC = b'ULog\x01\x12\x35'
 _TIMES = ('timestamp', 'timestamp_sample')
 # What acts does so from its publishing on; `timestamp_sample` is that of the gyro it answers to.
 _COMMAND = re.compile('setpoint|actuator|command|control')
+_LATEST = 60_000_000  # us: a first message may come so long after all others, or as a log lasts
 _ATTITUDE = re.compile(r'(^|\.)q(_d)?\[3\]$')
 
 
@@ -52,7 +53,8 @@ def scan_ulog(path: Path) -> Recording:
         raise BagError(f'{path}: the file is damaged before its first message '
                        f'({type(error).__name__}: {error}); nothing can be recovered') from None
     notes: list[str] = []
-    series = [one for data in log.data_list if (one := _series(data, path, notes))]
+    span = _span_us(log)
+    series = [one for data in log.data_list if (one := _series(data, span, path, notes))]
     count = sum(map(len, series))
     if not count:
         raise BagError(f'{path}: the file is cut off or damaged before its first message; nothing '
@@ -66,8 +68,9 @@ def scan_ulog(path: Path) -> Recording:
                      'one: the logger was not stopped, or the copy is not complete)')
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-        notes.append(f'{path.name}: the logger dropped messages {len(log.dropouts)} times, for '
-                     f'{lost:.1f} s in all: the card could not keep up')
+        times = 'once' if len(log.dropouts) == 1 else f'{len(log.dropouts)} times'
+        notes.append(f'{path.name}: the logger dropped messages {times}, for {lost:.2g} s in all: '
+                     'the card could not keep up')
     return recording(series, notes, own_clock=True)
 
 
@@ -83,7 +86,21 @@ class _Watched(io.BufferedReader):
         return data
 
 
-def _series(data: Any, path: Path, notes: list[str]) -> Series | None:
+def _span_us(log: Any) -> tuple[int, int]:
+    """
+    Return when the log begins and ends.
+
+    The first message of a topic may be one that was waiting when the logger began: it was
+    published long before, or its time is even that of an earlier run.
+    """
+    later = [data.data['timestamp'][1:] for data in log.data_list if 'timestamp' in data.data]
+    known = np.concatenate([np.empty(0, np.uint64), *later])
+    sound = known[sound_times(known, 1000)[1]]
+    start = int(log.start_timestamp)
+    return start, max(int(np.max(sound, initial=0)), start)
+
+
+def _series(data: Any, span_us: tuple[int, int], path: Path, notes: list[str]) -> Series | None:
     text = {entry.field_name for entry in data.field_data if entry.type_str == 'char'}
     columns = {name: column for name, column in data.data.items()
                if name not in _TIMES and name not in text and '_padding' not in name}
@@ -91,6 +108,9 @@ def _series(data: Any, path: Path, notes: list[str]) -> Series | None:
     if time is None or not columns:
         return None
     topic = data.name + (f'.{data.multi_id}' if data.multi_id else '')
+    start, end = span_us
+    if len(time) and time[0] and (time[0] < start or time[0] > end + max(end - start, _LATEST)):
+        time = np.concatenate((np.clip(time[:1], start, end), time[1:]))
     log_ns, sound = sound_times(time, 1000)
     notes += left_out(path, topic, sound)
     columns |= _quaternions(columns)

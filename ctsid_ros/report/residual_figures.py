@@ -74,9 +74,8 @@ def _inputs(model: StateSpace, record: Record, times: Array, e: Array) -> list[A
             continue
         r = correlation(row, binned, count)
         # Bartlett: both are coloured, and correlations of neighbouring lags alike.
-        own = correlation(row, row, count) * correlation(binned, binned, count)
-        bound = _NINETY_NINE * np.sqrt(
-            max(2.0 * own[:count // 4].sum() - own[0], own[0]) / count) / size
+        own = np.prod([correlation(x, x, count)[:count // 4] for x in (row, binned)], axis=0)
+        bound = _NINETY_NINE * np.sqrt(max(2.0 * own.sum() - own[0], own[0]) / count) / size
         k = np.arange(-lags, lags + 1)
         axes.append(Axes([Curve(step * k.astype(float), r[k] / size, '', 1)],
                          'correlation with the input before', 'lag [s]', levels=(-bound, bound),
@@ -89,7 +88,7 @@ def _inputs(model: StateSpace, record: Record, times: Array, e: Array) -> list[A
 
 def correlation(a: Array, b: Array, count: int) -> Array:
     """Return sum_t a(t) b(t + k), circular in k, with room for what would meet at the ends."""
-    size = 2 * count
+    size = 1 << (2 * count - 1).bit_length()
     found: Array = np.fft.irfft(np.fft.rfft(a, size).conj() * np.fft.rfft(b, size), size)
     return found
 

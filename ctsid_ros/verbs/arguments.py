@@ -55,10 +55,19 @@ def steps(text: str) -> int:
     return int(text)
 
 
+def bag_path(text: str) -> str:
+    """Return a bag; of a folder that has none itself but one in a subfolder, that one."""
+    if not Path(text).is_dir():
+        return text
+    from ctsid_ros.recordings.files import only_inside
+
+    return str(only_inside(Path(text)) or text)
+
+
 def add_bag(parser: argparse.ArgumentParser,
             several: str = 'several are the parts of one recording') -> None:
     """Add the bag, and what several of them mean."""
-    parser.add_argument('bag', nargs='+', metavar='BAG',
+    parser.add_argument('bag', nargs='+', metavar='BAG', type=bag_path,
                         help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag file, PX4 .ulg, '
                         f'ArduPilot .bin, .csv, .parquet, or a URL of one; {several}')
     parser.add_argument('--time', action='append', default=[], metavar='COLUMN', help='column of '

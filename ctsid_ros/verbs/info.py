@@ -110,7 +110,8 @@ def _sections(found: Survey, guesses: Sequence[Guess], bags: list[str],
     yield stretch_section(guesses)
     still = [f'{t.info.name}: {len(quiet)} more do not move'
              for t in found.topics if (quiet := [f for f in t.fields if not f.moves])]
-    torn = [f'{t.info.name}: {t.undecodable} messages cannot be decoded or lack some fields'
+    torn = [f'{t.info.name}: {t.undecodable} messages cannot be decoded or lack some fields '
+            f'({t.reason})'
             for t in found.topics if t.undecodable]
     notes = (*still, *torn, *found.notes)
     yield Section('Notes', (Bullets(notes),) if notes else ())
