@@ -6,7 +6,7 @@ import numpy as np
 from plants import PLANTS, asynchronous, match
 import pytest
 
-from ctsid_core import Record, Settings, identify
+from ctsid_core import Grade, Record, Settings, identify
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 from ctsid_ros.studies.experiments import flown
@@ -116,3 +116,21 @@ def test_a_sample_is_not_put_before_its_record():
     own, best = (np.array(prediction_errors(m, given.test))
                  for m in (estimate.model, given.truth))
     assert (own < 1.1 * best).all()          # responses of order 2 and more were not numbers
+
+
+def test_a_pole_put_on_the_axis_is_as_unsure_as_it_was_found():
+    """A slow pole under its controller in gusts: on the axis it had a deviation of 0."""
+    rng, h, p = np.random.default_rng(6), 0.02, 0.05
+    t = h * np.arange(2000)
+    wanted = np.repeat(rng.choice([-1.0, 1.0], len(t) // 40 + 1), 40)[:len(t)]
+    x, u, y = 0.0, np.empty(len(t)), np.empty(len(t))
+    for k in range(len(t)):
+        y[k] = x + 0.01 * rng.standard_normal()
+        u[k] = 3.0 * (wanted[k] - y[k])
+        x = np.exp(p * h) * x + h * u[k] + 0.3 * np.sqrt(h) * rng.standard_normal()
+    record = Record.from_arrays(t, u, t, y, input_hold='zoh')
+    found = identify(record, Settings(feedthrough=False, delay=0.0, order=1))
+    model = found.model or found.rejected_model
+    assert abs(model.poles[0]) < 1e-9
+    assert 0.5 * p < found.pole_std[0] < 3.0 * p
+    assert found.verdict.grade is not Grade.GOOD

@@ -121,6 +121,19 @@ def test_an_unstable_plant_without_eigenvectors_stays_bounded():
     assert found.fit.min() > 100.0 - 1e-8
 
 
+def test_modes_that_grow_alike_are_not_parted():
+    turn = np.linalg.qr(np.random.default_rng(9).standard_normal((3, 3)))[0]
+    A = turn @ (np.diag(np.full(3, 0.1)) + np.diag(np.ones(2), 1)) @ turn.T
+    assert matrix_functions.modes(A) is None
+    t = np.linspace(0.0, 10.0, 401)
+    signal = Signal(t, np.sign(np.sin(7.0 * t))[:, np.newaxis], 'zoh')
+    x, u = simulation.respond(A, np.ones((3, 1)), np.zeros(3), (signal,), (0.0,), t, None)
+    step, integral = matrix_functions.exponentials(A, np.diff(t), 1)
+    moved = np.einsum('kij,kj->ki', step, x[:-1])
+    moved += np.einsum('kij,kj->ki', integral, u[:-1] @ np.ones((1, 3)))
+    assert np.abs(moved - x[1:]).max() < 1e-11 * np.abs(x).max()
+
+
 def test_a_defective_plant_is_simulated_exactly():
     # y = t^2/2 for a step, t^3/6 for a ramp, plus x0
     model = StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]])

@@ -8,7 +8,7 @@ hardly more parameters explain more. The states and the trim at the start of a s
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone.
+leaves, noise apart, has to be gone, as far as the noise lets see.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of, evaluation_work
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
+    ROUNDING,
     Fit,
     Free,
     climb,
@@ -141,7 +142,8 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
             count = float(np.sum((record.streams[least].times - record.start
                                   > _INSTANTS[k] * (record.end - record.start)) == after))
             if count >= fewest and len(R) > len(last) and last[-1] > 0.0:
-                promise[k] += count * float(np.log(np.sum(last) / last[-1]))
+                gone = samples.ny * (1.0 - last[-1] / np.sum(last))     # as if all of one output
+                promise[k] -= count * float(np.log(max(1.0 - gone, ROUNDING)))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 

@@ -101,8 +101,7 @@ def _covariances(solution: Solution, model: StateSpace,
     try:
         changes = entry_changes(solution.samples, solution.fit, solution.free)
         if solution.plant is not None:
-            changes = changes_of_plant(solution.samples, solution.fit, changes,
-                                       not is_stable(solution.plant))
+            changes = changes_of_plant(solution.samples, solution.fit, changes)
     except np.linalg.LinAlgError:
         return None, None
     if not all(np.isfinite(block).all() for block in changes):

@@ -27,6 +27,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal
 
 CHUNK = 4096  # intervals at a time where matrices are stored per interval
+_GROWTH = 5.0  # times e, that modes may grow which are simulated from their start
 
 # From signals, their dead times [s] and knots to what the signals are between the knots.
 Pieces = Callable[[Sequence[Signal], Sequence[float], Array], Array]
@@ -103,7 +104,7 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
         State at `times[0]`. None: the solution whose stable modes start and whose unstable modes
         end at zero. It is bounded, however unstable A is, so that e^(A t) can be added to it
         without cancellation. (If the eigenvectors of A are ill-conditioned, modes that grow by
-        less than e over all times start at zero, too.)
+        less than some e^5 over all times may start at zero, too.)
 
     Returns
     -------
@@ -190,11 +191,16 @@ def _chained(a: ComplexArray, g: ComplexArray, z0: ComplexArray) -> ComplexArray
 
 def _parts(A: Array, length: float) -> tuple[tuple[Array, Array, Array], ...]:
     """
-    Return the part of A that does not grow by more than e over a length, and the part that does.
+    Return the part of A that does not grow much over a length, and the part that does.
 
     Each as the matrix that moves it, what it adds to the state, and what the state adds to it.
+    The cut is where poles are farthest apart: they may be so close that they have no parts.
     """
-    T, Z, count = schur(A, sort=lambda real, _: real * length <= 1.0)
+    growth = np.sort(np.append(np.clip(length * np.linalg.eigvals(A).real, 0.0, _GROWTH),
+                               (0.0, _GROWTH)))
+    widest = int(np.argmax(np.diff(growth)))
+    limit = 0.5 * (growth[widest] + growth[widest + 1])
+    T, Z, count = schur(A, sort=lambda real, _: real * length <= limit)
     own, other = slice(count), slice(count, None)
     Y = solve_sylvester(T[own, own], -T[other, other], -T[own, other]) \
         if 0 < count < len(A) else np.zeros((count, len(A) - count))

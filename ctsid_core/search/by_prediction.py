@@ -329,8 +329,12 @@ def _on_the_axis(A: Array) -> Array:
     return found
 
 
-def changes_of_plant(samples: Samples, fit: Fit, changes: Entries, unstable: bool) -> Entries:
-    """Return changes of A, B, C and dead times of `plant_of`, from those of its predictor (1)."""
+def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
+    """
+    Return changes of A, B, C and dead times of the plant, from those of its predictor (1).
+
+    Those of modes as they are found: on the axis they would not move, and seem to be known.
+    """
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
         _held_interval(samples)
     K = m.B[:, nu:] / samples.size
@@ -341,7 +345,7 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries, unstable: boo
         little = _LITTLE / max(size, 1e-12)
         sides = [_open_loop(m.A + h * changes.A[k], (m.B + h * changes.B[k])[:, :nu],
                             K + h * changes.B[k][:, nu:] / samples.size,
-                            m.C + h * changes.C[k], step, unstable)
+                            m.C + h * changes.C[k], step, True)
                  for h in (little, -little)]
         found.append([(a - b) / (2.0 * little) for a, b in zip(*sides, strict=True)])
     A, B = (np.array([f[i] for f in found]) for i in (0, 1))

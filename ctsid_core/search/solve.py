@@ -236,8 +236,8 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
         _used(part, settings, len(found.matrices.A), delay), part, found.samples,
         found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
-        (Choice('domain', 'predictions', 'no simulation explains the outputs; predictions from '
-                'their own past do far better'),), plant=found.matrices,
+        (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
+                'than those of the best model that simulates'),), plant=found.matrices,
         simulating=(samples, best.fit, free) if stable else None, errors_ahead=found.errors)
 
 

@@ -66,8 +66,8 @@ def output_section(shown: Shown, settings: Settings, estimate: Estimate | None =
         marks, words = _changed(shown, estimate)
     how = shown.parts[0].how
     if how != 'simulated':
-        words.append(f'No simulation explains these data: the outputs are {how}, from what was '
-                     'measured before, and the fits of the model are those of such predictions. '
+        words.append('Predictions explain these data better than any simulation: the outputs '
+                     f'are {how}, from what was measured before, and the fits are theirs. '
                      'Fit by horizon, below, shows how it simulates.')
     return Section(f'Measured and {how.split()[0]}{shown.which}', (
         *words, Gallery(tuple(output_figures(shown.model, shown.record, shown.parts, shown.offset,
