@@ -117,6 +117,28 @@ def test_verdict_and_command_come_first(folder):
     assert markdown_text.index('**GOOD.**') < markdown_text.index('## ')
 
 
+def test_residuals_of_predictions_are_of_one_kind(tmp_path):
+    """What is white by the table is white in the figure: both are of predictions one ahead."""
+    root = Path(__file__).parents[1]
+    assert main(['identify', str(root / 'bags/quadrotor_roll'), '--params', str(
+        root / 'config/quadrotor_roll.yaml'), '--out', str(tmp_path / 'res'), '--quiet']) == 0
+    page = (tmp_path / 'res/report.html').read_text(encoding='utf-8')
+    words = ' '.join(Tags(page).words)
+    assert 'Measured and predicted' in words
+    assert words.count('less outputs predicted one sample ahead') == 1
+    assert 'less simulated' not in words
+    assert 'minus the simulated output' not in words
+    own = [f for f in data_of(page, 'figures') for a in f['layout']['annotations']
+           if 'correlation of the residuals' in a['text']]
+    bars = [trace['y'] for trace in own[0]['data'] if trace['type'] == 'bar'][0]
+    bound = max(shape['y0'] for shape in own[0]['layout']['shapes'])
+    assert np.abs(bars).max() < bound       # bars of 0.5 were of the simulation
+    tested = re.search(r'whiteness p-value.*?\n\| rate \| ([\d.]+)', (
+        tmp_path / 'res/report.md').read_text(encoding='utf-8').split('## Residual tests')[1],
+        re.DOTALL)
+    assert float(tested[1]) > 0.05
+
+
 def test_names_stay_names_in_every_file(folder, capsys):
     page = (folder / 'res/report.html').read_text(encoding='utf-8')
     assert '<script>alert' not in page

@@ -142,23 +142,31 @@ def residual_sections(shown: Shown, found: Validation, simulated: Array,
     """
     Yield fits by horizon and what correlations tell of the residuals.
 
+    Those of a model that is shown by its predictions are the errors of predictions one sample
+    ahead, as in its residual tests: at longer horizons neighbouring errors are never independent.
+
     Parameters
     ----------
     shown : Shown
     found : Validation
-        The simulation whose residuals are tested.
+        The simulation, whose residuals are tested unless the model is shown by predictions.
     simulated : ndarray, shape (ny,)
         Its fit, as reported [%].
     fits : mapping, optional
         Fits of predictions by horizon [s]; computed if not given.
     """
     fits = horizon_fits(shown.model, shown.record) if fits is None else fits
-    figures = residual_figures(shown.model, shown.record, found)
-    level = simulated if shown.parts[-1].how == 'simulated' else found.fit
+    ahead = shown.parts[-1].how != 'simulated'
+    errors = prediction(shown.model, shown.record, 1) if ahead else found
+    figures = residual_figures(shown.model, shown.record, errors)
+    level = found.fit if ahead else simulated
+    which = 'outputs predicted one sample ahead' if ahead else \
+        'simulated outputs, with the trim refitted'
     own = [horizon_figure(shown.model, fits, level)] if fits else []
     if own or figures:
-        yield Section(f'Residuals{shown.which}', (
-            'Residuals: measured less simulated outputs, with the trim refitted. Dashed: what '
+        title = 'Residuals of predictions' if ahead else 'Residuals'
+        yield Section(f'{title}{shown.which}', (
+            f'Residuals: measured less {which}. Dashed: what '
             '99 % of chance correlations do not exceed. Correlation with an input at positive '
             'lags (shaded) is dynamics that the model lacks; at negative ones, a closed loop.',
             Gallery((*own, *figures), 3)))

@@ -33,7 +33,7 @@ def residual_figures(model: StateSpace, record: Record, found: Validation) -> li
     model : StateSpace
     record : Record
     found : Validation
-        Its simulation, with refitted trim as in `residual_tests`.
+        Its simulation, with refitted trim, or prediction, as in `residual_tests`.
     """
     figures = []
     for i in range(min(model.ny, _MOST_OUTPUTS)):

@@ -214,16 +214,28 @@ def _decimals(std: float) -> int:
     return min(max(1 - math.floor(math.log10(std)), 1), 4) if 0 < std < math.inf else 1
 
 
-def residual_section(tests: ResidualTests, model: StateSpace) -> Section:
-    """Return the residual tests: p-values of whiteness, and of independence of the inputs."""
+def residual_section(tests: ResidualTests, model: StateSpace, *, predicted: bool = False
+                     ) -> Section:
+    """
+    Return the residual tests: p-values of whiteness, and of independence of the inputs.
+
+    Parameters
+    ----------
+    tests : ResidualTests
+    model : StateSpace
+    predicted : bool
+        Whether the residuals are those of predictions one sample ahead.
+    """
+    which, why = ('output predicted one sample ahead', 'the model of the noise is not complete') \
+        if predicted else ('simulated output', 'with gusts and other process noise this is normal')
     rows = tuple((y, number(tests.whiteness[i], 2),
                   *(number(v, 2) for v in tests.independence[i]))
                  for i, y in enumerate(model.output_names))
     head = ('output', 'residual whiteness p-value',
             *(f'independence of {u}, p-value' for u in model.input_names))
     return Section('Residual tests', (
-        'The residuals are the measured minus the simulated output. A p-value below 0.01 means '
-        'that they are not white (with gusts and other process noise this is normal), or that '
+        f'The residuals are the measured minus the {which}. A p-value below 0.01 means '
+        f'that they are not white ({why}), or that '
         'they depend on past values of an input (then dynamics from that input are not '
         'modelled, or a controller closes a loop).',
         Table(head, rows, ('output',))), brief=False)

@@ -371,18 +371,20 @@ def _numbers(outcome: Outcome) -> list[Section]:
     from ctsid_core.advice.advice import advise
     from ctsid_core.model.validation import residual_tests
     from ctsid_ros.report.experiment import experiment_section, helps
+    from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.responses import excited
     from ctsid_ros.report.sections import bode_section, residual_section
 
     estimate, model, sections = outcome.estimate, outcome.model, []
     if model is None:
         return []
+    predicted = by_predictions(estimate)
     for number, record in _shown(outcome):
         own = estimate.trimmed(model, number)
-        tests = residual_tests(own, record)
+        tests = residual_tests(own, record, residuals='prediction' if predicted else 'simulation')
         if len(outcome.sources) == 1 and not outcome.tests:   # the same data: the same number
             tests = replace(tests, whiteness=estimate.verdict.whiteness)
-        sections.append(residual_section(tests, own))
+        sections.append(residual_section(tests, own, predicted=predicted))
     if len(outcome.sources) == 1:
         advice = advise(estimate, outcome.sources[0].learnt)
         if helps(estimate, advice):
