@@ -264,17 +264,20 @@ def test_joints_with_commands(tmp_path):
         ('/b', '/a', '0', '0'), ('/b', '/a', '1', '1')}      # whatever the names
 
 
-def test_one_topic_with_efforts(tmp_path):
+@pytest.mark.parametrize(('noise', 'hold'), [(1e-3, 'smooth'), (0.0, 'zoh')])
+def test_one_topic_with_efforts(tmp_path, noise, hold):
+    """An effort that was measured is never twice the same; one that is was commanded."""
     rng = np.random.default_rng(9)
     u = moves(rng, 1000)
+    effort = u + noise * rng.standard_normal(len(u))
     y = lagged(u, 4.0, 0.02) + 0.01 * rng.standard_normal(len(u))
     kind = 'sensor_msgs/msg/JointState'
     sent = [Sent('/joint_states', kind, START + k * S // 50, make(
         kind, header=header(START + k * S // 50), name=['a'], position=np.zeros(1),
-        velocity=y[k:k + 1], effort=u[k:k + 1])) for k in range(1000)]
+        velocity=y[k:k + 1], effort=effort[k:k + 1])) for k in range(1000)]
     found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
     assert keys(found)[0] == (('/joint_states', 'effort[0]'), ('/joint_states', 'velocity[0]'))
-    assert {c.hold for c in found.config.channels} == {'smooth'}  # measured, not held
+    assert [c.hold for c in found.config.channels] == [hold, 'smooth']
 
 
 def test_what_looks_like_noise_is_not_an_output(tmp_path):

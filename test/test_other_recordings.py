@@ -17,6 +17,7 @@ from recording_files import flight, write_ardupilot, write_csv, write_ulog
 from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main
 from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.grouping import recordings
@@ -108,6 +109,27 @@ def test_from_file_to_report(ctsid, tmp_path, suffix):
     assert len(both['records']) == 2
     assert abs(load_estimate('two/model.json').model.poles[0] + 3.0) < 0.05
     assert 'b' + suffix in ctsid('simulate', 'one/model.json', second, *time)
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
+def test_a_stepped_command_of_a_table_is_held(ctsid, tmp_path, seed):
+    """A motor logged row by row: taken as measured, its command came half a sample early."""
+    rng, step, tau = np.random.default_rng(seed), 0.02, 0.15
+    voltage = np.repeat(rng.uniform(-6, 6, 75), 40)
+    speed, kept = np.zeros(len(voltage)), np.exp(-step / tau)
+    for k in range(1, len(voltage)):
+        speed[k] = kept * speed[k - 1] + (1 - kept) * 8 * voltage[k - 1]
+    table = write_csv(tmp_path / 'motor.csv', {
+        'time': step * np.arange(len(voltage)), 'voltage': voltage,
+        'speed': speed + 0.05 * rng.standard_normal(len(speed))})
+    ctsid('init', table, '-o', 'params.yaml')
+    assert {c.name: c.hold for c in read_config(Path('params.yaml')).channels} == {
+        'voltage': 'zoh', 'speed': 'smooth'}
+    ctsid('identify', table, '--params', 'params.yaml', '--out', 'res')
+    found = load_estimate('res/model.json')
+    assert found.model.delay == (0.0,)
+    assert found.model.n == 1
+    assert abs(found.model.poles[0] + 1 / tau) < 3.5 * found.pole_std[0]
 
 
 def test_files_with_clocks_of_their_own_are_recordings_by_their_columns(tmp_path):

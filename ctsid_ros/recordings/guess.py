@@ -200,12 +200,12 @@ def _channels(pair: Pair, reasons: list[str]) -> tuple[Channel, ...]:
         stamp = 'log'
         reasons.append('the headers are of another clock than the recording, and not all '
                        'messages have one: all stamps are those of the recording')
-    measured = u.topic is y.topic or u.acts < u.measures    # not a command that is held
+    measured = (u.topic is y.topic or u.acts < u.measures) and not u.stays
     taken: set[str] = set()
     roles: tuple[tuple[Candidate, Role], ...] = ((u, 'input'), (y, 'output'))
     channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
                         c.key[1], _unit(c.key[1]), stamp=stamp) for c, role in roles]
-    return tuple(replace(c, hold='smooth') if measured else c for c in channels)
+    return tuple(replace(c, hold='smooth') if measured else c for c in channels)    # else held
 
 
 def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:

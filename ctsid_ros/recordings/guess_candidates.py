@@ -71,6 +71,8 @@ class Candidate:
         Its first and last sample [s].
     rate : float
         Samples per second while they come [Hz].
+    stays : bool
+        Whether most samples equal the one before, as those of a command that is held do.
     """
 
     topic: TopicSurvey
@@ -83,6 +85,7 @@ class Candidate:
     first: float
     last: float
     rate: float
+    stays: bool
 
     @property
     def key(self) -> tuple[str, str]:
@@ -161,7 +164,8 @@ def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath],
         acts, measures = likely_roles(topic, str(path))
         found.append(Candidate(
             topic, stats[str(path)], path, acts, measures, held(time, values, clock),
-            averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time)))
+            averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time),
+            2 * np.count_nonzero(np.diff(values)) < len(values) - 1))
     return found
 
 
