@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+import io
 import os
 import re
 import signal
@@ -21,7 +22,7 @@ from ctsid_core.model.verdict import Grade, Verdict
 from ctsid_core.settings import Settings
 from ctsid_ros.cli import main
 from ctsid_ros.messages.health import Health, Level
-from ctsid_ros.report.watching import Watched
+from ctsid_ros.report.watching import Watched, picture
 
 GOOD = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, fit=np.array([95.0]),
                 held_out_fit=np.array([93.0]), verdict=Verdict(grade=Grade.GOOD, reason='Good.'))
@@ -46,6 +47,28 @@ def test_arrows_say_where_a_mode_went():
     assert watched.modes[0].arrow == '→'        # since the last window that had a model
     assert watched.line().startswith(
         'window 6: GOOD, fit 95.0 %, fresh 91.2 %, poles -1.00 ± 2.50j →')
+
+
+def test_a_picture_has_numbers_for_people():
+    rich = pytest.importorskip('rich.console')
+    watched = Watched('/identifier')
+    watched.diagnostics([
+        Health('/identifier: ingest', Level.OK, 'messages come in', {
+            '/imu rate [1/s]': '199.98437', '/imu messages': '412', '/imu lost': '0',
+            '/imu age [s]': '0.021374225', 'window filled [%]': '40.0'}),
+        Health('/identifier: identification', Level.OK, 'good', {
+            'budget [s]': '1.6000000000000001', 'computing time [s]': '0.13982', 'windows': '3',
+            'latency [s]': '0.2049', 'window under way': '4', 'under way for [s]': '0.0612'})],
+        0.0)
+    watched.model(GOOD, told(-1 + 3j, window=3) | {'modes': (4, 5)})
+    console = rich.Console(width=120, record=True, file=io.StringIO())
+    console.print(picture(watched, 0.0))
+    text = console.export_text()
+    assert re.search(r'/imu +200\.0 +412 +0 +0\.02\n', re.sub(' +\n', '\n', text))
+    assert '0.14 s of 1.60 s   published 0.20 s after' in text
+    assert 'window 4 under way for 0.06 s' in text
+    assert re.search(r'mode +pole \[rad/s\].*\n.*\n *4, 5 +-1\.000 ± 3\.000j', text)
+    assert 'age [s]' in text            # no markup
 
 
 def test_nodes_are_told_apart():
@@ -117,7 +140,7 @@ def test_a_running_node_is_watched_until_ctrl_c(live, capfd):
     live.wait(lambda: 'no window is full yet' in screen.text, 'the first picture')
     robot.feed(node, stride=2.0)
     live.wait(lambda: re.search(r'verdicts +GG', screen.text), 'verdicts')
-    live.wait(lambda: re.search(r'computing \S+ \S+ s of 1\.6 s', screen.text), 'the budget')
+    live.wait(lambda: re.search(r'computing \S+ \S+ s of 1\.60 s', screen.text), 'the budget')
     text = screen.text
     assert re.search(r'/imu +\d+(\.\d+)? +\d+ +0 ', text)       # rate, messages, lost
     assert re.search(r'window +[█░]{24} +\d+ % full', text)

@@ -31,14 +31,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
         sys.stdout.reconfigure(errors='replace', line_buffering=True)
     use_one_thread()
-    os.environ |= {'ROS_DOMAIN_ID': str(random.randint(1, 101)),
-                   'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    own = {'ROS_DOMAIN_ID': str(random.randint(1, 101)),
+           'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    os.environ |= own
     try:
         from ctsid_ros.examples.demo_node import Plan, fly
     except ImportError as error:
         print(f'live_demo: error: {error}; this needs ROS 2: source it, or pip install '
               "'ctsid[ros]'", file=sys.stderr)
         return 1
+    print('to watch it in another terminal, in this environment: '
+          f'{" ".join(f"{name}={value}" for name, value in own.items())} ctsid watch')
     with processes() as started:
         try:
             good = fly(started, Plan(args.params, args.duration, args.payload, args.seed))

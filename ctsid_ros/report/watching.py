@@ -171,10 +171,11 @@ def _strip(watched: Watched) -> Text | None:
 def _table(*heads: str) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
     for k, head in enumerate(heads):
-        table.add_column(head, justify='right' if k else 'left', no_wrap=bool(k),
+        table.add_column(Text(head), justify='right' if k else 'left', no_wrap=bool(k),
                          overflow='ellipsis')
     return table
 
@@ -194,8 +195,9 @@ def _topics(watched: Watched) -> Table | None:
     table = _table('topic', 'rate [1/s]', 'messages', 'lost', 'age [s]')
     for topic in topics:
         lost = str(values.get(f'{topic} lost', ''))
-        _add(table, (topic, *(str(values.get(f'{topic}{key}', '')) for key in (
-            _RATE, _MESSAGES)), lost, str(values.get(f'{topic} age [s]', ''))),
+        _add(table, (topic, number(_number(values.get(f'{topic}{_RATE}'))),
+                     str(values.get(f'{topic}{_MESSAGES}', '')), lost,
+                     _seconds(values.get(f'{topic} age [s]'))),
             'yellow' if lost not in ('', '0') else None)
     for key, value in values.items():
         name, _, kind = key.removesuffix(' in the last window').rpartition(' ')
@@ -222,14 +224,14 @@ def _window(watched: Watched) -> Text | None:
     budget = _number(own.get('budget [s]'))
     used = _number(own.get('computing time [s]'))
     if math.isfinite(used) and budget > 0.0:
-        text.append(f'\ncomputing {_bar(used / budget)} {number(used, 2)} s of {number(budget, 2)}'
+        text.append(f'\ncomputing {_bar(used / budget)} {_seconds(used)} s of {_seconds(budget)}'
                     f' s', style='red' if used > 1.25 * budget else '')
         latency = _number(own.get('latency [s]'))
         if math.isfinite(latency):
-            text.append(f'   published {number(latency, 2)} s after its last sample')
+            text.append(f'   published {_seconds(latency)} s after its last sample')
     if 'under way for [s]' in own:
         text.append(f'\nwindow {own["window under way"]} under way for '
-                    f'{own["under way for [s]"]} s', style='dim')
+                    f'{_seconds(own["under way for [s]"])} s', style='dim')
     return text
 
 
@@ -245,9 +247,15 @@ def _number(value: object) -> float:
         return math.nan
 
 
+def _seconds(value: object) -> str:
+    seconds = _number(value)
+    return f'{seconds:.2f}' if math.isfinite(seconds) else '-'
+
+
 def _model(watched: Watched) -> RenderableType | None:
     """Return fits, and the modes with arrows."""
     from rich.console import Group
+    from rich.text import Text
 
     estimate = watched.estimate
     model = estimate.model or estimate.rejected_model if estimate is not None else None
@@ -263,6 +271,10 @@ def _model(watched: Watched) -> RenderableType | None:
     for m in watched.modes:
         if m.pole.imag >= 0.0:
             size = abs(m.pole)
-            _add(modes, (f'{m.mode}', pole_text(m.pole), number(m.std, 2), number(size), m.arrow,
+            own = {m.mode, *(one.mode for one in watched.modes if one.pole == m.pole.conjugate())}
+            _add(modes, (', '.join(map(str, sorted(own))), pole_text(m.pole), number(m.std, 2),
+                         number(size), m.arrow,
                          number(-m.pole.real / size, 3) if size else '-'))
-    return Group(fits, modes)
+    words = ('modes have the numbers of their eigenvalues, a pair two, and keep them; a missing '
+             'number was of an earlier window')
+    return Group(fits, modes, Text(words, style='dim'))
