@@ -59,6 +59,15 @@ OVERLAP = """() => [...document.querySelectorAll('.plot')].flatMap((div) =>
       a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1)
       .map(([b, t]) => s + ' over ' + t));
   }))"""
+# Titles in a drawing that lie under its bar of buttons.
+COVERED = """() => [...document.querySelectorAll('.plot')].flatMap((div) => {
+  const buttons = [...div.querySelectorAll('.modebar-group')].map(
+    (one) => one.getBoundingClientRect());
+  return [...div.querySelectorAll('.annotation text')].filter((text) => buttons.some((a) => {
+    const b = text.getBoundingClientRect();
+    return a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  })).map((one) => one.textContent);
+})"""
 FITS = """() => [...document.querySelectorAll('.plot .main-svg')].every((one) =>
   one.getBoundingClientRect().right <= document.body.getBoundingClientRect().left
     + 186 * 96 / 25.4 + 1)"""   # A4 less the margins
@@ -112,10 +121,10 @@ def browser():
 
 @contextmanager
 def opened(browser, path: Path, *, phone: bool = False, dark: bool = False,
-           whole: bool = False) -> Iterator:
+           whole: bool = False, narrow: bool = False) -> Iterator:
     """Give a page, all of it drawn or not yet; its console has to say nothing."""
     context = browser.new_context(
-        viewport={'width': 390, 'height': 844} if phone else {'width': 1280, 'height': 900},
+        viewport={'width': 390, 'height': 844} if phone or narrow else {'width': 1280, 'height': 900},
         has_touch=phone, is_mobile=phone, color_scheme='dark' if dark else 'light', offline=True)
     page, said = context.new_page(), []
     page.set_default_timeout(PATIENCE)
@@ -152,12 +161,14 @@ def test_a_page_of_many_inputs_and_outputs_fits_every_screen(browser, aircraft):
 
 
 def fits_every_screen(browser, path: Path) -> None:
-    for phone in (False, True):
-        with opened(browser, path, phone=phone, dark=phone, whole=True) as page:
+    for phone, narrow in ((False, False), (False, True), (True, True)):
+        with opened(browser, path, phone=phone, dark=phone, whole=True, narrow=narrow) as page:
             width, inner = page.evaluate('[document.documentElement.scrollWidth, innerWidth]')
             assert width <= inner
             assert page.evaluate(SMALL) == []
             assert page.evaluate(OVERLAP) == []
+            assert page.evaluate(COVERED) == []
+            assert page.locator('.modebar-group').count() >= 2
             assert page.locator('.plot').count() >= 2
 
 

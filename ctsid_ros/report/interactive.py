@@ -23,6 +23,7 @@ from ctsid_ros.report.words import cell
 POINTS = 4000   # of a curve
 _GAP = 30.0     # pixels above each axes, for its title
 _BOTTOM = 46.0
+_TOP = 28   # pixels above all, for the bar of buttons, which else covers the first title
 _DIGITS = 6
 _MOST_DECADES = 6   # that have a number along a logarithmic axis
 # Numbers along a logarithmic axis of fewer decades than these; plotly's own would be small.
@@ -45,7 +46,7 @@ def figure(drawing: Drawing, points: int = POINTS) -> dict[str, Any]:
     total = sum(panel.height + _GAP for panel in drawing.panels)
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {
-        'height': total + _BOTTOM, 'margin': {'l': 56, 'r': 10, 't': 4, 'b': _BOTTOM},
+        'height': total + _TOP + _BOTTOM, 'margin': {'l': 56, 'r': 10, 't': _TOP, 'b': _BOTTOM},
         'showlegend': False, 'annotations': [], 'shapes': [],
         'hovermode': 'closest' if any(
             c.kind == 'cross' for p in drawing.panels[:1] for c in p.curves[:1]) else 'x',

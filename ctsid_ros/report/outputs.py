@@ -88,9 +88,9 @@ def output_figures(model: StateSpace, record: Record, parts: Sequence[Part], off
         spans = [*seen, *gaps]
         at = [(t + offset, text) for t, text in marks]
         name = label(model.output_names[i], model.output_units[i])
-        how = '' if parts[0].how == 'simulated' else f', {parts[0].how}'
-        panels = (Axes([Curve(times, used - simulated, 'residual', 2, width=1.0)],
-                       f'residual of {name}{how}', spans=spans, marks=[(t, '') for t, _ in at],
+        left = 'residual' if parts[0].how == 'simulated' else f'residual, {parts[0].how}'
+        panels = (Axes([Curve(times, used - simulated, left, 2, width=1.0)],
+                       f'residual of {name}', spans=spans, marks=[(t, '') for t, _ in at],
                        levels=(0.0,), height=80.0),
                   Axes(curves, name, spans=spans, marks=at, height=200.0,
                        y_limits=(low, high) if wild or len(bad) else None),

@@ -7,7 +7,6 @@
     displayModeBar: touch ? true : 'hover',
     modeBarButtons: [['toImage'], touch ? ['zoomIn2d', 'zoomOut2d', 'pan2d', 'resetScale2d']
       : ['zoom2d', 'pan2d', 'zoomIn2d', 'zoomOut2d', 'resetScale2d']] };
-  const BAR = 24; // pixels for the bar, which else covers the first title
   let busy = false;
 
   // '--c1/0.2' is the page's colour 1, a fifth of it.
@@ -36,12 +35,7 @@
     if (range && div.dataset.link) fig.layout.xaxis.range = range.slice();
     if (!div.layout && linked[div.dataset.link]) fig.layout.xaxis.range = linked[div.dataset.link].slice();
     // On a finger's screen a drag scrolls the page; zoom is in the bar of each drawing.
-    if (touch) {
-      fig.layout.dragmode = false;
-      fig.layout.margin.t += BAR;
-      fig.layout.height += BAR;
-      div.style.height = `${fig.layout.height}px`;
-    }
+    if (touch) fig.layout.dragmode = false;
     const first = !div.layout;
     return Plotly.react(div, fig.data, fig.layout, config).then(() => {
       if (!first) return;
