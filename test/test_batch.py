@@ -175,8 +175,9 @@ def test_failures_are_rows_too(alone, fleet):
 
 
 def test_a_batch_is_the_same_as_one_bag_after_the_other(batch, alone, tmp_path):
-    code, out, _ = batch()
+    code, out, err = batch()
     assert code == 0
+    assert re.match(r'ctsid: 4 bags to identify at \w+://\S+\nctsid: flight\d begins\n', err), err
     same(tables(tmp_path / 'out'), alone)
     assert re.search(r'alpha +2 +\d{4}-\d\d-\d\d +2 +0 +0 +0', out)
     assert re.search(r'beta +2 +\d{4}-\d\d-\d\d +1 +0 +0 +1', out)

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+import sys
 from typing import TYPE_CHECKING
 
 from ctsid_core.errors import StorageError
@@ -117,9 +118,13 @@ def _perform(tasks: Sequence[Task], args: argparse.Namespace) -> bool:
     where = f'at {args.scheduler}' if args.scheduler else \
         f'in {jobs} process{"es" * (jobs > 1)}'
     count = 0
+    if not args.quiet:
+        say(f'{len(tasks)} bag{"s" * (len(tasks) > 1)} to identify {where}')
     try:
         with progress(f'identifying bags {where}', quiet=args.quiet) as advance, \
                 cluster(jobs, args.scheduler) as client:
+            if not (args.quiet or sys.stderr.isatty()):     # there a bar tells
+                say(f'{Path(tasks[0].bag).name} begins')
             for task in performed(client, tasks):
                 count += 1
                 _advance(advance, count, len(tasks), task)
