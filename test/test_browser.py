@@ -124,7 +124,7 @@ def opened(browser, path: Path, *, phone: bool = False, dark: bool = False,
            whole: bool = False, narrow: bool = False) -> Iterator:
     """Give a page, all of it drawn or not yet; its console has to say nothing."""
     context = browser.new_context(
-        viewport={'width': 390, 'height': 844} if phone or narrow else {'width': 1280, 'height': 900},
+        viewport={'width': 390 if phone or narrow else 1280, 'height': 844 if phone else 900},
         has_touch=phone, is_mobile=phone, color_scheme='dark' if dark else 'light', offline=True)
     page, said = context.new_page(), []
     page.set_default_timeout(PATIENCE)

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import yaml
 
+from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Verdict
@@ -41,7 +42,7 @@ from ctsid_ros.report.document import (
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.headline import Run, headline
 from ctsid_ros.report.page import to_html
-from ctsid_ros.report.poles import region
+from ctsid_ros.report.poles import pole_figure, region
 from ctsid_ros.report.residual_figures import correlation, horizon_fits
 from ctsid_ros.report.responses import bode_figures
 from ctsid_ros.report.sections import gain_section
@@ -420,6 +421,19 @@ def test_dots_of_phase_lie_by_the_curve_however_late_the_input():
     assert line.y[np.searchsorted(line.x, 10.0)] < -360.0
     low, high = phase.y_limits
     assert low % phase.step == high % phase.step == 0.0
+
+
+def test_a_region_larger_than_the_drawing_is_not_drawn_but_told():
+    def drawn(std: float):
+        root = np.zeros((1, Covariance.entry_count(TRUTH.n, TRUTH.nu, TRUTH.ny)))
+        root[0, :TRUTH.A.size] = std * np.eye(TRUTH.n).ravel()      # all poles alike
+        return pole_figure({'a': (TRUTH, Covariance(root, TRUTH.n, TRUTH.nu, TRUTH.ny))})
+
+    near, far = drawn(0.01), drawn(1e3)
+    assert len(near.drawing.panels[0].curves) == 1 + TRUTH.n
+    assert 'not shown' not in near.caption
+    assert len(far.drawing.panels[0].curves) == 1
+    assert f'{TRUTH.n} of {TRUTH.n} regions of 95 % confidence are larger' in far.caption
 
 
 def test_regions_hold_what_the_covariance_says():

@@ -53,11 +53,17 @@ def pole_figure(models: Mapping[str, tuple[StateSpace, Covariance | None]],
     every = np.concatenate([np.array([0.0]), *(c.x + 1j * c.y for c in crosses)])
     wide = np.concatenate([every, *(r.x + 1j * r.y for r in regions)])
     limits = [_limits(f(every), f(wide)) for f in (np.real, np.imag)]
+    small = [r for r in regions if np.ptp(r.x) <= np.ptp(limits[0])
+             and np.ptp(r.y) <= np.ptp(limits[1])]   # of a larger one only its sides were seen
+    words = ['Regions of 95 % confidence (lines at real poles).'] if small else []
+    if len(small) < len(regions):
+        words.append(f'{len(regions) - len(small)} of {len(regions)} regions of 95 % confidence '
+                     'are larger than the drawing and not shown.')
+    words.append('Right of the dashed line a pole is unstable.')
     return Figure(Drawing((Axes(
-        [*crosses, *regions], 'imaginary part [rad/s]', 'real part [rad/s]',
+        [*crosses, *small], 'imaginary part [rad/s]', 'real part [rad/s]',
         marks=[(0.0, '')], x_limits=limits[0], y_limits=limits[1], height=300.0),)),
-        'Regions of 95 % confidence (lines at real poles). Right of the dashed line a pole is '
-        'unstable.' if regions else 'Right of the dashed line a pole is unstable.', 'Poles')
+        ' '.join(words), 'Poles')
 
 
 def region(pole: complex, covariance: Array, color: int) -> Curve:
