@@ -165,7 +165,7 @@ def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath],
         found.append(Candidate(
             topic, stats[str(path)], path, acts, measures, held(time, values, clock),
             averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time),
-            2 * np.count_nonzero(np.diff(values)) < len(values) - 1))
+            bool(2 * np.count_nonzero(np.diff(values)) < len(values) - 1)))
     return found
 
 
