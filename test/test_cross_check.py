@@ -115,6 +115,27 @@ def test_the_input_whose_response_differs_is_named():
     assert not found.agrees
 
 
+@pytest.mark.parametrize('vague', [0.01, 0.11, 0.3])
+def test_an_input_that_is_hardly_known_does_not_hide_one_that_contradicts(vague):
+    def two(gain: float) -> Estimate:
+        model = StateSpace(A=[[-2.0]], B=[[gain, 1.0]], C=[[1.0]], D=[[0.0, 0.0]], K=[[0.0]],
+                           input_names=('stick', 'pedal'))
+        root = np.zeros((2, Covariance.entry_count(1, 2, 1)))
+        root[0, 1], root[1, 2] = 0.01 * gain, vague
+        bands = (replace(BAND, name='stick'), replace(BAND, name='pedal'))
+        return Estimate(status=Status.OK, settings=Settings(), model=model, end_ns=10**11,
+                        covariance=Covariance(root, 1, 2, 1),
+                        verdict=replace(GOOD, excitation=bands))
+
+    found = agreement(two(1.0), two(1.3), 'gobf')
+    assert found.contradicts
+    assert found.difference == pytest.approx(0.3)
+    assert found.difference_std == pytest.approx(np.hypot(0.01, 0.013))
+    same = agreement(two(1.0), two(1.0), 'gobf')
+    assert (same.difference, same.agrees) == (0.0, np.sqrt(2.0) * vague < 0.12)
+    assert same.difference_std == pytest.approx(np.sqrt(2.0) * vague)
+
+
 @pytest.mark.parametrize(('relative', 'spread', 'method', 'agrees'), [
     (0.1, 0.1 / 2.5, 'gobf', True), (0.1, 0.1 / 2.5, 'hd-pbsid', False),
     (0.1, 0.1 / 3.2, 'gobf', False), (0.1, 0.1 / 1.8, 'hd-pbsid', True),

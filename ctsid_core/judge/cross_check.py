@@ -106,7 +106,9 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
     contradicts = bool(problem or late or beyond.any())
     away, std = found.over_bands()
-    worst = int(np.argmax(np.nan_to_num(np.hypot(away, std), nan=np.inf)))
+    sure = (away > KNOWN) & (away > DEVIATIONS * std)
+    worst = int(np.argmax(np.where(sure, away, -1.0) if sure.any() else
+                          np.nan_to_num(np.hypot(away, std), nan=np.inf)))
     told = bool(np.all((away <= KNOWN) & (std <= KNOWN)))
     return Agreement(method, told and not contradicts, contradicts, float(found.relative[at]),
                      float(found.deviations[at]), one.input_names[found.input[at]],

@@ -37,8 +37,9 @@ class Agreement:
     frequency : float
         Where that is [rad/s].
     difference : float
-        As `relative`, but rms over the band, every octave alike; of the input for which this and
-        its deviation are largest. NaN if there is nothing to compare.
+        As `relative`, but rms over the band, every octave alike: the largest of those beyond 12 %
+        and 3 standard deviations; if there are none, of the input for which this and its deviation
+        are largest together. NaN if there is nothing to compare.
     difference_std : float
         Standard deviation of that difference: of both models together; NaN if not known.
     late : str
