@@ -232,7 +232,27 @@ def test_a_second_method_without_a_model_is_no_silent_agreement():
         assert not found.verdict.agreement.agrees
     assert checked(first_order(1.0), rejected).verdict.agreement.relative == 0.0
     quiet = first_order(1.0, verdict=replace(GOOD, excitation=()))
-    assert 'no input excites' in checked(quiet, quiet).verdict.reason
+    assert checked(quiet, rejected).verdict.agreement.contradicts
+
+
+def test_what_cannot_be_compared_does_not_contradict():
+    """Nothing was compared: that is no agreement, and nothing against the model."""
+    quiet = first_order(1.0, verdict=replace(GOOD, excitation=()))
+    steady = first_order(1.0, verdict=replace(GOOD, excitation=(
+        replace(BAND, low=2.0, high=2.0),)))
+    undamped = replace(steady, model=StateSpace(
+        A=[[0.0, 2.0], [-2.0, 0.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]], D=[[0.0]],
+        K=[[0.0], [0.0]], input_names=('u',), output_names=('y',)), covariance=None)
+    for first, second, why in ((quiet, quiet, 'no input excites a band to compare in.'),
+                               (steady, undamped, 'a response is not finite.'),
+                               (undamped, steady, 'a response is not finite.')):
+        found = checked(first, second)
+        seen = found.verdict.agreement
+        assert (seen.agrees, seen.contradicts, seen.answer) == (False, False, 'cannot tell')
+        assert seen.problem == why
+        assert seen.words == f'gobf cannot be compared: {why}'
+        assert seen.weakness == ''
+        assert found.verdict.grade is Grade.GOOD
 
 
 def test_a_verdict_never_gets_better():
