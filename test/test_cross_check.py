@@ -378,6 +378,25 @@ def test_it_is_stored_to_the_last_bit(seen):
         from_json(json.dumps(document))
 
 
+@pytest.mark.parametrize('agreed', [True, False])
+def test_an_agreement_of_version_1_is_not_known(agreed):
+    """There every difference within its deviations agreed, and none over the band was told."""
+    seen = Agreement('gobf', agreed, not agreed, 0.3, 0.7, 'u', 3.25, 0.01, 0.3)
+    document = json.loads(to_json(first_order(1.0, verdict=replace(GOOD, agreement=seen))))
+    document['version'] = 1
+    for key in ('contradicts', 'difference', 'difference_std'):
+        del document['verdict']['agreement'][key]
+    found = from_json(json.dumps(document)).verdict.agreement
+    assert found.answer == ('cannot tell' if agreed else 'no')
+    assert 'nan' not in found.words
+    if agreed:
+        assert found.words == ('gobf cannot tell: by how much it differs over the excited band is '
+                               'not known.')
+    document['verdict']['agreement']['agrees'] = 1
+    with pytest.raises(StorageError, match='agrees.*true or false'):
+        from_json(json.dumps(document))
+
+
 def test_people_are_told():
     found = checked(first_order(1.0, 0.01), first_order(1.3))
     said = found.verdict.agreement.words

@@ -95,6 +95,8 @@ class Agreement:
 
     @property
     def _within(self) -> str:
+        if math.isnan(self.difference):
+            return 'by how much it differs over the excited band is not known'
         differs = f'over the excited band it differs by {100 * self.difference:.2g} % of the ' \
             'response'
         if math.isnan(self.difference_std):
