@@ -27,9 +27,8 @@ from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
-_FEW_SINES = 2.5        # effective number of frequencies: one sine (0.1 to 3 Hz) held at 50, 20,
-                        # 10 and 5 Hz has 1.1, 1.2, 1.7 and 2.1 in the median, two have 1.7, 2.1,
-                        # 3.2 and 5.3: slow holds pass; of 742 inputs of the exam five have less
+_FEW_SINES = 2.5        # effective number of frequencies: one sine held at 5 to 50 Hz has 1.4 at
+                        # most, two have 2.5 in 99 of 100; of 322 inputs of the exam three have less
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
 _LEAST = 0.05           # ... or this part of the motion; no test if ...
