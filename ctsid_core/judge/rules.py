@@ -28,7 +28,7 @@ from ctsid_core.signals.record import Record
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _FEW_SINES = 2.5        # effective number of frequencies: one sine held at 5 to 50 Hz has 1.4 at
-                        # most, two have 2.5 in 99 of 100; of 322 inputs of the exam three have less
+                        # most, two 2.5 in 99 of 100; of 322 inputs of the exam three have less
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
 _LEAST = 0.05           # ... or this part of the motion; no test if ...
