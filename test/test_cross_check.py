@@ -115,6 +115,27 @@ def test_the_input_whose_response_differs_is_named():
     assert not found.agrees
 
 
+@pytest.mark.parametrize('vague', [0.01, 0.11, 0.3])
+def test_an_input_that_is_hardly_known_does_not_hide_one_that_contradicts(vague):
+    def two(gain: float) -> Estimate:
+        model = StateSpace(A=[[-2.0]], B=[[gain, 1.0]], C=[[1.0]], D=[[0.0, 0.0]], K=[[0.0]],
+                           input_names=('stick', 'pedal'))
+        root = np.zeros((2, Covariance.entry_count(1, 2, 1)))
+        root[0, 1], root[1, 2] = 0.01 * gain, vague
+        bands = (replace(BAND, name='stick'), replace(BAND, name='pedal'))
+        return Estimate(status=Status.OK, settings=Settings(), model=model, end_ns=10**11,
+                        covariance=Covariance(root, 1, 2, 1),
+                        verdict=replace(GOOD, excitation=bands))
+
+    found = agreement(two(1.0), two(1.3), 'gobf')
+    assert found.contradicts
+    assert found.difference == pytest.approx(0.3)
+    assert found.difference_std == pytest.approx(np.hypot(0.01, 0.013))
+    same = agreement(two(1.0), two(1.0), 'gobf')
+    assert (same.difference, same.agrees) == (0.0, np.sqrt(2.0) * vague < 0.12)
+    assert same.difference_std == pytest.approx(np.sqrt(2.0) * vague)
+
+
 @pytest.mark.parametrize(('relative', 'spread', 'method', 'agrees'), [
     (0.1, 0.1 / 2.5, 'gobf', True), (0.1, 0.1 / 2.5, 'hd-pbsid', False),
     (0.1, 0.1 / 3.2, 'gobf', False), (0.1, 0.1 / 1.8, 'hd-pbsid', True),
@@ -211,7 +232,27 @@ def test_a_second_method_without_a_model_is_no_silent_agreement():
         assert not found.verdict.agreement.agrees
     assert checked(first_order(1.0), rejected).verdict.agreement.relative == 0.0
     quiet = first_order(1.0, verdict=replace(GOOD, excitation=()))
-    assert 'no input excites' in checked(quiet, quiet).verdict.reason
+    assert checked(quiet, rejected).verdict.agreement.contradicts
+
+
+def test_what_cannot_be_compared_does_not_contradict():
+    """Nothing was compared: that is no agreement, and nothing against the model."""
+    quiet = first_order(1.0, verdict=replace(GOOD, excitation=()))
+    steady = first_order(1.0, verdict=replace(GOOD, excitation=(
+        replace(BAND, low=2.0, high=2.0),)))
+    undamped = replace(steady, model=StateSpace(
+        A=[[0.0, 2.0], [-2.0, 0.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]], D=[[0.0]],
+        K=[[0.0], [0.0]], input_names=('u',), output_names=('y',)), covariance=None)
+    for first, second, why in ((quiet, quiet, 'no input excites a band to compare in.'),
+                               (steady, undamped, 'a response is not finite.'),
+                               (undamped, steady, 'a response is not finite.')):
+        found = checked(first, second)
+        seen = found.verdict.agreement
+        assert (seen.agrees, seen.contradicts, seen.answer) == (False, False, 'cannot tell')
+        assert seen.problem == why
+        assert seen.words == f'gobf cannot be compared: {why}'
+        assert seen.weakness == ''
+        assert found.verdict.grade is Grade.GOOD
 
 
 def test_a_verdict_never_gets_better():
@@ -334,6 +375,25 @@ def test_it_is_stored_to_the_last_bit(seen):
             from_json(json.dumps(document))
     del document['verdict']['agreement']['input']
     with pytest.raises(StorageError, match='missing: input'):
+        from_json(json.dumps(document))
+
+
+@pytest.mark.parametrize('agreed', [True, False])
+def test_an_agreement_of_version_1_is_not_known(agreed):
+    """There every difference within its deviations agreed, and none over the band was told."""
+    seen = Agreement('gobf', agreed, not agreed, 0.3, 0.7, 'u', 3.25, 0.01, 0.3)
+    document = json.loads(to_json(first_order(1.0, verdict=replace(GOOD, agreement=seen))))
+    document['version'] = 1
+    for key in ('contradicts', 'difference', 'difference_std'):
+        del document['verdict']['agreement'][key]
+    found = from_json(json.dumps(document)).verdict.agreement
+    assert found.answer == ('cannot tell' if agreed else 'no')
+    assert 'nan' not in found.words
+    if agreed:
+        assert found.words == ('gobf cannot tell: by how much it differs over the excited band is '
+                               'not known.')
+    document['verdict']['agreement']['agrees'] = 1
+    with pytest.raises(StorageError, match='agrees.*true or false'):
         from_json(json.dumps(document))
 
 

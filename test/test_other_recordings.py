@@ -22,6 +22,7 @@ from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.grouping import recordings
 from ctsid_ros.recordings.playback import read_record
+from ctsid_ros.recordings.recording import Times, successors
 
 SECONDS = 6.0
 
@@ -208,6 +209,69 @@ def test_parts_of_a_table_are_one_recording(ctsid, tmp_path):
     again = [str(write_csv(tmp_path / f'{name}.csv', {'t': np.arange(50) * 0.1, 'u': np.ones(50)}))
              for name in 'ab']
     assert recordings(again) == [(again[0],), (again[1],)]
+
+
+def run_in_parts(tmp_path: Path, name: str, edges: tuple[float, ...]) -> list[str]:
+    """A run of one clock, split at these times; between parts is one interval."""
+    files = []
+    for i, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True), 1):
+        t = np.arange(start, end, 0.1)
+        files.append(str(write_csv(tmp_path / f'{name}_part{i}.csv', {'t': t, 'u': np.sin(t)})))
+    return files
+
+
+def test_parts_of_two_runs_are_not_mixed_up(tmp_path):
+    """Two runs split at the same time: no time tells which part continues which."""
+    one, two = (run_in_parts(tmp_path, name, (0.0, 10.0, 20.0)) for name in ('one', 'two'))
+    said = []
+    assert recordings([*one, *two], note=said.append) == [(file,) for file in (*one, *two)]
+    assert len(said) == 1
+    assert all(file in said[0] for file in (*one, *two))
+    with open_bag([*one, *two]) as bag:
+        assert sorted(bag.topics) == ['one_part1', 'one_part2', 'two_part1', 'two_part2']
+    # Where times differ by more than a logger's gap, they tell.
+    late = run_in_parts(tmp_path, 'late', (0.0, 14.0, 28.0))
+    assert recordings([*one, *late]) == [tuple(one), tuple(late)]
+
+
+@pytest.mark.parametrize('edges', [(0.0, 10.0), (10.0, 20.0)])
+def test_no_file_is_in_two_recordings(tmp_path, edges):
+    """A run in two parts, and another file that ends, or begins, where they meet."""
+    one = run_in_parts(tmp_path, 'one', (0.0, 10.0, 20.0))
+    (other,) = run_in_parts(tmp_path, 'other', edges)
+    given = [one[1], one[0], other]
+    found = [file for group in recordings(given) for file in group]
+    assert sorted(found) == sorted(given)
+
+
+def test_only_tables_are_split(tmp_path):
+    """A logger of an autopilot that begins again has begun another recording."""
+    pytest.importorskip('pyulog')
+    t_u, u, t_y, y = flight(SECONDS)
+    given = [str(write_ulog(tmp_path / f'{k}.ulg', t_u + k * SECONDS, u, t_y + k * SECONDS, y))
+             for k in range(2)]
+    spans = []
+    for file in given:
+        with open_bag([file]) as bag:
+            spans.append((bag.start_ns, bag.end_ns))
+    assert 0 < spans[1][0] - spans[0][1] < 10**9
+    assert recordings(given) == [(given[0],), (given[1],)]
+
+
+def test_tables_continue_each_other_only_where_no_other_could():
+    a, b, c = (Times(columns, k * 10**10, (k + 1) * 10**10 - 1)
+               for k, columns in enumerate(('u', 'u', 'u')))
+    assert successors([c, a, b]) == ({1: 2, 2: 0}, ())
+    assert successors([a, b, a]) == ({}, (0, 1, 2))
+    assert successors([a, b, b, c]) == ({}, (0, 1, 2, 3))
+    other = b._replace(columns='v')
+    assert successors([a, b, other]) == ({0: 1}, ())
+    none = Times((), 0, 10**10)
+    assert successors([none, none._replace(start_ns=10**10, end_ns=2 * 10**10)]) == ({}, ())
+    short = [Times('u', k * 10**8, (k + 1) * 10**8 - 1) for k in range(5)]     # all are near
+    assert successors(short) == ({0: 1, 1: 2, 2: 3, 3: 4}, ())
+    instant = Times('u', 5, 5)
+    assert successors([instant, instant]) == ({}, ())       # neither is behind the other
 
 
 def test_a_folder_whose_only_bag_is_in_a_subfolder(ctsid, tmp_path):

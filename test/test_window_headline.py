@@ -210,13 +210,20 @@ def test_models_that_contradict_the_kept_one_are_told_even_if_no_window_shows_a_
 
 def test_instants_are_words_that_another_clock_can_read():
     text = f'It is stuck {after_start(1.25, 3.0)}; it changed about {after_start(0.5)}.'
-    assert text == ('It is stuck from 1.25 to 3 s after the start of the window; it changed about '
-                    '0.5 s after the start of the window.')
+    assert text == ('It is stuck from 1.2 to 3.0 s after the start of the window; it changed '
+                    'about 0.5 s after the start of the window.')
+    assert after_start(1234.5678) == '1234.6 s after the start of the window'
     assert by_clock(text, 1200.0, 'the bag') == (
         'It is stuck from 1201.2 to 1203.0 s after the start of the bag; it changed about '
         '1200.5 s after the start of the bag.')
     assert by_clock('about 3 s after the start of record 2', 5.0, 'the bag') == (
         'about 3 s after the start of record 2')
+    # Topics may be called so.
+    for name in ('yaw', 'gyro2', 'arm-1.5', '/imu/2', 'from left to right'):
+        words = f'check {name} s after the start of the window'
+        assert by_clock(words, 5.0, 'the bag') == words
+    assert by_clock('(2.0 s after the start of the window)', 5.0, 'the bag') == (
+        '(7.0 s after the start of the bag)')
 
 
 @pytest.mark.parametrize(('statuses', 'said'), [

@@ -21,7 +21,6 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of, evaluation_work
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
-    ROUNDING,
     Fit,
     Free,
     climb,
@@ -142,8 +141,8 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
             count = float(np.sum((record.streams[least].times - record.start
                                   > _INSTANTS[k] * (record.end - record.start)) == after))
             if count >= fewest and len(R) > len(last) and last[-1] > 0.0:
-                gone = samples.ny * (1.0 - last[-1] / np.sum(last))     # as if all of one output
-                promise[k] -= count * float(np.log(max(1.0 - gone, ROUNDING)))
+                # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
+                promise[k] += samples.ny * count * float(np.log(np.sum(last) / last[-1]))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 

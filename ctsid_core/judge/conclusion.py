@@ -172,7 +172,7 @@ def _where(part: Joint, change: Change) -> str:
         return ''
     own = part.parts[change.record].whole
     at = _share(part, change) * own.duration
-    return 'about ' + (f'{at:.3g} s after the start of record {part.numbers[change.record]}'
+    return 'about ' + (f'{at:.1f} s after the start of record {part.numbers[change.record]}'
                        if part.several else after_start(at))
 
 

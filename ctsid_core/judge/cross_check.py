@@ -84,7 +84,8 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
 
     A difference beyond chance at any frequency contradicts. To agree is more than not to
     contradict: the difference over the band, and its standard deviation, are both no more than
-    what the verdict lets the response to an input be uncertain by.
+    what the verdict lets the response to an input be uncertain by. Where nothing can be compared,
+    the methods neither agree nor contradict each other.
     """
     problem = '' if second.ok else f'{second.status.name}. {second.verdict.reason}'
     one, other = (e.model or e.rejected_model for e in (first, second))
@@ -93,12 +94,12 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
                          problem=problem or 'there is no model to compare.')
     bands = _bands(first)
     if not bands:
-        return Agreement(method, False, True,
+        return Agreement(method, False, bool(problem),
                          problem=problem or 'no input excites a band to compare in.')
     try:
         found = _differences(first, second, one, other, bands)
     except np.linalg.LinAlgError:                       # an undamped pole at one of them
-        return Agreement(method, False, True,
+        return Agreement(method, False, bool(problem),
                          problem=problem or 'a response is not finite.')
     late, dead_time = _later(first, second, one, other)
     beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= _limit(method))
@@ -106,7 +107,9 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
     contradicts = bool(problem or late or beyond.any())
     away, std = found.over_bands()
-    worst = int(np.argmax(np.nan_to_num(np.hypot(away, std), nan=np.inf)))
+    sure = (away > KNOWN) & (away > DEVIATIONS * std)
+    worst = int(np.argmax(np.where(sure, away, -1.0) if sure.any() else
+                          np.nan_to_num(np.hypot(away, std), nan=np.inf)))
     told = bool(np.all((away <= KNOWN) & (std <= KNOWN)))
     return Agreement(method, told and not contradicts, contradicts, float(found.relative[at]),
                      float(found.deviations[at]), one.input_names[found.input[at]],
@@ -167,9 +170,10 @@ def _differences(first: Estimate, second: Estimate, one: StateSpace, other: Stat
                  bands: Mapping[int, Array]) -> _Differences:
     scale, rows = _scale(one, bands), []
     for j, omega in bands.items():
-        response = one.frequency_response(omega)[:, :, j]
-        away = np.linalg.norm(scale * (other.frequency_response(omega)[:, :, j] - response),
-                              axis=1)
+        response, second_response = (m.frequency_response(omega)[:, :, j] for m in (one, other))
+        if not np.isfinite([response, second_response]).all():
+            raise np.linalg.LinAlgError
+        away = np.linalg.norm(scale * (second_response - response), axis=1)
         size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
         with np.errstate(divide='ignore', invalid='ignore'):
             rows.append((np.full(len(omega), j), omega, away / size, np.hypot(

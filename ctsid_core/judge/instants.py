@@ -11,12 +11,13 @@ from __future__ import annotations
 import re
 
 _AFTER = 's after the start of the window'
-_INSTANTS = re.compile(rf'(?:from (\S+) to )?(\S+) {_AFTER}')
+_NUMBER = r'(?<![\w./-])(-?\d+(?:\.\d+)?)'   # no part of a name
+_INSTANTS = re.compile(rf'(?:from {_NUMBER} to )?{_NUMBER} {_AFTER}')
 
 
 def after_start(time: float, until: float | None = None) -> str:
     """Return an instant, or from when to when, after the start of the window [s], in words."""
-    return f'{time:.3g} {_AFTER}' if until is None else f'from {time:.3g} to {until:.3g} {_AFTER}'
+    return f'{time:.1f} {_AFTER}' if until is None else f'from {time:.1f} to {until:.1f} {_AFTER}'
 
 
 def by_clock(text: str, start: float, of: str) -> str:

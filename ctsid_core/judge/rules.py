@@ -27,8 +27,8 @@ from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
-_FEW_SINES = 2.5        # effective number of frequencies: one held sine has 1.1 in the median,
-                        # 1.8 in 95 of 100, two have 2; of 742 inputs of the exam five have less
+_FEW_SINES = 2.5        # effective number of frequencies: one sine held at 5 to 50 Hz has 1.4 at
+                        # most, two 2.5 in 99 of 100; of 322 inputs of the exam three have less
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
 _LEAST = 0.05           # ... or this part of the motion; no test if ...
@@ -108,8 +108,10 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
         if j in e.fixed_inputs:
             continue
         if one.frequencies < _FEW_SINES:
-            yield (f'Input {one.name} moves at one or two frequencies only, which fits many '
-                   'models; excite more frequencies (a sweep, steps, or noise).')
+            count = round(one.frequencies)
+            yield (f'Nearly all of the motion of input {one.name} is at about {count} '
+                   f'{"frequency" if count == 1 else "frequencies"}, which fits many models; '
+                   'excite more frequencies (a sweep, steps, or noise).')
         if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'

@@ -21,11 +21,12 @@ class Agreement:
     agrees : bool
         Whether that is told: `difference` and `difference_std` are both within what the verdict
         allows for the response to an input (12 %), and nothing contradicts. Where deviations are
-        too large to tell, or not known, neither this nor `contradicts` is true.
+        too large to tell, or nothing can be compared, neither this nor `contradicts` is true.
     contradicts : bool
         Whether it has no model, or this differs at a frequency by more than 5 % and by more than 3
         standard deviations (2 if the second method is hd-pbsid), or it has a dead time that the
-        model lacks.
+        model lacks. Deviations that are not known excuse nothing: more than 5 % is enough then,
+        and less is neither.
     relative : float
         Difference of the frequency responses over the response, rms, of the model within the
         band that the input excites: the largest of those beyond both limits, or of all if there
@@ -37,8 +38,9 @@ class Agreement:
     frequency : float
         Where that is [rad/s].
     difference : float
-        As `relative`, but rms over the band, every octave alike; of the input for which this and
-        its deviation are largest. NaN if there is nothing to compare.
+        As `relative`, but rms over the band, every octave alike: the largest of those beyond 12 %
+        and 3 standard deviations; if there are none, of the input for which this and its deviation
+        are largest together. NaN if there is nothing to compare.
     difference_std : float
         Standard deviation of that difference: of both models together; NaN if not known.
     late : str
@@ -47,7 +49,7 @@ class Agreement:
     dead_time : float
         How much later [s].
     problem : str
-        Why the second method has no model to compare with; empty if it has.
+        Why the second method has no model, or its model cannot be compared; empty if it is.
     """
 
     method: str
@@ -85,7 +87,7 @@ class Agreement:
     def words(self) -> str:
         """The outcome in a sentence."""
         if self.problem:
-            return self.weakness
+            return self.weakness or f'{self.method} cannot be compared: {self.problem}'
         if not self.contradicts:
             return f'{self.method} {"agrees" if self.agrees else UNKNOWN}: {self._within}.'
         late = f', and finds that input {self.late} acts {self._late}' if self.late else ''
@@ -93,6 +95,8 @@ class Agreement:
 
     @property
     def _within(self) -> str:
+        if math.isnan(self.difference):
+            return 'by how much it differs over the excited band is not known'
         differs = f'over the excited band it differs by {100 * self.difference:.2g} % of the ' \
             'response'
         if math.isnan(self.difference_std):

@@ -245,6 +245,8 @@ def _upgrade(document: dict[str, Any]) -> None:
         if isinstance(seen, dict):      # then every difference within its deviations agreed
             seen.update({'contradicts': not seen.get('agrees'), 'difference': None,
                          'difference_std': None})
+            if seen.get('agrees') is True:
+                seen['agrees'] = False  # today that is no agreement by itself
     for found in changed:
         for key in GONE:
             if isinstance(found, dict):

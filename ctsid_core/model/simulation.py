@@ -212,6 +212,8 @@ def _bounded(A: Array, B: Array, offset: Array, u: Array, h: Array) -> Array:
     """Return the solution whose growing part ends at zero and whose other part starts there."""
     found = np.zeros((len(h) + 1, len(A)))
     for backwards, (own, right, left) in enumerate(_parts(A, float(h.sum()))):
+        if not len(own):
+            continue
         found += _by_matrices(own, left @ B, left @ offset, u, h, np.zeros(len(own)),
                               bool(backwards)) @ right.T
     return found
@@ -262,12 +264,15 @@ def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
     found = modes(A)
     first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)
     if found is None:
-        lasting, growing = _parts(A, last - first)
-        back = exponentials(growing[0], np.array([first - last]), 0)[0][0]
-        return np.concatenate((
-            _free_by_matrices(lasting[0], C @ lasting[1], times),
-            _free_by_matrices(-growing[0], C @ growing[1], -times[::-1])[::-1]), axis=2), \
-            np.hstack((lasting[1], growing[1] @ back))
+        bases, states = [], []
+        for backwards, (own, right, _) in enumerate(_parts(A, last - first)):
+            if not len(own):
+                continue
+            bases.append(_free_by_matrices(-own, C @ right, -times[::-1])[::-1] if backwards else
+                         _free_by_matrices(own, C @ right, times))
+            states.append(right @ exponentials(own, np.array([first - last]), 0)[0][0]
+                          if backwards else right)
+        return np.concatenate(bases, axis=2), np.hstack(states)
     reference = np.where(found.values.real > 0, last, first)
     growth = np.exp((times[:, np.newaxis] - reference) * found.values)
     response = growth[:, np.newaxis] * (C @ found.right)

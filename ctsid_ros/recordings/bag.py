@@ -60,6 +60,8 @@ class Bag:
         First and last log time of all messages; 0 if there are none.
     own_clock : bool
         Whether these count from a start of their own, as autopilots do.
+    tables : bool
+        Whether all of its files are tables.
     size : int
         Of its files [bytes].
     """
@@ -76,6 +78,7 @@ class Bag:
         self.start_ns = min((recording.start_ns for recording in filled), default=0)
         self.end_ns = max((recording.end_ns for recording in filled), default=0)
         self.own_clock = bool(filled) and all(recording.own_clock for recording in filled)
+        self.tables = bool(filled) and all(recording.alone for recording in filled)
         if not filled:
             self._note('there is no message in the bag')
 

@@ -8,8 +8,8 @@ recorders of different topics run at the same time. Bags that overlap, or follow
 a second, are one recording; between recordings somebody has stopped and started the recorder.
 
 Autopilots and many tables count from a start of their own, so that time tells little: files with
-the same columns are recordings of their own, unless the times of one continue those of another,
-and files with other columns belong together.
+the same columns are recordings of their own, and files with other columns belong together. Only
+where the times of one table continue those of another, and of no third, a logger has split it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.files import files_in, find_files
-from ctsid_ros.recordings.recording import NEAR, follows
+from ctsid_ros.recordings.recording import NEAR, Times, successors
 from ctsid_ros.recordings.remote import local
 
 
@@ -36,6 +36,7 @@ class _Span:
     topics: frozenset[str]
     own_clock: bool = False
     types: frozenset[str] = frozenset()  # of those with a clock of their own
+    table: bool = False
 
 
 def recordings(paths: Sequence[str], topics: Collection[str] = (),
@@ -51,7 +52,7 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
     topics : collection of str
         That matter; all if empty.
     note : callable, optional
-        Takes what is left out: files of a folder that cannot be read.
+        Takes what is left out: files of a folder that cannot be read; and what time does not tell.
     time : sequence of str, optional
         See `open_bag`.
 
@@ -71,8 +72,8 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
         return [tuple(paths)]
     spans = _spans(bags, note, time)
     groups: list[list[_Span]] = []
-    for span in _in_chains([s for s in spans if s.own_clock]):
-        _add_by_columns(groups, span, frozenset(topics))
+    for chain in _chains([s for s in spans if s.own_clock], note):
+        _add_by_columns(groups, chain, frozenset(topics))
     alone = len(groups)
     for span in sorted((s for s in spans if not s.own_clock), key=lambda s: s.start_ns):
         if groups[alone:] and (not span.end_ns or span.start_ns <= max(
@@ -88,36 +89,34 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
     return [_parts(sorted(group, key=spans.index), [s.given for s in spans]) for group in groups]
 
 
-def _continues(span: _Span, other: _Span) -> bool:
-    """Whether a logger has split a table there."""
-    return bool(span.types) and span.types == other.types and follows(span.start_ns, other.end_ns)
+def _chains(spans: Sequence[_Span], note: Callable[[str], None]) -> list[list[_Span]]:
+    """Put tables that continue others behind them."""
+    following, doubtful = successors([Times(span.types if span.table else (), span.start_ns,
+                                            span.end_ns) for span in spans])
+    if doubtful:
+        files = ', '.join(file for i in doubtful for file in spans[i].files)
+        note(f'{files}: time does not tell which of these tables continues which, so they are not '
+             'joined; give the parts of one run at a time')
+    chains = []
+    for head in sorted({*range(len(spans))} - {*following.values()}):
+        places = [head]
+        while places[-1] in following:
+            places.append(following[places[-1]])
+        chains.append([spans[i] for i in places])
+    return chains
 
 
-def _in_chains(spans: Sequence[_Span]) -> list[_Span]:
-    """Put files that continue others behind them."""
-    following = {id(before): span for span in spans for before in spans
-                 if before is not span and _continues(span, before)}
-    behind = {id(span) for span in following.values()}
-    ordered = []
-    for head in spans:
-        if id(head) not in behind:
-            chain: _Span | None = head
-            while chain:
-                ordered.append(chain)
-                chain = following.get(id(chain))
-    return ordered
-
-
-def _add_by_columns(groups: list[list[_Span]], span: _Span, topics: frozenset[str]) -> None:
-    """Add a file to the last recording if no file there has its columns, or both are asked for."""
-    last = groups[-1] if groups else []
+def _add_by_columns(groups: list[list[_Span]], chain: Sequence[_Span], topics: frozenset[str]
+                    ) -> None:
+    """Add files to the last recording if none there has their columns, or both are asked for."""
+    last, span = groups[-1] if groups else [], chain[0]
     again = any(span.types & other.types for other in last)
     asked = all(one.topics & topics for one in (span, *last)) \
         and not any(span.topics & other.topics for other in last)
-    if last and (asked or not again or any(_continues(span, other) for other in last)):
-        last.append(span)
+    if last and (asked or not again):
+        last.extend(chain)
     else:
-        groups.append([span])
+        groups.append([*chain])
 
 
 def _bags(path: Path) -> list[tuple[str, ...]]:
@@ -179,7 +178,8 @@ def _span(path: str, files: tuple[str, ...], time: Sequence[str]) -> _Span:
         filled = frozenset(name for name, topic in bag.topics.items() if topic.count)
         types = frozenset(repr(bag.message_type(name)) for name in filled) if bag.own_clock \
             else frozenset()
-        return _Span(path, files, bag.start_ns, bag.end_ns, filled, bag.own_clock, types)
+        return _Span(path, files, bag.start_ns, bag.end_ns, filled, bag.own_clock, types,
+                     bag.tables)
 
 
 def _check_apart(one: _Span, other: _Span, topics: Collection[str]) -> None:

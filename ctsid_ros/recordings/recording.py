@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from operator import itemgetter
@@ -115,22 +116,41 @@ class Recording:
         return sum(connection.count for connection in self.connections)
 
 
-def follows(start_ns: int, end_ns: int) -> bool:
-    """Whether a part that starts then continues one that has ended then."""
-    return 0 <= start_ns - end_ns <= NEAR
+class Times(NamedTuple):
+    """What of a file tells whether a logger has split it: columns, empty if it is no table."""
+
+    columns: Collection[object]
+    start_ns: int
+    end_ns: int
+
+
+def successors(files: Sequence[Times]) -> tuple[dict[int, int], tuple[int, ...]]:
+    """
+    Return which table continues which, and those of which time does not tell it, by their places.
+
+    One may continue another if it has the same columns and begins when that has ended, and does if
+    none lies between them. Where several could, as in runs that were split at the same time, none
+    does.
+    """
+    later = [{j for j, other in enumerate(files) if one.columns and one.columns == other.columns
+              and one.start_ns < other.start_ns and 0 <= other.start_ns - one.end_ns <= NEAR}
+             for one in files]
+    pairs = [(i, j) for i, places in enumerate(later) for j in places
+             if not any(j in later[between] for between in places)]
+    before, behind = Counter(i for i, _ in pairs), Counter(j for _, j in pairs)
+    sure = {i: j for i, j in pairs if before[i] == behind[j] == 1}
+    doubtful = {place for i, j in pairs if sure.get(i) != j for place in (i, j)}
+    return sure, tuple(sorted(doubtful))
 
 
 def continued(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     """Give tables that continue each other the name of the first: a logger has split them."""
     found = list(recordings)
-    for number in sorted(range(len(found)), key=lambda i: found[i].start_ns):
-        own = found[number]
-        before = next((one for one in found if one is not own and own.alone and _columns(one)
-                       == _columns(own) and follows(own.start_ns, one.end_ns)), None)
-        if before:
-            found[number] = replace(own, alone=before.alone, connections=tuple(
-                replace(c, topic=before.alone + c.topic.removeprefix(own.alone))
-                for c in own.connections))
+    following, _ = successors([Times(_columns(one), one.start_ns, one.end_ns) for one in found])
+    for i in sorted(following, key=lambda i: found[i].start_ns):
+        name, own = found[i].alone, found[following[i]]
+        found[following[i]] = replace(own, alone=name, connections=tuple(
+            replace(c, topic=name + c.topic.removeprefix(own.alone)) for c in own.connections))
     return tuple(found)
 
 
