@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, flown, random_plant, running
+from plants import PLANTS, flown, held_response, jittered, noisy, plant, random_plant, running
 import pytest
 from regions import regions
 from scipy.stats import binom
@@ -15,6 +15,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.model.covariance import (
     Covariance,
     Entries,
+    Rival,
     damping_deviation,
     gain_deviation,
     natural_frequency_deviation,
@@ -104,6 +105,48 @@ def test_a_root_of_another_shape_is_refused():
     for root in (np.zeros((2, 26)), np.zeros(27), np.full((1, 27), np.nan)):
         with pytest.raises(DataError, match='wanted are rows of 27 finite'):
             Covariance(root, 3, 2, 2)
+
+
+def test_the_response_varies_by_rivals_too():
+    m, other = model(1), replace(model(2), delay=(0.3, 0.0))
+    own = Covariance.of_entries(changes(2, m), m)
+    both = replace(own, rivals=(Rival(0.25, other),))
+    before, after = (response_deviation(known, m, OMEGA) for known in (own, both))
+    ratio = other.frequency_response(OMEGA) / m.frequency_response(OMEGA) - 1.0
+    np.testing.assert_allclose(after.magnitude, np.hypot(before.magnitude, 0.5 * ratio.real))
+    np.testing.assert_allclose(after.phase, np.hypot(before.phase, 0.5 * ratio.imag))
+    np.testing.assert_array_equal(gain_deviation(both, m), gain_deviation(own, m))
+    drifting = Rival(0.5, replace(other, A=np.zeros((3, 3))))
+    found = response_deviation(replace(own, rivals=(drifting,)), m, OMEGA)
+    assert np.isfinite(found.magnitude).all()          # at 0 Hz it has no response
+    assert both != own
+    for wrong in (Rival(0.0, other), Rival(0.5, StateSpace([[-1.0]], [[1.0]], [[1.0]]))):
+        with pytest.raises(DataError, match='2 inputs and 2 outputs'):
+            replace(own, rivals=(wrong,))
+
+
+def test_deviations_know_that_the_order_might_be_another_one():
+    """A fast pole that noise hides: of order 1 the response is off by more than it would say."""
+    p, omega = plant([[-4.0, 0.0], [20.0, -20.0]], [[4.0], [0.0]], [[0.0, 1.0]]), np.array([8.0])
+    truth = StateSpace(p.A, p.B, p.C).frequency_response(omega)[0, 0, 0]
+    away, orders = [], set()
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        t_u, t_y = jittered(rng, 30.0, 10.5) - 0.5, jittered(rng, 80.0)[1:]
+        levels = rng.uniform(-1.0, 1.0, (8, 1))
+        u = np.where(t_u[:, np.newaxis] < 0.0, 0.0, levels[np.maximum(t_u / 1.5, 0).astype(int)])
+        y = noisy(rng, held_response(p, t_u, u, t_y), 20)
+        found = identify(Record.from_arrays(t_u, u, t_y, y, input_hold='zoh'),
+                         Settings(held_out=0.0))
+        response = found.model.frequency_response(omega)[0, 0, 0]
+        away.append([abs(response - truth) / abs(response) / np.hypot(said.magnitude, said.phase)[
+            0, 0, 0] for said in (found.frequency_response_std(omega), response_deviation(
+                replace(found.covariance, rivals=()), found.model, omega))])
+        orders.add(found.model.n)
+    assert {1, 2} <= orders
+    with_rivals, without = np.mean(np.array(away) < 2.5, axis=0)
+    print(f'within 2.5 deviations: {with_rivals:.2f}, order taken for granted {without:.2f}')
+    assert with_rivals > 0.94 > 0.88 > without
 
 
 def test_what_is_not_known_is_nan():

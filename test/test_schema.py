@@ -46,7 +46,8 @@ def test_the_schema_names_what_the_code_writes():
     assert set(top['records']['items']['properties']) == set(model_json.RECORD_KEYS)
     assert set(top['orders']['items']['properties']) == set(model_json.ORDER_KEYS)
     assert set(top['deviations']['properties']) == set(model_json.DEVIATIONS)
-    assert set(top['covariance']['anyOf'][0]['properties']) == set(model_json.COVARIANCE_KEYS)
+    assert set(top['covariance']['anyOf'][0]['properties']) == {
+        *model_json.COVARIANCE_KEYS, 'rivals'}
     assert set(model['properties']['poles']['items']['properties']) == set(model_json.POLE_KEYS)
     assert top['status']['enum'] == list(Status.__members__)
     assert verdict['properties']['grade']['enum'] == list(Grade.__members__)

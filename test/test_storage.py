@@ -14,7 +14,7 @@ import pytest
 
 from ctsid_core.errors import StorageError
 from ctsid_core.model import storage
-from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.covariance import Covariance, Rival
 from ctsid_core.model.estimate import Choice, Estimate, OrderTried, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import (
@@ -100,12 +100,14 @@ def test_the_comparison_of_this_test_sees_single_bits():
     estimate(), estimate(covariance=covariance()),
     estimate(status=Status.CHANGED, model=None, rejected_model=model(), covariance=covariance()),
     estimate(covariance=covariance(rows=0)),
+    estimate(covariance=replace(covariance(), rivals=(Rival(0.1 + 0.2, model(5, n=1)),
+                                                      Rival(1.0, model(6, noise=None))))),
     Estimate(status=Status.NO_EXCITATION, settings=Settings()),
     estimate(status=Status.UNRELIABLE, model=None),
     estimate(model=model(1, n=0, nu=0, ny=1), pole_std=np.empty(0), fit=np.empty(0),
              held_out_fit=np.empty(0)),
     estimate(model=model(1, noise=None))],
-    ids=['all', 'covariance', 'of a rejected', 'no rows', 'none', 'rejected', 'no states',
+    ids=['all', 'covariance', 'of a rejected', 'no rows', 'rivals', 'none', 'rejected', 'no states',
          'no noise'])
 def test_round_trip_to_the_last_bit(whole, tmp_path):
     assert same(from_json(to_json(whole)), whole)

@@ -29,7 +29,7 @@ def whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
 
 
 def whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
-                intensity: Array) -> StateSpace:
+                intensity: Array | None) -> StateSpace:
     """
     Return the model of all channels: constant ones have zero rows and columns.
 
@@ -40,8 +40,8 @@ def whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
         Of the moving channels.
     delay : tuple of float
         Dead time of every input [s].
-    intensity : ndarray
-        Of the noise of the moving outputs, a square matrix [unit^2 s].
+    intensity : ndarray or None
+        Of the noise of the moving outputs, a square matrix [unit^2 s]; None: not known.
     """
     whole = part.whole
     n, nu, ny = len(m.A), whole.nu, whole.ny
@@ -49,8 +49,9 @@ def whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
     B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
     B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
     drift, level = whole_trim(part, m)
-    noise = np.zeros((ny, ny))
-    noise[np.ix_(y, y)] = intensity
+    noise = None if intensity is None else np.zeros((ny, ny))
+    if noise is not None:
+        noise[np.ix_(y, y)] = intensity
     return StateSpace(
         A=m.A, B=B, C=C, D=D, K=K, delay=delay, x_trim=drift, y_trim=level, noise=noise,
         input_names=whole.input_names, output_names=whole.output_names,

@@ -22,7 +22,7 @@ from ctsid_core.likelihood.residuals import Residuals, driven, residuals, white_
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
-from ctsid_core.model.covariance import Covariance, pole_deviation, spread
+from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
@@ -107,8 +107,23 @@ def _covariances(solution: Solution, model: StateSpace,
     if not all(np.isfinite(block).all() for block in changes):
         return None, None
     part = solution.part.parts[solution.part.last]
-    return (Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model),
-            Covariance.of_entries(changes, moving))
+    own, whole = _rivals(solution, model)
+    return (Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model,
+                                  whole),
+            Covariance.of_entries(changes, moving, own))
+
+
+def _rivals(solution: Solution,
+            model: StateSpace) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
+    """Return the models that might be right: of the moving channels, and of all."""
+    last = solution.part.parts[solution.part.last]
+    own, whole = [], []
+    for share, one in solution.rivals:
+        m, delay = matrices_of(one, solution.samples.size), np.array(model.delay)
+        delay[list(last.u)] = one.delay
+        own.append(Rival(share, moving_model(m, tuple(one.delay.tolist()))))
+        whole.append(Rival(share, whole_model(last, m, tuple(delay.tolist()), None)))
+    return tuple(own), tuple(whole)
 
 
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,

@@ -186,7 +186,7 @@ def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array
                j: int) -> Array:
     if estimate.covariance is None:
         return np.full(len(omega), np.nan)
-    changes = estimate.covariance.response_changes(model, omega)[..., j]
+    changes = estimate.covariance.response_differences(model, omega)[..., j]
     return np.sqrt(np.sum((scale * np.abs(changes)) ** 2, axis=(0, 2)))
 
 

@@ -42,7 +42,7 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     variance, changes = np.full(response.shape, np.inf), None
     if covariance is not None:
         try:
-            changes = covariance.response_changes(moving, omega)
+            changes = covariance.response_differences(moving, omega)
             variance = np.sum(np.abs(changes) ** 2, axis=0) / samples.size[:, np.newaxis] ** 2
         except np.linalg.LinAlgError:
             pass

@@ -10,8 +10,14 @@ All of it is in one matrix, the root of the covariance of the entries.
     dG = L dA X + L dB + dC X + dD - j omega G d delay,                                         (2)
     L = C (j omega I - A)^-1,  X = (j omega I - A)^-1 B  (before the dead time)
 
+Which model it should be is not known either. Rivals, of another order or with other dead times, are
+as likely as their share of the Akaike weights says, and the response varies by them, too:
+
+    var G = var(G | model) + sum_i w_i |G_i - G|^2.                                             (3)
+
 Sources: G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th edition, section 7.2.2, for (1);
-L. Ljung, "System Identification", 2nd edition, section 9.4 and appendix 9A, for the rest.
+L. Ljung, "System Identification", 2nd edition, section 9.4 and appendix 9A, for (2);
+S. T. Buckland, K. P. Burnham, N. H. Augustin 1997, Biometrics 53, for (3).
 """
 
 from __future__ import annotations
@@ -63,6 +69,22 @@ class ResponseDeviation(NamedTuple):
     phase: Array
 
 
+class Rival(NamedTuple):
+    """
+    A model that might have been chosen instead.
+
+    Parameters
+    ----------
+    share : float
+        Its share of the Akaike weights of all that were tried, the chosen one among them.
+    model : StateSpace
+        Of the same inputs and outputs.
+    """
+
+    share: float
+    model: StateSpace
+
+
 @dataclass(frozen=True, eq=False)
 class Covariance:
     """
@@ -76,11 +98,14 @@ class Covariance:
         were not estimated (constant channels, D or dead times that are given).
     n, nu, ny : int
         Number of states, inputs and outputs.
+    rivals : tuple of Rival
+        Models that the response may be that of; none: no other was tried.
 
     Raises
     ------
     DataError
-        If the shape of the root does not fit, or an entry is not finite.
+        If the shape of the root does not fit, an entry is not finite, or a rival is of other
+        inputs and outputs.
 
     Notes
     -----
@@ -92,6 +117,7 @@ class Covariance:
     n: int
     nu: int
     ny: int
+    rivals: tuple[Rival, ...] = ()
 
     def __post_init__(self) -> None:
         root = np.array(self.root, dtype=float)
@@ -100,16 +126,21 @@ class Covariance:
             raise DataError(f'`root` has shape {root.shape}; for {self.n} states, {self.nu} '
                             f'inputs and {self.ny} outputs wanted are rows of {count} finite '
                             'numbers')
+        if any((m.nu, m.ny) != (self.nu, self.ny) or not 0.0 < share <= 1.0
+               for share, m in self.rivals):
+            raise DataError(f'`rivals` need a share of more than 0 and at most 1, {self.nu} '
+                            f'inputs and {self.ny} outputs')
         root.setflags(write=False)
         object.__setattr__(self, 'root', root)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Covariance):
             return NotImplemented
-        return self._key == other._key and np.array_equal(self.root, other.root)
+        return self._key == other._key and np.array_equal(self.root, other.root) \
+            and self.rivals == other.rivals
 
     def __hash__(self) -> int:
-        return hash((self._key, (self.root + 0.0).tobytes()))
+        return hash((self._key, (self.root + 0.0).tobytes(), self.rivals))
 
     @property
     def _key(self) -> tuple[int, ...]:
@@ -135,7 +166,8 @@ class Covariance:
                          for part, shape in zip(parts, shapes, strict=True)))
 
     @classmethod
-    def of_entries(cls, entries: Entries, model: StateSpace) -> Covariance:
+    def of_entries(cls, entries: Entries, model: StateSpace,
+                   rivals: tuple[Rival, ...] = ()) -> Covariance:
         """
         Return the covariance for rows of changes, as few rows as tell it.
 
@@ -144,6 +176,7 @@ class Covariance:
         entries : Entries
         model : StateSpace
             That they belong to: what changes its states only is taken out.
+        rivals : tuple of Rival
         """
         rows = np.hstack([part.reshape(len(part), -1) for part in entries])
         size = np.max(np.abs(rows), axis=0, initial=0.0)
@@ -156,7 +189,7 @@ class Covariance:
         kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - count, 0))
         root = s[kept, np.newaxis] * right[kept] * size
         root[:, ~np.any(rows, axis=0) & (np.max(np.abs(root), axis=0, initial=0.0) < _KNOWN)] = 0.0
-        return cls(root, model.n, model.nu, model.ny)
+        return cls(root, model.n, model.nu, model.ny, rivals)
 
     def transform(self, T: ArrayLike) -> Covariance:
         """Return the same for the states z = T x (`StateSpace.transform`)."""
@@ -192,6 +225,23 @@ class Covariance:
         G = model.C @ X + model.D
         found: ComplexArray = L @ (dA @ X + dB) + dC @ X + dD \
             - (s * G) * e.delay[:, np.newaxis, np.newaxis]
+        return found
+
+    def response_differences(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
+        """
+        Return the same with a row for each rival: sum of |rows|^2 is the variance (3).
+
+        Where a rival has no finite response, it does not count.
+        """
+        omega = np.asarray(omega, dtype=float)
+        late = np.exp(1j * np.outer(omega, model.delay))[:, np.newaxis]
+        own = model.frequency_response(omega)
+        with np.errstate(invalid='ignore'):
+            apart = [np.sqrt(share) * (other.frequency_response(omega) - own) * late
+                     for share, other in self.rivals]
+        apart = [np.where(np.isfinite(row), row, 0.0) for row in apart]
+        found: ComplexArray = np.concatenate(
+            (self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
         return found
 
 
@@ -239,7 +289,11 @@ def _radial(covariance: Covariance, model: StateSpace) -> ComplexArray:
 
 
 def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
-    """Return the standard deviation of the DC gain, (ny, nu); infinite for a pole at 0."""
+    """
+    Return the standard deviation of the DC gain, (ny, nu); infinite for a pole at 0.
+
+    Of the model's own entries: no record tells which of several models is right at 0 Hz.
+    """
     try:
         return _deviation(covariance.response_changes(model, np.zeros(1))[:, 0].real)
     except np.linalg.LinAlgError:
@@ -274,9 +328,10 @@ def response_deviation(covariance: Covariance, model: StateSpace,
     response = model.frequency_response(omega)
     known = np.isfinite(response) & (response != 0.0)
     seen = known.any(axis=(1, 2))
-    ratio = np.full((len(covariance.root), *response.shape), np.nan, dtype=complex)
+    ratio = np.full((len(covariance.root) + len(covariance.rivals), *response.shape), np.nan,
+                    dtype=complex)
     with np.errstate(divide='ignore', invalid='ignore'):
-        ratio[:, seen] = covariance.response_changes(model, omega[seen]) \
+        ratio[:, seen] = covariance.response_differences(model, omega[seen]) \
             / np.where(known, response * late, np.nan)[seen]
     return ResponseDeviation(_deviation(ratio.real), _deviation(ratio.imag))
 

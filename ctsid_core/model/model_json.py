@@ -27,7 +27,7 @@ import numpy as np
 
 from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.linear.types import Array
-from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.covariance import Covariance, Rival
 from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Choice, Estimate, OrderTried, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
@@ -50,7 +50,7 @@ MATRICES = {'A': ('n', 'n'), 'B': ('n', 'nu'), 'C': ('ny', 'n'), 'D': ('ny', 'nu
             'K': ('n', 'ny'), 'x_trim': ('n',), 'y_trim': ('ny',), 'delay': ('nu',)}
 WORDS = {'input_names': 'nu', 'input_units': 'nu', 'output_names': 'ny', 'output_units': 'ny'}
 DEVIATIONS = ('natural_frequency_std', 'damping_std', 'dc_gain_std', 'delay_std')
-COVARIANCE_KEYS = ('n', 'nu', 'ny', 'root')
+COVARIANCE_KEYS = ('n', 'nu', 'ny', 'root')  # beside `rivals`
 MODEL_KEYS = ('n', 'nu', 'ny', *WORDS, *MATRICES, 'noise', 'poles')
 _SAME_POLE = 1e-3  # of the largest: other computers find multiple poles a little elsewhere
 POLE_KEYS = ('re', 'im', 'natural_frequency', 'damping')
@@ -172,7 +172,9 @@ def _model(model: StateSpace | None) -> dict[str, object] | None:
 def _covariance(covariance: Covariance | None) -> dict[str, object] | None:
     if covariance is None:
         return None
-    return {key: getattr(covariance, key) for key in COVARIANCE_KEYS}
+    return {**{key: getattr(covariance, key) for key in COVARIANCE_KEYS},
+            'rivals': [{'share': share, 'model': _model(model)}
+                       for share, model in covariance.rivals]}
 
 
 def _plain(value: Any) -> Any:
@@ -379,16 +381,28 @@ def _read_covariance(found: Any, model: StateSpace | None) -> Covariance | None:
     if found is None:
         return None
     found = _object(found, 'covariance')
-    _check_keys(found, COVARIANCE_KEYS, 'covariance')
+    _check_keys({'rivals': [], **found}, (*COVARIANCE_KEYS, 'rivals'), 'covariance')
     size = {key: _integer(found, key) for key in ('n', 'nu', 'ny')}
     if model is None or size != {'n': model.n, 'nu': model.nu, 'ny': model.ny}:
         raise StorageError(f'`covariance` is of {size}, and that is not the model; write the file '
                            'again')
     rows, entries = _list(found, 'root'), Covariance.entry_count(**size)
+    rivals = _list(found, 'rivals') if 'rivals' in found else []
     try:
-        return Covariance(_numbers(rows, 'covariance.root', (len(rows), entries)), **size)
+        return Covariance(_numbers(rows, 'covariance.root', (len(rows), entries)), **size,
+                          rivals=tuple(_read_rival(r, i) for i, r in enumerate(rivals)))
     except DataError as error:
         raise StorageError(f'`covariance`: {error}') from error
+
+
+def _read_rival(found: Any, index: int) -> Rival:
+    where = f'covariance.rivals[{index}]'
+    found = _object(found, where)
+    _check_keys(found, ('share', 'model'), where)
+    model = _read_model(found['model'], f'{where}.model')
+    if model is None:
+        raise StorageError(f'`{where}.model` is null; write the file again')
+    return Rival(_number(found['share'], f'{where}.share', nan=False), model)
 
 
 def _status(name: Any) -> Status:

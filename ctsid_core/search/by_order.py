@@ -182,6 +182,13 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     return float(np.sum(gain)) - unit * (larger.parameters - smaller.parameters)
 
 
+def advantage(one: Tried, other: Tried) -> float:
+    """Return by how much Akaike's criterion prefers the other one, by independent samples."""
+    if other.parameters >= one.parameters:
+        return criterion(one, other, _AKAIKE)
+    return -criterion(other, one, _AKAIKE)
+
+
 def _rival(found: dict[int, Tried], samples: Samples, n: int) -> float:
     """Return the cost that order n must reach at least to beat the best smaller order."""
     best = found[choose(found)]

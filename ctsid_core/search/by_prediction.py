@@ -32,7 +32,7 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import MORE, Tried, tried
@@ -48,6 +48,7 @@ _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _LITTLE = 1e-5              # relative step of a difference
+_PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
 
 
@@ -256,10 +257,8 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
                unstable: bool) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
     transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
-    with warnings.catch_warnings():                 # it judges its own accuracy too strictly
-        warnings.simplefilter('ignore', RuntimeWarning)
-        moved = transition + integral @ K @ C
-        plant = np.asarray(logm(moved)) / step if np.isfinite(moved).all() else moved
+    moved = transition + integral @ K @ C
+    plant = _logarithm(moved) / step if np.isfinite(moved).all() else moved
     if not np.isfinite(plant).all():
         raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
     if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
@@ -267,6 +266,17 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
     plant = np.real(plant) if unstable else _on_the_axis(np.real(plant))
     back = np.linalg.solve(exponentials(plant, np.array([step]), 1)[1][0], integral)
     return plant, back @ B, back @ K
+
+
+def _logarithm(transition: Array) -> ComplexArray:
+    """Return the principal logarithm, by eigenvectors unless these are nearly parallel."""
+    values, right = np.linalg.eig(transition)
+    if np.linalg.cond(right) < _PARALLEL and np.all(values != 0.0):
+        found: ComplexArray = (right * np.log(values.astype(complex))) @ np.linalg.inv(right)
+        return found
+    with warnings.catch_warnings():                 # it judges its own accuracy too strictly
+        warnings.simplefilter('ignore', RuntimeWarning)
+        return np.asarray(logm(transition), dtype=complex)
 
 
 def _held_interval(joint: Samples) -> float:

@@ -56,6 +56,8 @@ class Solution:
         whether the plant changes.
     simpler : ModalModel or None
         The best one of half its order that simulates.
+    rivals : tuple of (float, ModalModel)
+        Others that simulate, and might be right: share of the Akaike weights, model.
     singular_values : ndarray
         Of a subspace method; their drop shows the order.
     condition : float
@@ -78,6 +80,7 @@ class Solution:
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     simulating: tuple[Samples, Fit, Free] | None = None
     simpler: ModalModel | None = None
+    rivals: tuple[tuple[float, ModalModel], ...] = ()
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
 

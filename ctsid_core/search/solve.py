@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at
@@ -24,6 +25,7 @@ from ctsid_core.search.by_order import (
     MORE,
     SEARCH,
     Tried,
+    advantage,
     choose,
     criterion,
     explains,
@@ -57,6 +59,7 @@ _MARGIN = 1.2         # times a dead time, for which outputs are left out while 
 _SURE = 6.0           # standard deviations from which on a dead time needs no further test
 _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
 _FEWEST = 3           # states: fewer are found by a grid of poles
+_NEGLIGIBLE = 0.01    # share of the Akaike weights
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
@@ -66,6 +69,7 @@ _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are l
 _PROJECTION, _PER_SAMPLE, _REGRESSION = 2.5e7, 1e4, 2e7      # work of HD-PBSID
 
 Corrupt = list[list[Mask | None]]
+Other = tuple[float, Tried]              # advantage over the choice, and the model
 Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
 
 
@@ -98,26 +102,48 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     more = not settings.order and order + 1 in found and responds_otherwise(
         samples, found[order], found[order + 1])
     order += more
+    others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
         part, corrupt, samples, found[order], free, seen)
     if own.feedthrough:
-        best, free = _direct(part, seen, samples, found, best, free, subspace, settings)
-    best, free = _without_needless(samples, _climbed(samples, best, free), free)
-    whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
-    if late > 0.0:
-        samples = seen(late)
-        best = _climbed(samples, best, free)
+        with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings)
+        others, best = _with(others, best, with_D), with_D
     half = found.get(best.fit.model.n // 2)
     simpler = half.fit.model if half else None
     if solved := _by_prediction(part, settings, corrupt, samples, best, free):
         return replace(solved, simpler=simpler)
+    climbed = _climbed(samples, best, free)
+    best, free = _without_needless(samples, climbed, free)
+    others = _with(others, climbed, best)
+    whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
+    if late > 0.0:
+        samples = seen(late)
+        best = _climbed(samples, best, free)
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free, more), notes, whole=whole, hidden=hidden,
-                    simpler=simpler, singular_values=values, condition=condition)
+                    simpler=simpler, rivals=_rivals(others), singular_values=values,
+                    condition=condition)
+
+
+def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
+    """Return the models that might be right beside the next choice, the last one among them."""
+    if after is before:
+        return others
+    more = advantage(after, before)
+    return [*((gain + more, one) for gain, one in others), (more, before)]
+
+
+def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
+    """Return the models that might be right, with their share of the Akaike weights."""
+    gains = np.array([0.0, *(gain for gain, _ in others)])
+    weights = np.exp(0.5 * (gains - gains.max()))
+    shares = (weights / weights.sum()).tolist()[1:]
+    return tuple((share, one.fit.model) for share, (_, one) in zip(shares, others, strict=True)
+                 if share > _NEGLIGIBLE)
 
 
 def _affordable(part: Joint, corrupt: Corrupt, settings: Settings, effort: Effort) -> int:
