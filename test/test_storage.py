@@ -107,8 +107,8 @@ def test_the_comparison_of_this_test_sees_single_bits():
     estimate(model=model(1, n=0, nu=0, ny=1), pole_std=np.empty(0), fit=np.empty(0),
              held_out_fit=np.empty(0)),
     estimate(model=model(1, noise=None))],
-    ids=['all', 'covariance', 'of a rejected', 'no rows', 'rivals', 'none', 'rejected', 'no states',
-         'no noise'])
+    ids=['all', 'covariance', 'of a rejected', 'no rows', 'rivals', 'none', 'rejected',
+         'no states', 'no noise'])
 def test_round_trip_to_the_last_bit(whole, tmp_path):
     assert same(from_json(to_json(whole)), whole)
     save_model(tmp_path / 'model.json', whole)

@@ -107,23 +107,19 @@ def _covariances(solution: Solution, model: StateSpace,
     if not all(np.isfinite(block).all() for block in changes):
         return None, None
     part = solution.part.parts[solution.part.last]
-    own, whole = _rivals(solution, model)
     return (Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model,
-                                  whole),
-            Covariance.of_entries(changes, moving, own))
+                                  _rivals(solution, model)),
+            Covariance.of_entries(changes, moving))
 
 
-def _rivals(solution: Solution,
-            model: StateSpace) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
-    """Return the models that might be right: of the moving channels, and of all."""
-    last = solution.part.parts[solution.part.last]
-    own, whole = [], []
+def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
+    """Return the models of all channels that might be right instead."""
+    last, found = solution.part.parts[solution.part.last], []
     for share, one in solution.rivals:
         m, delay = matrices_of(one, solution.samples.size), np.array(model.delay)
         delay[list(last.u)] = one.delay
-        own.append(Rival(share, moving_model(m, tuple(one.delay.tolist()))))
-        whole.append(Rival(share, whole_model(last, m, tuple(delay.tolist()), None)))
-    return tuple(own), tuple(whole)
+        found.append(Rival(share, whole_model(last, m, tuple(delay.tolist()), None)))
+    return tuple(found)
 
 
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,

@@ -3,7 +3,8 @@
 Where each input excites the plant, and how well the response to it is known there.
 
 The standard deviation of the frequency response is averaged with the weight of
-`likelihood/excited.py`.
+`likelihood/excited.py`. Rival models do not count: one with a resonance of its own, that noise
+alone supports, would outweigh all other frequencies in the mean.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     variance, changes = np.full(response.shape, np.inf), None
     if covariance is not None:
         try:
-            changes = covariance.response_differences(moving, omega)
+            changes = covariance.response_changes(moving, omega)
             variance = np.sum(np.abs(changes) ** 2, axis=0) / samples.size[:, np.newaxis] ** 2
         except np.linalg.LinAlgError:
             pass

@@ -10,8 +10,8 @@ All of it is in one matrix, the root of the covariance of the entries.
     dG = L dA X + L dB + dC X + dD - j omega G d delay,                                         (2)
     L = C (j omega I - A)^-1,  X = (j omega I - A)^-1 B  (before the dead time)
 
-Which model it should be is not known either. Rivals, of another order or with other dead times, are
-as likely as their share of the Akaike weights says, and the response varies by them, too:
+Which model it should be is not known either. Rivals, of another order or with other dead times,
+are as likely as their share of the Akaike weights says, and the response varies by them, too:
 
     var G = var(G | model) + sum_i w_i |G_i - G|^2.                                             (3)
 
