@@ -14,7 +14,7 @@ import pytest
 from ctsid_core import Record, Settings, StateSpace, identify
 from ctsid_core.errors import SettingsError, StorageError
 from ctsid_core.judge.cross_check import agreement, cross_checked
-from ctsid_core.judge.rules import UNTESTED, in_sequence, weakened
+from ctsid_core.judge.rules import KNOWN, UNTESTED, in_sequence, weakened
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate, Status
@@ -132,7 +132,7 @@ def test_an_input_that_is_hardly_known_does_not_hide_one_that_contradicts(vague)
     assert found.difference == pytest.approx(0.3)
     assert found.difference_std == pytest.approx(np.hypot(0.01, 0.013))
     same = agreement(two(1.0), two(1.0), 'gobf')
-    assert (same.difference, same.agrees) == (0.0, np.sqrt(2.0) * vague < 0.12)
+    assert (same.difference, same.agrees) == (0.0, np.sqrt(2.0) * vague < KNOWN)
     assert same.difference_std == pytest.approx(np.sqrt(2.0) * vague)
 
 

@@ -15,8 +15,10 @@ pairs; those of w >= 0 are kept. Even orders give their real parts, odd ones the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import roots_hermite
@@ -110,7 +112,8 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
     return float(tau / (turning + settings.edge_margin * turning ** (-1.0 / 3.0)))
 
 
-def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
+def project_record(record: Record, settings: Settings, nmax: int,
+                   check: Callable[[], None] = lambda: None) -> Projection:
     """
     Project a record on Hermite functions, each signal from its own stamps.
 
@@ -121,6 +124,8 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
         Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
     nmax : int
         Highest order, in each of `settings.parts` parts of equal length.
+    check : callable, optional
+        Called before each part; what it raises ends the projection.
 
     Notes
     -----
@@ -132,8 +137,10 @@ def project_record(record: Record, settings: Settings, nmax: int) -> Projection:
     [HD] eq. 27, 33, 34.
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
-    parts = [_project_part(record, settings, nmax, float(start), float(end))
-             for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
+    parts = []
+    for start, end in pairwise(bounds.tolist()):
+        check()
+        parts.append(_project_part(record, settings, nmax, start, end))
     if len(parts) == 1:
         return parts[0]
     lines = len(parts[0].s)

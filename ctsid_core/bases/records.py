@@ -10,7 +10,7 @@ stands for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,9 +123,10 @@ class Joint:
             why += '; of the records in turn ' + ', '.join(str(nmax) for nmax, _, _ in chosen)
         return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen)), why
 
-    def project(self, settings: Settings, layout: Layout) -> Projection:
-        """Project the records on bases of their own, side by side."""
-        return joined([project_record(p.record, settings.replace(parts=parts), nmax)
+    def project(self, settings: Settings, layout: Layout,
+                check: Callable[[], None] = lambda: None) -> Projection:
+        """Project the records on bases of their own, side by side; `check` is called often."""
+        return joined([project_record(p.record, settings.replace(parts=parts), nmax, check)
                        for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)])
 
     def early_and_late(self, settings: Settings) -> tuple[Joint, Joint]:

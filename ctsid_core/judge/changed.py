@@ -135,6 +135,7 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
         order = range(len(_INSTANTS))[::-1 if after else 1]
         R, done = np.zeros((0, both.shape[1])), np.zeros(len(both), dtype=bool)
         for k in order:
+            samples.effort.check()
             side = (shares > _INSTANTS[k]) == after
             R, done = triangle(np.vstack((R, both[side & ~done]))), side
             last = R[np.count_nonzero(own):, -1] ** 2

@@ -27,8 +27,10 @@ from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
-_FEW_SINES = 2.5        # effective number of frequencies: one sine held at 5 to 50 Hz has 1.4 at
-                        # most, two 2.5 in 99 of 100; of 322 inputs of the exam three have less
+_LEAKS = 0.5            # frequencies more than its sines that an input seems to have: one sine
+                        # held at 5 to 50 Hz has 1.4 at most, two 2.5 in 99 of 100
+_SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
+                        # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
 _LEAST = 0.05           # ... or this part of the motion; no test if ...
@@ -107,7 +109,7 @@ def _weaknesses(e: Evidence) -> Iterator[str]:
     for j, one in enumerate(e.numbers.excitation):
         if j in e.fixed_inputs:
             continue
-        if one.frequencies < _FEW_SINES:
+        if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:
             count = round(one.frequencies)
             yield (f'Nearly all of the motion of input {one.name} is at about {count} '
                    f'{"frequency" if count == 1 else "frequencies"}, which fits many models; '

@@ -166,6 +166,7 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
                                             turned=False))
     rows, errors, _ = jacobian(samples, whole, free)
+    samples.effort.check()
     found, at = np.zeros((directions.shape[1],) * 2), 0
     for own in whole.columns:
         for t in own.triangles:

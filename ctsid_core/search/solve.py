@@ -343,7 +343,8 @@ class _Subspace:
             float(len(s.time)) for p in self._part.parts for s in p.record.outputs))
         try:
             layout, _ = self._part.layout(own)
-            projection = self._part.project(own.replace(parts=max(layout.sizes)[1]), layout)
+            projection = self._part.project(own.replace(parts=max(layout.sizes)[1]), layout,
+                                            self._effort.check)
             self._made = Subspaces(projection, own)
         except np.linalg.LinAlgError:
             pass
