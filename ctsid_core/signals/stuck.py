@@ -2,9 +2,9 @@
 """
 Outputs that stop moving: a sensor that hangs, or a driver that repeats its last value.
 
-A long run of samples equal to the last bit says so, if inputs move meanwhile as they do in the
-rest of the window and the output does not stand still elsewhere. Coarse sensors repeat values as
-well, but for a small part of the window.
+A long run of samples equal to the last bit says so, if the output does not stand still elsewhere,
+and inputs move meanwhile as they do in the rest of the window, or there is noise elsewhere, which
+never repeats. Coarse sensors repeat values as well, but for a small part of the window, or at rest.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ _SHARE = 0.08         # of the window in one run
 _TIMES = 3.0          # as long as the second longest run
 _FEWEST = 10          # samples in it
 _MOVES = 0.3          # spread of an input in the run over that in the window
+_TURNS = 0.3          # of the steps from sample to sample turn around: of white noise 2/3 do, of
+                      # what a sensor shows at 8 bits fewer, for some steps are 0
 
 
 @dataclass(frozen=True)
@@ -39,14 +41,18 @@ def stuck_outputs(record: Record) -> tuple[Stuck, ...]:
         times, values = signal.time[inside], signal.values[inside]
         for i in range(signal.width):
             run = _longest_run(times, values[:, i], record.duration)
-            if run is not None and _inputs_move(record, *run):
-                found.append(Stuck(first + i, run[0] - record.start, run[1] - record.start))
+            if run is None:
+                continue
+            start, end = times[run]
+            if _is_noise(values[:run[0], i], values[run[1] + 1:, i]) or _inputs_move(
+                    record, start, end):
+                found.append(Stuck(first + i, start - record.start, end - record.start))
         first += signal.width
     return tuple(found)
 
 
-def _longest_run(times: Array, values: Array, duration: float) -> tuple[float, float] | None:
-    """Return the first and the last stamp of the run that is too long to be chance, if any."""
+def _longest_run(times: Array, values: Array, duration: float) -> list[int] | None:
+    """Return the places of the first and last sample of a run too long to be chance, if any."""
     if len(values) < _FEWEST:
         return None
     ends = np.flatnonzero(np.diff(values, append=np.nan) != 0.0)
@@ -57,7 +63,15 @@ def _longest_run(times: Array, values: Array, duration: float) -> tuple[float, f
     if len(others) < 2 or ends[longest] - starts[longest] < _FEWEST or \
             spans[longest] < max(_SHARE * duration, _TIMES * float(np.max(others))):
         return None
-    return float(times[starts[longest]]), float(times[ends[longest]])
+    return [int(starts[longest]), int(ends[longest])]
+
+
+def _is_noise(*parts: Array) -> bool:
+    """Return whether the steps from sample to sample turn around as often as those of noise."""
+    steps = [np.diff(part) for part in parts]
+    count = sum(len(step) - 1 for step in steps if len(step) > 1)
+    turns = sum(int(np.count_nonzero(step[1:] * step[:-1] < 0.0)) for step in steps)
+    return count >= _FEWEST and turns > _TURNS * count
 
 
 def _inputs_move(record: Record, start: float, end: float) -> bool:
