@@ -224,6 +224,32 @@ def test_copies_of_definitions_inside_chunks_win(tmp_path, crc):
     assert ('its summary is damaged' in notes(path)) == crc
 
 
+@pytest.mark.parametrize('start', [2**63, 2**64 - 1, 2**40])
+def test_a_summary_that_would_begin_beyond_the_file_is_damaged(tmp_path, start):
+    path = write_mcap(tmp_path / 'b.mcap', flight())
+    data = path.read_bytes()
+    footer = len(data) - 8 - 20  # start of the summary, of its offsets, and a checksum
+    path.write_bytes(data[:footer] + start.to_bytes(8, 'little') + data[footer + 8:])
+    assert rows(path) == written(flight())
+    assert 'its summary is damaged' in notes(path)
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
+@pytest.mark.parametrize('size', [0, 2**30, 2**62])
+def test_chunks_whose_size_is_damaged_cost_no_others(tmp_path, compression, size):
+    """Contents lie side by side in memory: one that claims any size takes none of the others."""
+    path = write_mcap(tmp_path / 'b.mcap', flight(200), compression)
+    data = bytearray(path.read_bytes())
+    record = chunk_at(data, 2)[0] - 49 - len(compression.replace('none', ''))
+    assert data[record] == 6
+    data[record + 25:record + 33] = size.to_bytes(8, 'little')
+    path.write_bytes(data)
+    got, sent = rows(path), written(flight(200))
+    assert all(row in sent for row in got)
+    assert len(got) > 0.75 * len(sent)
+    assert len(got) == len(sent) or 'damaged' in notes(path)
+
+
 @pytest.mark.parametrize('crc', [True, False], ids=['CRC', 'no CRC'])
 @pytest.mark.parametrize('place', [9, 17], ids=['start', 'end'])
 def test_times_of_chunks_are_not_believed_blindly(tmp_path, place, crc):

@@ -20,7 +20,6 @@ import io
 from pathlib import Path
 import struct
 from typing import BinaryIO
-import zlib
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -31,7 +30,7 @@ import numpy as np
 from ctsid_ros.decoding.block import Content
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.chunks import NO_CHECKSUMS, Chunk, Room, plausible, span
-from ctsid_ros.recordings.mcap_chunks import COMPRESSIONS, content_of, read, where
+from ctsid_ros.recordings.mcap_chunks import COMPRESSIONS, content_of, read, sums, where
 from ctsid_ros.recordings.mcap_content import RECORD, Messages, walk
 from ctsid_ros.recordings.recording import Connection, Recording
 
@@ -140,9 +139,9 @@ class _Scan:
         if not footer.summary_crc:
             return
         first = footer.summary_start or start - RECORD.size
-        self.file.seek(first)
+        self.file.seek(min(first, end))  # it may say any number
         summary = self.file.read(max(end - 4 - first, 0))
-        if zlib.crc32(summary) == footer.summary_crc:
+        if sums.crc32(summary) == footer.summary_crc:
             self.known = set(self.channels)
             if self.statistics:
                 self.whole = (self.statistics.message_start_time,
@@ -271,11 +270,11 @@ class _Scan:
         content: Content = b''
         places = np.empty(0, np.intp)
         try:
-            content = content_of(self.file, chunk, Room())
+            content = content_of(self.file, chunk, Room()).content
             places = walk(content, self.define).messages
         except (McapError, ValueError, struct.error) as error:
             self.notes.append(f'{self.path.name}: {where(chunk, error)}')
-        heads = Messages.at([content], [places]).heads
+        heads = Messages.at(content, 0, len(content), places).heads
         numbers, counts = np.unique(heads['channel'], return_counts=True)
         times = heads['log'] if chunk.crc else plausible(heads['log'])
         return replace(chunk, counts=dict(zip(numbers.tolist(), counts.tolist(), strict=True)),
