@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ctsid_ros.recordings.survey import Survey, TopicSurvey
 
 PAGE = 60  # lines: what needs more is shown in brief
-_MOST_TOPICS = 30
+_MOST_TOPICS = 25
 _MOST_NAMES = 6  # of topics, in a sentence
 _WIDTH = 60  # of the fields of a topic
 _ELEMENT = re.compile(r'(.*)\[(\d+)\](.*)')
@@ -101,7 +101,7 @@ def grouped(names: Sequence[str]) -> list[str]:
 
 
 def _runs(indices: Sequence[int]) -> Iterator[str]:
-    """Yield what chooses the elements with these indices, as few as need be; -1 stands for none."""
+    """Yield what chooses the elements with these indices, ascending; -1 stands for none."""
     first = indices[0]
     for i, following in zip(indices, [*indices[1:], None], strict=True):
         if following != i + 1:
