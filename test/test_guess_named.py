@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import re
 import struct
 
@@ -17,7 +18,10 @@ from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.excited import Stretch, together
 from ctsid_ros.recordings.guess import guess
+from ctsid_ros.recordings.guess_candidates import is_wanted
 from ctsid_ros.recordings.guess_named import named
+from ctsid_ros.recordings.guess_pairs import Explained
+from ctsid_ros.recordings.guess_ranking import _score, rank
 from ctsid_ros.recordings.survey import survey
 
 S = 10**9
@@ -114,6 +118,25 @@ def test_stretches_of_several_inputs_are_those_of_any():
     assert together([first, second]) == (Stretch(0.0, 20.0, 30.0, 1.0), first[1])
     assert together([first, []]) == ()
     assert together([first]) == tuple(first)
+
+
+def test_what_few_samples_explain_counts_less(robot):
+    """Adjusted R^2: as many steps as samples explain anything."""
+    with open_bag(robot) as bag:
+        pair = rank(bag, survey(bag)).pairs[0]
+    scores = [_score(pair.input, replace(pair.output, rate=samples / 20.0),
+                     Explained(0.5, 0.1, 20.0), 10.0) for samples in (29, 35, 60, 200, 2000)]
+    assert scores[0] == 0.0
+    assert scores == sorted(scores)
+    assert scores[1] == 0.0     # 22 steps explain half of 35 samples of noise
+    assert scores[3] == pytest.approx(scores[4], rel=0.12)
+
+
+@pytest.mark.parametrize(('topic', 'wish'), [
+    ('vehicle_rates_setpoint', True), ('/cmd_vel/desired', True), ('/target_pose', True),
+    ('vehicle_torque_setpoint', False), ('/desired_wrench', False), ('/cmd', False)])
+def test_a_wanted_force_is_a_command(topic, wish):
+    assert is_wanted(topic) is wish
 
 
 def write_px4(path, seconds: float = 40.0, seed: int = 3):
