@@ -15,8 +15,6 @@ BATCH = ['distributed', 'pyarrow']  # distributed brings dask along
 TEST = [*EVERY_FILE, *BATCH, 'pytest>=8', 'pytest-xdist', 'hypothesis', 'mpmath', 'control',
         'jsonschema', 'nlohmann-json', 'playwright', 'colcon-core', 'colcon-ros',
         'setuptools>=70.1']  # builds wheels without the package `wheel`
-# Faster than zlib's, which serves where there is no wheel of it.
-CHECKSUMS = 'isal; platform_machine in "x86_64 AMD64 aarch64 arm64"'
 DOCS = ['sphinx', 'myst-parser', 'furo']
 
 setup(
@@ -39,7 +37,9 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=['numpy>=1.26', 'scipy', 'mcap', 'rosbags', 'lz4', 'zstandard',
-                      'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly', CHECKSUMS],
+                      'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly',
+                      # Faster checksums than zlib's, which serve where there is no wheel of it.
+                      'isal; platform_machine in "x86_64 AMD64 aarch64 arm64"'],
     extras_require={
         'ros': ROS,
         **FILES,
