@@ -169,7 +169,8 @@ def floor(path: Path) -> float:
         if path.suffix != '.mcap':
             return float(sum(len(block) for block in iter(lambda: stream.read(1 << 20), b'')))
         room, (chunks,) = Room(), scan_file(path, stack).blocks.args[1:]
-        return float(sum(len(content_of(stream, chunk, room.empty())) for chunk in chunks))
+        return float(sum(len(content_of(stream, chunk, room.empty()).content)
+                         for chunk in chunks))
 
 
 def rosbags(path: Path) -> float:

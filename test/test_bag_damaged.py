@@ -7,6 +7,8 @@ from dataclasses import replace
 from io import BytesIO
 import sqlite3
 import struct
+import subprocess
+import sys
 
 from bag_fixtures import (
     STORE,
@@ -222,6 +224,54 @@ def test_copies_of_definitions_inside_chunks_win(tmp_path, crc):
     path.write_bytes(data[:at] + b'/abc' + data[at + 4:])
     assert rows(path) == written(flight())
     assert ('its summary is damaged' in notes(path)) == crc
+
+
+@pytest.mark.parametrize('spoilt', [False, True], ids=['sound', 'spoilt'])
+def test_checksums_are_compared_with_and_without_isal(tmp_path, spoilt):
+    path = write_mcap(tmp_path / 'b.mcap', flight(), 'none')
+    if spoilt:
+        data = bytearray(path.read_bytes())
+        data[chunk_at(data, 1)[0] + 100] ^= 1
+        path.write_bytes(data)
+    found = [subprocess.run([sys.executable, '-c', f"""
+import sys
+if {hidden}:
+    sys.modules['isal'] = None
+from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.mcap_chunks import sums
+with open_bag({str(path)!r}) as bag:
+    print(sum(1 for _ in bag.messages()), 'CRC does not match' in ''.join(bag.notes))
+assert sums.__name__ == 'zlib' or not {hidden}
+"""], check=True, capture_output=True, text=True).stdout.split() for hidden in (True, False)]
+    assert found[0] == found[1]
+    assert found[0][1] == str(spoilt)
+    assert (int(found[0][0]) < 50) == spoilt
+
+
+@pytest.mark.parametrize('start', [2**63, 2**64 - 1, 2**40])
+def test_a_summary_that_would_begin_beyond_the_file_is_damaged(tmp_path, start):
+    path = write_mcap(tmp_path / 'b.mcap', flight())
+    data = path.read_bytes()
+    footer = len(data) - 8 - 20  # start of the summary, of its offsets, and a checksum
+    path.write_bytes(data[:footer] + start.to_bytes(8, 'little') + data[footer + 8:])
+    assert rows(path) == written(flight())
+    assert 'its summary is damaged' in notes(path)
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
+@pytest.mark.parametrize('size', [0, 2**30, 2**62])
+def test_chunks_whose_size_is_damaged_cost_no_others(tmp_path, compression, size):
+    """Contents lie side by side in memory: one that claims any size takes none of the others."""
+    path = write_mcap(tmp_path / 'b.mcap', flight(200), compression)
+    data = bytearray(path.read_bytes())
+    record = chunk_at(data, 2)[0] - 49 - len(compression.replace('none', ''))
+    assert data[record] == 6
+    data[record + 25:record + 33] = size.to_bytes(8, 'little')
+    path.write_bytes(data)
+    got, sent = rows(path), written(flight(200))
+    assert all(row in sent for row in got)
+    assert len(got) > 0.75 * len(sent)
+    assert len(got) == len(sent) or 'damaged' in notes(path)
 
 
 @pytest.mark.parametrize('crc', [True, False], ids=['CRC', 'no CRC'])

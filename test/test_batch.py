@@ -32,6 +32,7 @@ from ctsid_ros.batch.outliers import Poles, outliers
 from ctsid_ros.batch.store import ROWS, Store
 from ctsid_ros.batch.summary import GRADES, Flight, batch_headline, sections
 from ctsid_ros.batch.task import Recipe, Task, perform
+from ctsid_ros.batch.task import _rows as task_rows
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import parse_config
 from ctsid_ros.errors import BagError
@@ -297,6 +298,36 @@ def test_what_is_done_is_not_done_again(batch, fleet, tmp_path, monkeypatch):
     bags = {row['bag'] for table in tables(out).values() for row in table.select(['bag'])
             .to_pylist()}
     assert bags == {b['bag'] for b in found.values()}                # nothing of flight1 is left
+
+
+def test_copies_are_identified_once_and_told(batch, fleet, tmp_path, monkeypatch):
+    """The same flight under two names, and as of another robot; and one as large that differs."""
+    ours = tmp_path / 'bags'
+    for robot in ('alpha', 'beta'):
+        (ours / robot).mkdir(parents=True)
+    (original,) = (fleet / 'alpha/flight1').glob('*.mcap')
+    for copy in ('alpha/one', 'alpha/again', 'beta/same'):
+        shutil.copy(original, ours / f'{copy}{original.suffix}')
+    other = bytearray(original.read_bytes())
+    other[-1] ^= 1
+    (ours / f'beta/other{original.suffix}').write_bytes(other)
+    identified = []
+    monkeypatch.setattr('ctsid_ros.batch.task._rows', lambda task, rows=task_rows: (
+        identified.append(Path(task.bag).stem), rows(task))[1])
+    code, out, _ = batch('--json', bags=ours)
+    assert code == 0
+    found = {Path(b['bag']).stem: b for b in json.loads(out)['bags']}
+    assert sorted(identified) == ['again', 'other']
+    first = ours.resolve() / f'alpha/again{original.suffix}'
+    assert {name: b['copy_of'] for name, b in found.items()} == {
+        'again': None, 'one': str(first), 'same': str(first), 'other': None}
+    assert found['one']['poles'] == found['same']['poles'] == found['again']['poles']
+    with (tmp_path / 'out/bags.csv').open() as file:
+        assert {row['bag']: row['copy_of'] for row in csv.DictReader(file)} == {
+            b['bag']: b['copy_of'] or '' for b in found.values()}
+    page = (tmp_path / 'out/report.html').read_text(encoding='utf-8')
+    assert 'The same recording twice: alpha/one' in page
+    assert 'Bags that are the same recording to the byte' in page
 
 
 def test_a_bag_that_has_changed_is_done_again_and_its_old_rows_go(batch, fleet, tmp_path):

@@ -45,6 +45,7 @@ USERS = {
                           'ctsid_ros.messages.*']),  # inside functions, where one is made
     'control': ['ctsid_core.model.statespace'],
     'lz4': ['ctsid_ros.recordings.*'],
+    'isal': ['ctsid_ros.recordings.mcap_chunks'],
     'mcap': ['ctsid_ros.recordings.*'],
     'pyulog': ['ctsid_ros.recordings.ulog_file'],
     'pymavlink': ['ctsid_ros.recordings.ardupilot_file'],

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
@@ -72,12 +73,12 @@ def test_package_xml_is_valid():
 
 def test_package_xml_names_what_setup_requires(manifest):
     required = ast.literal_eval(setup_arguments()['install_requires'])
-    names = {r.split('>')[0] for r in required}
+    names = {re.split('[>;]', r)[0] for r in required}
     keys = {e.text for e in manifest.iter('exec_depend')}
     comment = (ROOT / 'package.xml').read_text()
     assert {key for key in keys if key.startswith('python3-')} == set(ROSDEP.values())
     assert set(ROSDEP) < names
-    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich', 'plotly'}
+    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich', 'plotly', 'isal'}
     assert [n for n in names - set(ROSDEP) if f'`{n}`' not in comment] == []
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Settings
+from ctsid_ros.cli import main
 from ctsid_ros.studies import (
     closed_loop,
     hd_basis,
@@ -26,7 +27,7 @@ from ctsid_ros.studies import (
 from ctsid_ros.studies.experiments import flexible, flown, from_rest, quadrotor, running
 from ctsid_ros.studies.kept_runs import KeptRuns
 from ctsid_ros.studies.monte_carlo import Outcome, compared, of_poles, summary
-from ctsid_ros.studies.runner import runs
+from ctsid_ros.studies.runner import HowFar, runs
 
 
 def chance(count: int) -> float:
@@ -115,6 +116,36 @@ def test_runs_of_other_code_are_not_taken(tmp_path, monkeypatch):
     monkeypatch.undo()
     runs(task, 'one', 2, kept=KeptRuns(file))            # and they are still there
     assert log.read_text().split() == ['0', '1', '0']
+
+
+def test_a_study_tells_how_far_all_of_it_is(tmp_path):
+    """What was done before neither counts as work nor as time; the last run is 100 %."""
+    kept, seen = KeptRuns(tmp_path / 'runs.csv'), []
+    task = partial(counted, path=tmp_path / 'log')
+    runs(task, 'b', 4, kept=kept)
+    far = HowFar(3, 4, lambda fraction, text: seen.append((round(fraction, 6), text)))
+    for title in 'abc':
+        runs(task, title, 4, kept=kept, told=far.begin(title))
+    assert seen[0] == (0.0, 'a (1 of 3): 0 of 4 runs')
+    assert (round(4 / 12, 6), 'a (1 of 3): 4 of 4 runs') in seen
+    assert seen[5] == (0.5, 'b (2 of 3): 4 of 4 runs')      # of 8 that are to be run
+    assert seen[-1] == (1.0, 'c (3 of 3): 4 of 4 runs')
+    assert [fraction for fraction, _ in seen] == sorted(fraction for fraction, _ in seen)
+
+
+@pytest.mark.parametrize(('study', 'said'), [
+    ('closed-loop', 'experiments of 1 run, in 1 process'),
+    ('hd-vs-ct', '12 experiments of 1 run, in 1 process')])
+def test_studies_say_what_they_do_and_end_at_the_last_run(study, said, tmp_path, capsys,
+                                                         monkeypatch):
+    monkeypatch.setattr('ctsid_ros.progress._PATIENCE', 0.0)
+    assert main(['study', study, '--seeds', '1', '--jobs', '1', '--out', str(tmp_path)]) == 0
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first.startswith(f'{study}: ')
+    assert said in first
+    assert lines[-1].startswith(f'{study}: 100 %, ')
+    count = first.split()[1]
+    assert f'({count} of {count}): 1 of 1 runs' in lines[-1]    # it was told how many there are
 
 
 def test_studies_do_not_take_each_others_runs(tmp_path):

@@ -199,8 +199,8 @@ class Samples:
 
     def extend(self, rows: Rows) -> None:
         """Take samples that are `in_order`."""
-        self.stamps.frombytes(rows.stamps.tobytes())
-        self.values.frombytes(rows.values.tobytes())
+        for own, new in ((self.stamps, rows.stamps), (self.values, rows.values)):
+            own.frombytes(memoryview(np.ascontiguousarray(new)).cast('B'))
         self.newest = self.stamps[-1]
 
     def insert(self, stamp_ns: int, values: Sequence[float]) -> bool:

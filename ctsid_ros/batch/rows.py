@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 SUFFIX = '.parquet'
 WINDOWS, FAILURE, AGAIN = 'windows', 'failure', 'again'
+UNREAD = 'unread'  # in place of the hash of a bag that cannot be read at all
 _PREFIX = 'ctsid.'
 Rows = list[dict[str, Any]]
 
@@ -44,7 +45,7 @@ class Made:
     state : str
         Of its files on the disk, see `content.state`.
     content : str
-        Hash of its content; 'unread' if it could not be read at all.
+        Hash of its content; UNREAD if it could not be read at all.
     recipe : str
         Key of parameters and version.
     outcome : str

@@ -17,7 +17,7 @@ import numpy as np
 
 from ctsid_ros.batch.bags import vehicle
 from ctsid_ros.batch.outliers import FAR, FEWEST, Poles, outliers
-from ctsid_ros.batch.rows import Rows, read_rows
+from ctsid_ros.batch.rows import UNREAD, Rows, made_of, read_rows
 from ctsid_ros.replay.along import CHANGED, PARTLY
 from ctsid_ros.report.document import Bullets, Figure, Headline, Section
 from ctsid_ros.report.drawing import COLORS, Axes, Curve, Drawing
@@ -57,6 +57,8 @@ class Flight:
         Why it is not GOOD, by the clock of the bag; of a GOOD one, what its model passed.
     failure : str
         Why there is no window; empty if there are.
+    content : str
+        A hash of the bag; empty if it is not known.
     """
 
     bag: str
@@ -67,6 +69,7 @@ class Flight:
     verdict: str
     reason: str
     failure: str
+    content: str = ''
 
     @property
     def windows(self) -> int:
@@ -88,12 +91,22 @@ class Flight:
 
 def flight(bag: str, path: Path, pattern: str = '') -> Flight:
     """Return what came of a bag, from the file of its rows."""
-    rows = read_rows(path, _COLUMNS)
+    rows, made = read_rows(path, _COLUMNS), made_of(path)
     best: Mapping[str, Any] = next((row for row in rows if row['best']), {})
     first = rows[0]
     return Flight(bag, vehicle(bag, pattern), first['recorded'] or 0, _grades(rows), best,
                   first['bag_verdict'] or FAILED, first['bag_reason'] or '',
-                  first['failure'] or '')
+                  first['failure'] or '', made.content if made and made.content != UNREAD else '')
+
+
+def copies(flights: Sequence[Flight]) -> dict[str, str]:
+    """Return the bags that are the same as one before, to the byte, and which that is."""
+    first: dict[str, str] = {}
+    found: dict[str, str] = {}
+    for f in flights:
+        if f.content and first.setdefault(f.content, f.bag) != f.bag:
+            found[f.bag] = first[f.content]
+    return found
 
 
 def _grades(rows: Rows) -> dict[str, int]:
@@ -103,6 +116,8 @@ def _grades(rows: Rows) -> dict[str, int]:
 
 def odd_ones(flights: Sequence[Flight]) -> dict[str, str]:
     """Return the bags with other poles than most of the same vehicle, or of all if it has few."""
+    same = copies(flights)
+    flights = [f for f in flights if f.bag not in same]
     own = {f.bag: Poles(np.array([complex(p['re'] or 0.0, p['im'] or 0.0) for p in f.poles]),
                         np.array([_known(p['std']) for p in f.poles]))
            for f in flights if f.poles}
@@ -129,7 +144,9 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
             'best_window', 'order',
             *(f'pole{k}_{n} [rad/s]' for k in range(1, most + 1) for n in names),
             *(f'fit_{spreadsheet(name)} [%]' for name in outputs),
-            *(f'delay_{spreadsheet(name)} [s]' for name in inputs), 'outlier', 'reason', 'failure']
+            *(f'delay_{spreadsheet(name)} [s]' for name in inputs), 'outlier', 'copy_of', 'reason',
+            'failure']
+    same = copies(flights)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(head)
@@ -142,7 +159,8 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
             *f.grades.values(), f.best.get('window', ''), f.best.get('order', ''), *poles,
             *[''] * (3 * most - len(poles)),
             *(fits.get(name) for name in outputs), *(delays.get(name) for name in inputs),
-            odd.get(f.bag, ''), spreadsheet(f.reason, whole=True),
+            odd.get(f.bag, ''), spreadsheet(same.get(f.bag, ''), whole=True),
+            spreadsheet(f.reason, whole=True),
             spreadsheet(f.failure, whole=True)])
     return stream.getvalue()
 
@@ -155,7 +173,17 @@ def sections(flights: Sequence[Flight], odd: Mapping[str, str]) -> list[Section]
         _counts(flights), _vehicles(flights),
         Section('Bags with other poles than most', _bullets(
             [f'{shown[bag]}: {why}' for bag, why in odd.items()])),
-        *_figures(flights, shown), _bags(flights, shown)]
+        *_copies(flights, shown), *_figures(flights, shown), _bags(flights, shown)]
+
+
+def _copies(flights: Sequence[Flight], shown: Mapping[str, str]) -> list[Section]:
+    """Return which bags are the same recording: they count as one experiment only."""
+    said = [f'{shown[bag]} is {shown[first]} under another name'
+            for bag, first in copies(flights).items()]
+    return [Section('Bags that are the same recording to the byte', (
+        'They have the same rows, and are compared with others once. Leave all but one of each '
+        'out, or correct the folder of the vehicle that did not fly.', *_bullets(said)))] \
+        if said else []
 
 
 def _doubtful(flights: Sequence[Flight]) -> list[Flight]:
@@ -192,6 +220,9 @@ def batch_headline(flights: Sequence[Flight], odd: Mapping[str, str], params: st
     if len(doubtful) > 1:
         said.append(_and_more([f'{shown[f.bag]} ({f.verdict})' for f in doubtful[1:]])
                     + ': see below.')
+    if same := copies(flights):
+        said.append('The same recording twice: ' + _and_more(
+            [f'{shown[bag]} ({shown[first]})' for bag, first in same.items()]) + '.')
     if odd:
         said.append('Other poles than most: ' + _and_more([shown[bag] for bag in odd]) + '.')
     readable = [f for f in doubtful if not f.failure]
@@ -337,12 +368,14 @@ def _known(value: float | None) -> float:
 
 def words(flights: Sequence[Flight]) -> list[dict[str, Any]]:
     """Return what came of each bag, for JSON."""
+    same = copies(flights)
     return [{'bag': f.bag, 'vehicle': f.vehicle, 'date': f.date, 'verdict': f.verdict,
              'reason': f.reason, 'windows': f.windows,
              **{g.lower(): n for g, n in f.grades.items()},
              'best_window': f.best.get('window'), 'order': f.best.get('order'),
              'poles': f.best.get('poles') or [], 'fits': f.best.get('fits') or [],
-             'delays': f.best.get('delays') or [], 'failure': f.failure} for f in flights]
+             'delays': f.best.get('delays') or [], 'failure': f.failure,
+             'copy_of': same.get(f.bag)} for f in flights]
 
 
 def explained() -> Section:

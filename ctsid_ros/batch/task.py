@@ -8,6 +8,7 @@ done again, wherever the bag lies. It runs in a process of a cluster, which shar
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 import hashlib
@@ -20,6 +21,7 @@ from ctsid_ros.batch.rows import (
     AGAIN,
     FAILURE,
     SUFFIX,
+    UNREAD,
     WINDOWS,
     Made,
     Rows,
@@ -31,7 +33,7 @@ from ctsid_ros.batch.rows import (
 )
 from ctsid_ros.config.channels import Config
 from ctsid_ros.config.origin import code_digest, described, package_version
-from ctsid_ros.recordings.content import all_files, content_hash, state
+from ctsid_ros.recordings.content import all_files, content_hash, size, state
 from ctsid_ros.replay.results import bag_name
 
 _CODE = ('ctsid_core', 'ctsid_ros.decoding', 'ctsid_ros.ingest', 'ctsid_ros.recordings',
@@ -124,7 +126,7 @@ def perform(task: Task) -> str:
     if version() != task.recipe.version:
         raise StorageError(f'this worker runs ctsid {version()}, but the batch was begun with '
                            f'{task.recipe.version}; install the same everywhere')
-    found, content = '', 'unread'
+    found, content = '', UNREAD
     try:
         files = all_files([task.bag])
         found, content = state(files), content_hash(files)
@@ -133,6 +135,25 @@ def perform(task: Task) -> str:
         rows = failure_row(task.bag, _words(error))
         outcome = AGAIN if _of_the_computer(error) else FAILURE
     return _write(task, rows, Made(task.bag, found, content, task.recipe.key, outcome))
+
+
+def rounds(tasks: Sequence[Task]) -> Iterator[list[Task]]:
+    """
+    Yield tasks that can be done at the same time.
+
+    A bag as large as another may be its copy: it waits for that one, whose rows it then takes.
+    """
+    sizes: dict[int, Task] = {}
+    later: dict[str, Task] = {}
+    for task in tasks:
+        try:
+            if sizes.setdefault(size(all_files([task.bag])), task) is not task:
+                later[task.bag] = task
+        except OSError:
+            continue  # its task will say so
+    yield [task for task in tasks if task.bag not in later]
+    if later:
+        yield list(later.values())
 
 
 def give_up(task: Task, failure: str) -> str:

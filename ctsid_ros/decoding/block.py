@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -139,14 +140,14 @@ class Block:
         columns = []
         for slot, (topic, decode) in enumerate(zip(topics, decoders, strict=True)):
             own = [part for part in found if part.slot == slot]
-            columns.append(Columns(topic, _joined([part.log_ns for part in own]),
-                                   _joined([part.publish_ns for part in own]), *decode(own)))
+            columns.append(Columns(topic, joined([part.log_ns for part in own]),
+                                   joined([part.publish_ns for part in own]), *decode(own)))
         buffers: dict[int, int] = {}
         places: list[list[Index]] = [[] for _ in topics]
         for part in found:
             base = buffers.setdefault(id(part.content), len(buffers)) << 40
             places[part.slot].append(part.offsets + base)
-        return cls._sorted(columns, [_joined(own) for own in places])
+        return cls._sorted(columns, [joined(own) for own in places])
 
     @classmethod
     def _sorted(cls, columns: Sequence[Columns], places: Sequence[Stamps]) -> Block:
@@ -164,7 +165,7 @@ class Block:
             ordered.append(rows if (own[1:] > own[:-1]).all() else rows[own])
         return cls(which, tuple(ordered))
 
-    @property
+    @cached_property
     def log_ns(self) -> Stamps:
         """Log times of all messages [ns]."""
         times = np.empty(len(self.which), np.int64)
@@ -196,5 +197,8 @@ class Block:
         return self._sorted(columns, pairs)
 
 
-def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return the rows of all parts; copied only where there are several."""
+    if len(parts) == 1:
+        return parts[0]
     return np.concatenate(parts) if parts else np.empty(0, np.int64)

@@ -146,11 +146,13 @@ class Extractor:
         found.sound[own] = True
         if found.header_ns is not None:
             found.header_ns[own] = layout.table.stamps(rows)
-        numbers = np.empty((len(rows), len(self._leaves)))
+        in_place = not self._derived and isinstance(own, slice)
+        numbers = found.values if in_place else np.empty((len(rows), len(self._leaves)))
         layout.table.fill(rows, numbers)
-        # The functions of NumPy may round the last bit of an angle otherwise than those of math.
-        found.values[own] = [self._combine(row) for row in numbers.tolist()] \
-            if self._derived else numbers
+        if not in_place:
+            # Functions of NumPy may round the last bit of an angle otherwise than those of math.
+            found.values[own] = [self._combine(row) for row in numbers.tolist()] \
+                if self._derived else numbers
         return left[~matches]
 
     def _learn(self, raw: Raw) -> Layout:

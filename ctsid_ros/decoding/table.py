@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
-from ctsid_ros.decoding.block import Content, Located, Stamps
+from ctsid_ros.decoding.block import Content, Located, Stamps, joined
 
 _NARROW = 'bBhHiI'  # with these, a stamp fits into 64 bits
 
@@ -63,12 +63,18 @@ class Table:
         return runs
 
     @cached_property
+    def _words(self) -> Mapping[int, int]:
+        """Return the length words, the two bytes of the encapsulation as a number."""
+        return {i: int.from_bytes(word, 'little') if isinstance(word, bytes) else word
+                for i, word in self.words.items()}
+
+    @cached_property
     def _type(self) -> np.dtype[Any]:
         names, formats, offsets = [], [], []
         for i in (*self.words, *(self.stamp or ())):
             at, code = self.items[i]
             names.append(f'item {i}')
-            formats.append('S2' if code == '2s' else self.order + code)
+            formats.append('<u2' if code == '2s' else self.order + code)
             offsets.append(at)
         for first, last, code in self._runs:
             names.append(f'run {first}')
@@ -79,15 +85,12 @@ class Table:
 
     def rows(self, parts: Sequence[Located]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return the messages as rows of this table, and which of them have its shape."""
-        matches = np.concatenate([part.lengths for part in parts]) >= self.size
-        rows = np.empty(len(matches), f'V{self.size or 1}')
-        end = 0
-        for part in parts if self.size else ():
-            start, end = end, end + len(part.offsets)
-            rows[start:end] = take(part.content, part.offsets, self.size)
-        rows = rows.view(self._type) if self.size else rows
-        for i, word in self.words.items():
-            # A string of NumPy ends before its zeros, and so does the one that it is compared to.
+        matches = joined([part.lengths for part in parts]) >= self.size
+        if not self.size:
+            return np.empty(len(matches), 'V1'), matches
+        rows = joined([take(part.content, part.offsets, self.size) for part in parts])
+        rows = rows.view(self._type)
+        for i, word in self._words.items():
             matches &= rows[f'item {i}'] == word
         return rows, matches
 

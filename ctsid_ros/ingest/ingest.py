@@ -166,7 +166,8 @@ class Ingest:
         block : Block
             Its columns are the `fields` of their topics.
         """
-        _, block = block.split(self._settle_by(block))
+        if pushed := self._settle_by(block):
+            _, block = block.split(pushed)
         routes: list[tuple[_Topic, slice]] = []
         parts: list[Rows] = []
         places: list[NDArray[np.intp]] = []
@@ -191,6 +192,8 @@ class Ingest:
         """Push messages one by one until all topics have sources of stamps; return how many."""
         waiting = {number for number, rows in enumerate(block.columns)
                    if len(rows) and not self._topics[rows.topic].routes}
+        if not waiting:
+            return 0
         messages = [_messages(rows) for rows in block.columns]
         for pushed, number in enumerate(block.which.tolist()):
             if not waiting:

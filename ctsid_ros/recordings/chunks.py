@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from operator import attrgetter
 import os
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -88,37 +88,73 @@ def span(chunks: Sequence[Chunk]) -> tuple[int, int]:
             max((c.end_ns for c in chunks), default=0))
 
 
+class Held(NamedTuple):
+    """
+    Content of a chunk, in memory that holds others beside it.
+
+    Parameters
+    ----------
+    memory : memoryview
+    start, end : int
+    """
+
+    memory: memoryview
+    start: int
+    end: int
+
+    @property
+    def content(self) -> memoryview:
+        """The content alone."""
+        return self.memory[self.start:self.end]
+
+
+NOTHING = Held(memoryview(b''), 0, 0)
+
+
 class Room:
     """
-    Memory that chunks are read into, used again for others.
+    Memory that the chunks of a batch are read into, side by side; used again for others.
 
     To take fresh memory for each of them from the system costs as much as to decompress it.
     """
 
     def __init__(self) -> None:
-        self._packed = bytearray()
-        self._contents: list[bytearray] = []
-        self._used = 0
+        self._packed = memoryview(bytearray())
+        self._memories: list[memoryview] = []  # one, unless chunks are larger than expected
+        self._filled, self._end = 0, 0  # memories that are full, and how far the next is
 
     def empty(self) -> Room:
         """Give up all contents."""
-        self._used = 0
+        self._filled, self._end = 0, 0
         return self
 
     def packed(self, size: int) -> memoryview:
         """Return memory for what is compressed, until the next call."""
         if len(self._packed) < size:
-            self._packed = bytearray(size + size // _SPARE)
-        return memoryview(self._packed)[:size]
+            self._packed = _memory(size)
+        return self._packed[:size]
 
-    def content(self, size: int) -> memoryview:
-        """Return memory for the content of one more chunk."""
-        if self._used == len(self._contents):
-            self._contents.append(bytearray())
-        if len(self._contents[self._used]) < size:
-            self._contents[self._used] = bytearray(size + size // _SPARE)
-        self._used += 1
-        return memoryview(self._contents[self._used - 1])[:size]
+    def content(self, size: int) -> Held:
+        """Return memory for the content of one more chunk, behind those before it."""
+        while (self._filled < len(self._memories)
+               and self._end + size > len(self._memories[self._filled])):
+            self._filled, self._end = self._filled + 1, 0
+        if self._filled == len(self._memories):
+            self._memories.append(_memory(size + BATCH))
+        start, self._end = self._end, self._end + size
+        return Held(self._memories[self._filled], start, self._end)
+
+    def copy(self, content: bytes) -> Held:
+        """Return the content of one more chunk that came in memory of its own."""
+        held = self.content(len(content))
+        held.content[:] = content
+        return held
+
+
+def _memory(size: int) -> memoryview:
+    """Return memory of at least this size; the next content may be a little larger."""
+    # Large arrays of NumPy are not written before they are used, and ask for large pages.
+    return memoryview(np.empty(size + size // _SPARE, np.uint8))
 
 
 def fill(memory: memoryview, file: BinaryIO, offset: int) -> memoryview:
@@ -157,15 +193,15 @@ def blocks_in_order(
     batches = list(_batches(sorted((c for c in chunks if c.holds(wanted.slots)
                                     and wanted.overlaps(c.start_ns, c.end_ns)),
                                    key=attrgetter('start_ns'))))
-    pending = wanted.block(())
+    nothing = pending = wanted.block(())
     free: list[Room] = []
     for i, (room, contents) in enumerate(_ahead(load, batches, free)):
         pending = pending.merged(wanted.block(locate(batches[i], contents)))
         free.append(room.empty())
         ready = len(pending) if i + 1 == len(batches) else int(np.searchsorted(
             pending.log_ns, batches[i + 1][0].start_ns))
+        block, pending = (pending, nothing) if ready == len(pending) else pending.split(ready)
         if ready:
-            block, pending = pending.split(ready)
             yield block
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,3 +98,24 @@ def _merged(times: Array, step: float) -> list[tuple[float, float]]:
     cuts = np.flatnonzero(np.diff(times) > max(_MERGE, 2 * step))
     starts, ends = times[np.r_[0, cuts + 1]], times[np.r_[cuts, len(times) - 1]]
     return [(float(a), float(b)) for a, b in zip(starts, ends, strict=True)]
+
+
+def together(found: Sequence[Sequence[Stretch]]) -> tuple[Stretch, ...]:
+    """
+    Return the stretches in which any of several inputs moves, in order of time.
+
+    Parameters
+    ----------
+    found : sequence of sequences of Stretch
+        Those of each input; none where it moves alike all the time: so do all of them then.
+    """
+    if not all(found):
+        return ()
+    merged: list[Stretch] = []
+    for one in sorted((s for own in found for s in own), key=lambda s: s.start):
+        if merged and one.start <= merged[-1].end:
+            last = merged.pop()
+            one = Stretch(last.start, max(last.end, one.end), max(last.power, one.power),
+                          max(last.energy, one.energy))
+        merged.append(one)
+    return tuple(merged)

@@ -16,8 +16,9 @@ from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
 from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag
-from ctsid_ros.recordings.excited import Stretch, excited
+from ctsid_ros.recordings.excited import Stretch, excited, together
 from ctsid_ros.recordings.guess_candidates import Candidate
+from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
 from ctsid_ros.recordings.guess_ranking import Pair, Ranking, rank
 from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
@@ -53,6 +54,8 @@ class Guess:
         What moves as well and was not chosen.
     stretches : tuple of Stretch
         Where the input excites the plant; empty if it does so all the time.
+    free : bool
+        Whether something was chosen from the pairs; else all of them were named.
     """
 
     config: Config
@@ -61,6 +64,7 @@ class Guess:
     reasons: tuple[str, ...]
     others: tuple[tuple[str, str, float], ...]
     stretches: tuple[Stretch, ...]
+    free: bool = True
 
     @property
     def pair(self) -> Pair:
@@ -74,7 +78,7 @@ class Guess:
         return tuple(s for s in self.stretches if s in best and s.energy > _FEEBLE)
 
 
-def guess(bag: Bag, survey: Survey, pick: int = 1) -> Guess:
+def guess(bag: Bag, survey: Survey, pick: int = 1, named: Named = NOBODY) -> Guess:
     """
     Choose channels and windows for a bag.
 
@@ -85,20 +89,24 @@ def guess(bag: Bag, survey: Survey, pick: int = 1) -> Guess:
         Of this bag.
     pick : int, optional
         Which of the offered pairs to take, from 1.
+    named : Named, optional
+        The inputs, outputs or both that are wanted; only what is not named is chosen.
 
     Raises
     ------
     BagError
         If fewer than two scalars move in it, or there are not so many pairs.
     """
-    guesses = all_guesses(bag, survey, strict=True)
+    guesses = [_as_named(bag, survey, named)] if named.inputs and named.outputs else \
+        all_guesses(bag, survey, strict=True, named=named)
     if pick > len(guesses):
         raise BagError(f'there {"is" if len(guesses) == 1 else "are"} only {len(guesses)} to pick '
                        'from; `ctsid init` without --pick shows them')
     return guesses[pick - 1]
 
 
-def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False) -> list[Guess]:
+def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False, named: Named = NOBODY
+                ) -> list[Guess]:
     """
     Return the guesses that are offered for a bag, the best first.
 
@@ -109,17 +117,39 @@ def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False) -> list[Guess
         Of this bag.
     strict : bool, optional
         Whether names alone may decide, and it is an error if there is nothing to choose from.
+    named : Named, optional
+        The inputs or the outputs that are wanted.
 
     Raises
     ------
     BagError
         Like `guess`, if it is strict.
     """
-    ranking = rank(bag, survey)
+    ranking = rank(bag, survey, named.inputs, named.outputs)
+    if strict and named != NOBODY and not ranking.pairs:
+        side, other = ('inputs', 'output') if named.inputs else ('outputs', 'input')
+        raise BagError(f'these {side} tell nothing about which {other} belongs to them; name that '
+                       f'as well: --{other} FIELD')
     by_names = strict and not ranking.pairs
-    pairs = _by_names(ranking, survey) if by_names else ranking.pairs[:OFFERED]
-    return [_guess(ranking, survey, pairs, number, by_names)
+    pairs = _by_names(ranking, survey) if by_names else _one_each(ranking.pairs, named)[:OFFERED]
+    return [_guess(ranking, survey, pairs, number, by_names, named)
             for number in range(1, len(pairs) + 1)]
+
+
+def _one_each(pairs: tuple[Pair, ...], named: Named) -> tuple[Pair, ...]:
+    """Return one pair for each signal that is to be chosen, where the others are named."""
+    if named == NOBODY:
+        return pairs
+    return tuple({(p.output if named.inputs else p.input): p for p in reversed(pairs)}.values()
+                 )[::-1]
+
+
+def _as_named(bag: Bag, survey: Survey, named: Named) -> Guess:
+    """Return the guess of which nothing is left to be chosen but holds, stamps and windows."""
+    ranking = rank(bag, survey, named.inputs, named.outputs)
+    if not ranking.pairs:
+        raise BagError('an input and an output have to be different fields')
+    return _guess(ranking, survey, ranking.pairs, 1, False, named)
 
 
 def better(bag: Bag, config: Config) -> list[Pair]:
@@ -145,15 +175,19 @@ def _scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
         or [FieldPath(leaf) for leaf in c.path.leaves])}
 
 
-def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool
-           ) -> Guess:
+def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool,
+           named: Named = NOBODY) -> Guess:
     pair = pairs[pick - 1]
     reasons = [_BY_NAMES if by_names else _why(pair)]
-    config = Config(_channels(pair, reasons), _settings(survey, pair))
-    used = (pair.input.key, pair.output.key)
-    others = tuple((*c.key, c.field.std) for c in ranking.found if c.key not in used)
+    found = {c.key: c for c in ranking.found}
+    inputs = [found[key] for key in named.inputs] or [pair.input]
+    outputs = [found[key] for key in named.outputs] or [pair.output]
+    config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs))
+    others = tuple((*c.key, c.field.std) for c in ranking.found
+                   if c not in inputs and c not in outputs)
     return Guess(config, pairs, pick, tuple(reasons), others,
-                 excited(pair.input.held, ranking.clock))
+                 together([excited(u.held, ranking.clock) for u in inputs]),
+                 free=not (named.inputs and named.outputs))
 
 
 def _why(pair: Pair) -> str:
@@ -193,19 +227,27 @@ def _what_moves(found: Sequence[Candidate], survey: Survey) -> str:
         'nothing in this bag does'
 
 
-def _channels(pair: Pair, reasons: list[str]) -> tuple[Channel, ...]:
-    u, y = pair.input, pair.output
+def _channels(inputs: Sequence[Candidate], outputs: Sequence[Candidate], reasons: list[str]
+              ) -> tuple[Channel, ...]:
+    both = [*inputs, *outputs]
     stamp = 'auto'
-    if u.topic.stamp != y.topic.stamp and any(abs(c.topic.late) > CLOCKS for c in (u, y)):
+    if len({c.topic.stamp for c in both}) > 1 and any(abs(c.topic.late) > CLOCKS for c in both):
         stamp = 'log'
         reasons.append('the headers are of another clock than the recording, and not all '
                        'messages have one: all stamps are those of the recording')
-    measured = (u.topic is y.topic or u.acts < u.measures) and not u.stays
     taken: set[str] = set()
-    roles: tuple[tuple[Candidate, Role], ...] = ((u, 'input'), (y, 'output'))
+    roles: list[tuple[Candidate, Role]] = [*((c, 'input') for c in inputs),
+                                           *((c, 'output') for c in outputs)]
     channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
                         c.key[1], _unit(c.key[1]), stamp=stamp) for c, role in roles]
-    return tuple(replace(c, hold='smooth') if measured else c for c in channels)    # else held
+    return tuple(replace(channel, hold='smooth') if channel.role == 'input'
+                 and _is_measured(c, outputs) else channel
+                 for channel, c in zip(channels, both, strict=True))    # else held
+
+
+def _is_measured(u: Candidate, outputs: Sequence[Candidate]) -> bool:
+    """Whether an input is no command that is held, but measured as the outputs are."""
+    return not u.stays and (u.acts < u.measures or any(u.topic is y.topic for y in outputs))
 
 
 def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
@@ -229,11 +271,12 @@ def _unit(text: str) -> str:
     return next((unit for pattern, unit in _UNITS if re.search(pattern, text)), '')
 
 
-def _settings(survey: Survey, pair: Pair) -> Settings:
+def _settings(survey: Survey, outputs: Sequence[Candidate]) -> Settings:
     """Return windows that a newcomer can start with: a tenth of the bag, 10 to 60 s."""
     length = min(max(survey.duration / 10.0, 10.0), 60.0)
     if survey.duration < 2 * length:
         length = survey.duration / 2.0
     length = max(float(f'{length:.2g}'), 0.01)
-    return Settings(feedthrough='acceleration' in pair.output.key[1], window_length=length,
+    return Settings(feedthrough=any('acceleration' in y.key[1] for y in outputs),
+                    window_length=length,
                     window_stride=float(f'{max(length / 10.0, 0.001):.2g}'))

@@ -8,7 +8,7 @@ Names and types of messages only say how likely that is: what the data say about
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 import re
 
@@ -22,6 +22,7 @@ from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, g
 from ctsid_ros.recordings.survey import Survey, TopicSurvey
 from ctsid_ros.recordings.survey_stats import FieldStats
 
+Key = tuple[str, str]  # topic and field
 FEWEST = 30  # messages: fewer show no dynamics
 _MOST_OF_TOPIC = 40  # fields: a longer list is of no use to anybody
 _LEVELS, _SWITCHES = 3, 12  # an integer or bool with so few levels and changes is a switch, a mode
@@ -39,18 +40,20 @@ _COMMAND_TYPE = re.compile(
     r'AttitudeTarget|PositionTarget|\w*Setpoint|\w*Command|\w*Cmd|Actuator\w*|ManualControl\w*|'
     r'RCIn|RCOut|RcChannels|Thrust|MultiArray|JointJog|\w*Control)$')
 _MEASURED_TYPE = re.compile(
-    r'.*(Imu|Odometry|Pose\w*|Transform\w*|TwistWithCovariance\w*|JointState|\w*State|\w*Status|'
+    r'.*(Imu|Odometry|Pose\w*|Transform\w*|TwistWithCovariance\w*|JointState|\w*State|'
     r'VehicleOdometry|VehicleAttitude|VehicleAngularVelocity|VehicleLocalPosition|'
     r'SensorCombined|NavSatFix|Range|Accel\w*|Altitude|\w*Measurement)$')
 _NO_MOTION = re.compile(
     r'.*(Battery\w*|Temperature|MagneticField|FluidPressure|Diagnostic\w*|\w*Health\w*|Cpu\w*|'
-    r'Estimator\w*(Status|Innovation|Bias|Drift|Flags|Ratio)\w*|EkfGpsDrift|TimeReference|Power\w*)$')
+    r'Estimator\w*(Status|Innovation|Bias|Drift|Flags|Ratio)\w*|EkfGpsDrift|TimeReference|Power\w*|'
+    r'Esc\w*)$')  # what motors say of themselves is not what they move
 STICK = re.compile(r'joy|stick|(^|[/_])rc|manual|teleop', re.IGNORECASE)
 _DERIVED_FIELD = re.compile(r'error|integral|(^|[._])(desired|reference|ref|set_?point|target|'
                             r'command|cmd)($|[._\[])|temperature|voltage|current|battery')
 _HOUSEKEEPING = re.compile(r'batter|vbat|supply|temperature', re.IGNORECASE)
 FORCE_FIELD = re.compile(r'effort|torque|force|current|cmd|command|input|voltage|pwm|control')
 WANTED = re.compile(r'set_?point|desired|target|reference|(^|[/_])ref($|[/_])', re.IGNORECASE)
+_FORCE_NAME = re.compile(r'torque|thrust|force|wrench|moment(?!um)', re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +91,19 @@ class Candidate:
     stays: bool
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> Key:
         """Topic and field."""
         return self.topic.info.name, self.field.field
 
     @property
     def wanted(self) -> bool:
         """Whether it is named like a setpoint or a stick: what acts on the plant comes after."""
-        return bool(WANTED.search(self.key[0]) or STICK.search(self.key[0]))
+        return is_wanted(self.key[0]) or bool(STICK.search(self.key[0]))
+
+
+def is_wanted(topic: str) -> bool:
+    """Whether a topic is named like what a loop is to follow; a wanted force acts itself."""
+    return bool(WANTED.search(topic)) and not _FORCE_NAME.search(topic)
 
 
 def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
@@ -111,7 +119,7 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
         acts = max(acts, 0.5)
     if STICK.search(name) or kind.endswith(('/Joy', '/ManualControl')):
         acts *= 0.9
-    if WANTED.search(name):
+    if is_wanted(name):
         acts *= 0.95
     if _NO_MOTION.match(kind) or _DERIVED_FIELD.search(field):
         measures *= 0.5
@@ -120,7 +128,8 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     return acts, measures
 
 
-def candidates(bag: Bag, survey: Survey) -> tuple[list[Candidate], Clock]:
+def candidates(bag: Bag, survey: Survey, named: Collection[Key] = ()
+               ) -> tuple[list[Candidate], Clock]:
     """
     Return the scalars that could be signals, on a common clock.
 
@@ -128,20 +137,27 @@ def candidates(bag: Bag, survey: Survey) -> tuple[list[Candidate], Clock]:
     ----------
     bag : Bag
     survey : Survey
+    named : collection of (str, str), optional
+        Topics and fields of those that are wanted, whatever they look like.
 
     Raises
     ------
     BagError
         If the bag cannot be read on.
     """
-    topics = [t for t in survey.topics if t.moving and t.info.count >= FEWEST]
-    fields = {t.info.name: [parse_field(f.field) for f in t.moving[:_MOST_OF_TOPIC]]
-              for t in topics}
+    wanted = {t.info.name: [f.field for f in t.fields if (t.info.name, f.field) in named]
+              for t in survey.topics}
+    usual = {t.info.name: [f.field for f in t.moving[:_MOST_OF_TOPIC]]
+             for t in survey.topics if t.info.count >= FEWEST}
+    topics = [t for t in survey.topics if wanted[t.info.name] or usual.get(t.info.name)]
+    fields = {t.info.name: [parse_field(text) for text in dict.fromkeys(
+        (*usual.get(t.info.name, ()), *wanted[t.info.name]))] for t in topics}
     read, parts = gather(bag, survey, fields)
     clock = clock_for([_rate(samples.time) for samples in read.values()], parts)
     found = [one for topic in topics
              for one in _of_topic(topic, bag.message_type(topic.info.name),
-                                  fields[topic.info.name], read[topic.info.name], clock)]
+                                  fields[topic.info.name], read[topic.info.name], clock,
+                                  wanted[topic.info.name])]
     return found, clock
 
 
@@ -152,14 +168,15 @@ def _rate(time: Array) -> float:
 
 
 def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath], samples: Samples,
-              clock: Clock) -> list[Candidate]:
-    stats: Mapping[str, FieldStats] = {f.field: f for f in topic.moving}
+              clock: Clock, wanted: Collection[str]) -> list[Candidate]:
+    stats: Mapping[str, FieldStats] = {f.field: f for f in topic.fields}
     found = []
     whole = [path for path in paths if not is_real(kind, path)]
     for i, path in enumerate(paths):
         good = np.isfinite(samples.values[:, i])
         time, values = samples.time[good], samples.values[good, i]
-        if len(time) < FEWEST or no_signal(time, values, counts=path in whole):
+        if not len(time) or (str(path) not in wanted and (
+                len(time) < FEWEST or no_signal(time, values, counts=path in whole))):
             continue
         acts, measures = likely_roles(topic, str(path))
         found.append(Candidate(

@@ -21,7 +21,7 @@ from ctsid_ros.recordings.excerpts import Clock
 
 _LONGEST = 10.0  # s: of an impulse response
 _SHARE = 0.125  # of the data: it is not longer than this either
-_STEPS = 22  # of an impulse response
+STEPS = 22  # of an impulse response
 _SLOW = 20.0  # s: motion slower than this is trim, battery and wind
 _ROWS = 4000  # ticks that are compared
 _FOLDS = 6
@@ -98,7 +98,7 @@ class Comparison:
         shortest = min(p.stop - p.start for p in clock.parts) * clock.step
         reach = max(min(_LONGEST, _SHARE * len(clock.time) * clock.step, shortest / 3) /
                     clock.step, 4.0)
-        edges = np.unique(np.round(np.geomspace(1.0, reach, _STEPS)).astype(int))
+        edges = np.unique(np.round(np.geomspace(1.0, reach, STEPS)).astype(int))
         self._edges = np.concatenate([[0], edges])
         inside = np.zeros(len(clock.time), bool)
         for part in clock.parts:     # what came before and comes after is known

@@ -9,7 +9,7 @@ messages come last.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +18,15 @@ from numpy.typing import NDArray
 from ctsid_core.linear.types import Array
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock
-from ctsid_ros.recordings.guess_candidates import FEWEST, FORCE_FIELD, Candidate, candidates
+from ctsid_ros.recordings.guess_candidates import (
+    FEWEST,
+    FORCE_FIELD,
+    Candidate,
+    Key,
+    candidates,
+)
 from ctsid_ros.recordings.guess_pairs import (
+    STEPS,
     Comparison,
     Explained,
     effective_frequencies,
@@ -95,23 +102,43 @@ class Ranking:
     clock: Clock
 
 
-def rank(bag: Bag, survey: Survey) -> Ranking:
+def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
+         named_outputs: Collection[Key] = ()) -> Ranking:
     """
     Rank the pairs of inputs and outputs of a bag.
+
+    Parameters
+    ----------
+    bag : Bag
+    survey : Survey
+    named_inputs, named_outputs : collection of (str, str), optional
+        Topics and fields that alone are to be inputs, outputs. Where both are given, all pairs of
+        them are ranked, whatever the data say.
 
     Raises
     ------
     BagError
         If the bag cannot be read on.
     """
-    found, clock = candidates(bag, survey)
+    found, clock = candidates(bag, survey, {*named_inputs, *named_outputs})
     spread = {c: effective_frequencies(c.held, clock) for c in found}
-    inputs = sorted(found, key=lambda c: -c.acts * _many(spread[c]))[:_MOST_INPUTS]
-    outputs = sorted(found, key=lambda c: -c.measures)[:_MOST_OUTPUTS]
+    inputs = [c for c in found if c.key in named_inputs] or sorted(
+        (c for c in found if c.key not in named_outputs),
+        key=lambda c: -c.acts * _many(spread[c]))[:_MOST_INPUTS]
+    outputs = [c for c in found if c.key in named_outputs] or sorted(
+        (c for c in found if c.key not in named_inputs), key=lambda c: -c.measures)[:_MOST_OUTPUTS]
     listed = list(dict.fromkeys((*inputs, *outputs)))
     comparison = Comparison(clock, [c.smooth for c in listed]) if len(listed) > 1 else None
+    chosen = bool(named_inputs and named_outputs)
     if comparison is None or not comparison.possible:
-        return Ranking((), (), tuple(found), clock)
+        pairs = [Pair(u, y, Explained(), clock, spread[u]) for u in inputs for y in outputs]
+        return Ranking(tuple(pairs) if chosen else (), (), tuple(found), clock)
+    if chosen:
+        numbers = [listed.index(y) for y in outputs]
+        pairs = [pair for u in inputs
+                 for pair in _looked_at(u, listed, numbers, comparison, clock, spread[u])]
+        return Ranking(tuple(sorted(pairs, key=lambda p: -p.score)), tuple(pairs), tuple(found),
+                       clock)
     shares = np.array([comparison.screened(u.held) for u in inputs])
     alike = Alike(listed, clock)
     pairs = [pair for i, chosen in _promising(inputs, listed, outputs, shares, alike)
@@ -204,12 +231,14 @@ def _looked_at(u: Candidate, listed: Sequence[Candidate], chosen: Sequence[int],
 
 def _score(u: Candidate, y: Candidate, found: Explained, frequencies: float) -> float:
     first = float(np.clip(_TIE + 0.8 * (found.past - found.future), 0.2, 1.0))
-    if found.overlap * min(u.rate, y.rate) < FEWEST:
+    samples = found.overlap * min(u.rate, y.rate)
+    if samples < FEWEST:
         return 0.0  # so few samples are explained by anything
+    past = 1.0 - (1.0 - found.past) * (samples - 1) / (samples - STEPS - 1)  # adjusted R^2
     stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
     spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
     together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0
-    return float(found.past * first * min(found.overlap / _LONG, 1.0) * stamps * together
+    return float(max(past, 0.0) * first * min(found.overlap / _LONG, 1.0) * stamps * together
                  * _many(frequencies) * u.acts * y.measures)
 
 

@@ -10,7 +10,7 @@ are visited one after another.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import accumulate, pairwise
+from itertools import groupby
 import struct
 from typing import NamedTuple
 
@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 
 from ctsid_ros.decoding.block import Content, Index, Located
 from ctsid_ros.decoding.table import take
+from ctsid_ros.recordings.chunks import Held
 
 RECORD = struct.Struct('<BQ')  # opcode, length of what follows
 _INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entries
-_ENTRY = 2  # numbers of 8 bytes: log time and offset
+_ENTRY = np.dtype([('log', '<i8'), ('offset', '<i8')])
 _HEAD = np.dtype({'names': ['opcode', 'length', 'channel', 'log', 'publish'],
                   'formats': ['u1', '<i8', '<u2', '<i8', '<i8'], 'offsets': [0, 1, 9, 15, 23],
                   'itemsize': 31})  # of the record of a message, up to its data
 _MESSAGE, _MESSAGE_INDEX = Opcode.MESSAGE.value, Opcode.MESSAGE_INDEX.value
 _DEFINITIONS = (Opcode.SCHEMA.value, Opcode.CHANNEL.value)
 _LEAST = _HEAD.itemsize - RECORD.size  # length of the record of an empty message
-_NONE = np.empty((0, _ENTRY), '<i8')
-Table = NDArray[np.int64]  # entries of the index of one channel, shape (N, 2)
+_EVER = (-2**63, 2**63 - 1)
 Define = Callable[[int, bytes], None]
 
 
@@ -41,17 +41,17 @@ class Source(NamedTuple):
 
     Parameters
     ----------
-    content : bytes-like
+    held : Held
     entries : bytes
         The index records behind the chunk, as far as there are any.
-    checked : bool
-        Whether a checksum says that the content is sound; else only what agrees with the index
-        is believed.
+    span_ns : (int, int) or None
+        First and last log time that its messages can have, where no checksum says that the content
+        is sound: then only what agrees with the index is believed, too.
     """
 
-    content: Content
+    held: Held
     entries: bytes
-    checked: bool
+    span_ns: tuple[int, int] | None
 
 
 class Messages(NamedTuple):
@@ -61,7 +61,7 @@ class Messages(NamedTuple):
     Parameters
     ----------
     offsets, lengths : ndarray of int, shape (N,)
-        Of their data.
+        Of their data, in the memory.
     heads : structured ndarray, shape (N,)
     whole : ndarray of bool, shape (N,)
         Which of them are records of messages that end within their content.
@@ -73,26 +73,26 @@ class Messages(NamedTuple):
     whole: NDArray[np.bool_]
 
     @classmethod
-    def at(cls, contents: Sequence[Content], places: Sequence[Index]) -> Messages:
-        """Look at the records at these places of each content."""
-        place = np.concatenate(places)
-        # An index that is damaged may list any number.
-        near = [np.maximum(own, 0) for own in places]
-        heads = np.concatenate([take(content, own, _HEAD.itemsize) for content, own in
-                                zip(contents, near, strict=True)]).view(_HEAD)
-        offsets, lengths = place + _HEAD.itemsize, heads['length'] - _LEAST
-        ends = np.repeat([len(content) for content in contents], [len(own) for own in places])
-        return cls(offsets, lengths, heads, (heads['opcode'] == _MESSAGE) & (place >= 0)
-                   & (lengths >= 0) & (lengths <= ends - offsets))
+    def at(cls, memory: Content, start: int | Index, end: int | Index, places: Index) -> Messages:
+        """Look at the records at these places of contents that begin and end there."""
+        near = np.clip(places, 0, end - start)  # an index that is damaged may list any number
+        heads = take(memory, start + near, _HEAD.itemsize).view(_HEAD)
+        offsets, lengths = start + near + _HEAD.itemsize, heads['length'] - _LEAST
+        return cls(offsets, lengths, heads, (heads['opcode'] == _MESSAGE) & (places == near)
+                   & (lengths >= 0) & (lengths <= end - offsets))
 
-    def located(self, content: Content, slot: int, rows: slice | NDArray[np.bool_]) -> Located:
+    def located(self, memory: Content, slot: int, rows: slice | Index | NDArray[np.bool_]
+                ) -> Located:
         """Return some of them as messages of one topic."""
         heads = self.heads[rows]
-        return Located(slot, content, self.offsets[rows], self.lengths[rows], heads['log'],
-                       heads['publish'])
+        return Located(slot, memory, self.offsets[rows], self.lengths[rows],
+                       np.ascontiguousarray(heads['log']), np.ascontiguousarray(heads['publish']))
 
 
-def locate(sources: Sequence[Source], slots: Mapping[int, int]) -> list[list[Located]]:
+Found = tuple[list[Located], list[int]]  # and how many messages there are in each source
+
+
+def locate(sources: Sequence[Source], slots: Mapping[int, int]) -> Found:
     """
     Find the messages of some channels.
 
@@ -104,49 +104,89 @@ def locate(sources: Sequence[Source], slots: Mapping[int, int]) -> list[list[Loc
 
     Returns
     -------
-    list of list of Located
-        Of each source.
+    list of Located
+    list of int
+        How many messages were found in each source.
     """
-    entries = [[(channel, table) for channel, table in _entries(source.entries)
-                if channel in slots] for source in sources]
-    listed, agree = _listed([source.content for source in sources], entries)
+    located: list[Located] = []
+    counts: list[int] = []
+    for _, side_by_side in groupby(sources, key=lambda s: (id(s.held.memory), bool(s.entries))):
+        for parts, own in _found(list(side_by_side), slots):
+            located += parts
+            counts += own
+    return [part for part in located if len(part.offsets)], counts
+
+
+def _found(sources: Sequence[Source], slots: Mapping[int, int]) -> Iterator[Found]:
+    """Find messages in contents of one memory: in all at once, if their indexes are right."""
+    found = _by_index(sources, slots) if sources[0].entries else None
+    if found:
+        yield found
+    elif len(sources) == 1:
+        yield _visited(sources[0], slots)
+    else:
+        for source in sources:
+            yield from _found([source], slots)
+
+
+def _by_index(sources: Sequence[Source], slots: Mapping[int, int]) -> Found | None:
+    """Return what the indexes of all sources list; None if not all of it is there."""
+    pieces: dict[int, list[tuple[int, bytes]]] = {channel: [] for channel in slots}
+    for number, source in enumerate(sources):
+        for channel, entries in _entries(source.entries):
+            if channel in pieces:
+                pieces[channel].append((number, entries))
+    listed = [(number, channel, len(entries) // _ENTRY.itemsize)
+              for channel, own in pieces.items() for number, entries in own]
+    if not listed:
+        return [], [0] * len(sources)
+    table = np.frombuffer(b''.join([e for own in pieces.values() for _, e in own]), _ENTRY)
+    numbers, channels, sizes = np.array(listed).T
+    bounds = np.array([(s.held.start, s.held.end, *(s.span_ns or _EVER)) for s in sources])
+    starts, ends, first_ns, last_ns = np.repeat(bounds[numbers], sizes, axis=0).T
+    memory = sources[0].held.memory
+    messages = Messages.at(memory, starts, ends, table['offset'])
+    log_ns = table['log']
+    if not (messages.whole & (messages.heads['log'] == log_ns)
+            & (messages.heads['channel'] == np.repeat(channels, sizes))).all():
+        return None
+    inside = (first_ns <= log_ns) & (log_ns <= last_ns)  # others are damaged
     located = []
     end = 0
-    for source, own in zip(sources, entries, strict=True):
-        ends = list(accumulate((len(table) for _, table in own), initial=end))
-        start, end = end, ends[-1]
-        if source.entries and agree[start:end].all():
-            located.append([listed.located(source.content, slots[channel], slice(first, last))
-                            for (channel, _), (first, last) in zip(own, pairwise(ends),
-                                                                   strict=True)])
-            continue
-        places = _believed(source) if source.entries and not source.checked else \
-            walk(source.content).messages
-        found = Messages.at([source.content], [places])
-        located.append([found.located(source.content, slot, found.heads['channel'] == channel)
-                        for channel, slot in slots.items()])
-    return [[part for part in parts if len(part.offsets)] for parts in located]
+    for channel, own in pieces.items():
+        start, end = end, end + sum(len(e) for _, e in own) // _ENTRY.itemsize
+        rows = slice(start, end) if inside.all() else start + np.flatnonzero(inside[start:end])
+        located.append(messages.located(memory, slots[channel], rows))
+    counts = np.bincount(np.repeat(numbers, sizes)[inside], minlength=len(sources))
+    return located, counts.tolist()
 
 
-def _listed(contents: Sequence[Content], entries: Sequence[Sequence[tuple[int, Table]]]
-            ) -> tuple[Messages, NDArray[np.bool_]]:
-    """Return the messages that indexes list, and which of them are what these say."""
-    tables = [np.concatenate([_NONE, *(table for _, table in own)]) for own in entries]
-    pairs = [(channel, len(table)) for own in entries for channel, table in own]
-    channels = np.repeat([channel for channel, _ in pairs], [count for _, count in pairs])
-    found = Messages.at(contents, [table[:, 1] for table in tables])
-    return found, (found.whole & (found.heads['log'] == np.concatenate(tables)[:, 0])
-                   & (found.heads['channel'] == channels))
+def _visited(source: Source, slots: Mapping[int, int]) -> Found:
+    """Return what visiting the records has met, as far as it is believed."""
+    memory, start, end = source.held
+    content = source.held.content
+    places = _believed(content, source.entries) if source.entries and source.span_ns else \
+        walk(content).messages
+    found = Messages.at(memory, start, end, places)
+    log_ns, (first_ns, last_ns) = found.heads['log'], source.span_ns or _EVER
+    inside = (first_ns <= log_ns) & (log_ns <= last_ns)
+    located = [found.located(memory, slot, inside & (found.heads['channel'] == channel))
+               for channel, slot in slots.items()]
+    return located, [sum(len(part.offsets) for part in located)]
 
 
-def _believed(source: Source) -> Index:
+def _believed(content: Content, index: bytes) -> Index:
     """Return messages that the index does not contradict, each followed by a proper record."""
-    content = source.content
-    listed, agree = _listed([content], [list(_entries(source.entries))])
+    pairs = [(channel, np.frombuffer(entries, _ENTRY)) for channel, entries in _entries(index)]
+    entries = np.concatenate([np.empty(0, _ENTRY), *(own for _, own in pairs)])
+    channels = np.repeat([channel for channel, _ in pairs], [len(own) for _, own in pairs])
+    listed = Messages.at(content, 0, len(content), entries['offset'])
+    agree = (listed.whole & (listed.heads['log'] == entries['log'])
+             & (listed.heads['channel'] == channels))
     walked = walk(content)
-    starts = listed.offsets - _HEAD.itemsize
+    starts = entries['offset']
     places = np.union1d(np.setdiff1d(walked.messages, starts[~agree]), starts[agree])
-    found = Messages.at([content], [places])
+    found = Messages.at(content, 0, len(content), places)
     proper = np.concatenate((walked.records, starts[agree], [len(content)]))
     return places[found.whole & np.isin(found.offsets + found.lengths, proper)]
 
@@ -200,13 +240,12 @@ def walk(content: Content, define: Define | None = None) -> Walked:
     return Walked(np.array(messages, np.intp), np.array(records, np.intp), position)
 
 
-def _entries(index: bytes) -> Iterator[tuple[int, Table]]:
+def _entries(index: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield channels and entries of index records."""
     position = 0
     while position + _INDEX.size <= len(index):
         opcode, length, channel, size = _INDEX.unpack_from(index, position)
-        end = position + RECORD.size + length
-        if opcode == _MESSAGE_INDEX and position + _INDEX.size + size <= len(index):
-            yield channel, np.frombuffer(index, '<i8', size // 16 * _ENTRY,
-                                         position + _INDEX.size).reshape(-1, _ENTRY)
-        position = end
+        first = position + _INDEX.size
+        if opcode == _MESSAGE_INDEX and first + size <= len(index):
+            yield channel, index[first:first + size // _ENTRY.itemsize * _ENTRY.itemsize]
+        position += RECORD.size + length

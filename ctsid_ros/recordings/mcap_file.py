@@ -20,7 +20,6 @@ import io
 from pathlib import Path
 import struct
 from typing import BinaryIO
-import zlib
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -31,7 +30,7 @@ import numpy as np
 from ctsid_ros.decoding.block import Content
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.chunks import NO_CHECKSUMS, Chunk, Room, plausible, span
-from ctsid_ros.recordings.mcap_chunks import COMPRESSIONS, content_of, read, where
+from ctsid_ros.recordings.mcap_chunks import COMPRESSIONS, content_of, read, sums, where
 from ctsid_ros.recordings.mcap_content import RECORD, Messages, walk
 from ctsid_ros.recordings.recording import Connection, Recording
 
@@ -39,6 +38,7 @@ MAGIC = b'\x89MCAP0\r\n'
 _CHUNK = struct.Struct('<qqQII')  # start, end, full size, CRC, length of the compression's name
 _INDEX = struct.Struct('<HI')  # channel, bytes that follow: 16 per message
 _MESSAGE = struct.Struct('<HIqq')  # channel, sequence, log time, publish time
+_INDEXES = 1 << 13  # bytes: 4 and 16 KB take longer
 _LOOSE_SIZE = 1 << 20  # messages outside of chunks are read in blocks of about this size
 
 
@@ -51,8 +51,8 @@ def scan_mcap(path: Path, resources: ExitStack) -> Recording:
     BagError
         If nothing of it can be read.
     """
-    # Not buffered: a few bytes are read of each record, and the next one is far away.
-    with path.open('rb', buffering=0) as file:
+    # A few bytes are read of each record; the indexes behind a chunk lie together.
+    with path.open('rb', buffering=_INDEXES) as file:
         scan = _Scan(path, file)
         scan.records()
         scan.known_compression()
@@ -140,9 +140,9 @@ class _Scan:
         if not footer.summary_crc:
             return
         first = footer.summary_start or start - RECORD.size
-        self.file.seek(first)
+        self.file.seek(min(first, end))  # it may say any number
         summary = self.file.read(max(end - 4 - first, 0))
-        if zlib.crc32(summary) == footer.summary_crc:
+        if sums.crc32(summary) == footer.summary_crc:
             self.known = set(self.channels)
             if self.statistics:
                 self.whole = (self.statistics.message_start_time,
@@ -271,11 +271,11 @@ class _Scan:
         content: Content = b''
         places = np.empty(0, np.intp)
         try:
-            content = content_of(self.file, chunk, Room())
+            content = content_of(self.file, chunk, Room()).content
             places = walk(content, self.define).messages
         except (McapError, ValueError, struct.error) as error:
             self.notes.append(f'{self.path.name}: {where(chunk, error)}')
-        heads = Messages.at([content], [places]).heads
+        heads = Messages.at(content, 0, len(content), places).heads
         numbers, counts = np.unique(heads['channel'], return_counts=True)
         times = heads['log'] if chunk.crc else plausible(heads['log'])
         return replace(chunk, counts=dict(zip(numbers.tolist(), counts.tolist(), strict=True)),

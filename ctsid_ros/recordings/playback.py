@@ -228,7 +228,7 @@ def _paused(blocks: Iterator[Block], first_ns: int, last_ns: int, pause_ns: floa
     """Cut blocks at the ends of an interval, and behind the first message from `pause_ns` on."""
     for block in blocks:
         low, high = np.searchsorted(block.log_ns, (first_ns, last_ns + 1)).tolist()
-        inside = block.split(high)[0].split(low)[1]
+        inside = block if high - low == len(block) else block.split(high)[0].split(low)[1]
         log_ns = inside.log_ns
         if len(log_ns) and pause_ns <= log_ns[-1]:
             early, inside = inside.split(int(np.searchsorted(log_ns, pause_ns)) + 1)

@@ -225,7 +225,8 @@ def _read(path: Path, chunks: tuple[Chunk, ...], wanted: Wanted, note: Note) -> 
 
 
 def _content(file: BinaryIO, chunk: Chunk, room: Room) -> Content:
-    packed = room.content(chunk.size) if chunk.compression == 'none' else room.packed(chunk.size)
+    packed = room.content(chunk.size).content if chunk.compression == 'none' else \
+        room.packed(chunk.size)
     fill(packed, file, chunk.offset)
     if chunk.compression not in _DECOMPRESS:
         raise ValueError(f'there is no compression {chunk.compression!r}')

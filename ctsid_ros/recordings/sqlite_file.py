@@ -15,11 +15,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 import io
+from itertools import chain, islice
 from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -142,20 +143,20 @@ def _blocks(path: Path, database: sqlite3.Connection, sound: str, wanted: Wanted
     given, count = 0, _ROWS
     try:
         cursor = database.execute(query, tuple(wanted.slots))
-        while rows := cursor.fetchmany(count):
-            found, size = _located(rows, wanted.slots)
-            given += len(rows)
-            count = max(_ROWS, min(_BATCH * len(rows) // max(size, 1), 4 * count))
+        # One list of all values: rows that are kept as tuples cost a quarter more.
+        while values := list(chain.from_iterable(islice(cursor, count))):
+            found, size = _located(values, wanted.slots)
+            given += len(values) // 3
+            count = max(_ROWS, min(_BATCH * len(values) // 3 // max(size, 1), 4 * count))
             yield wanted.block(found)
     except DAMAGE as error:
         note(f'{path.name}: damaged: {given} messages read, the rest is lost ({error})')
 
 
-def _located(rows: Sequence[tuple[int, int, bytes]], slots: Mapping[int, int]
-             ) -> tuple[list[Located], int]:
-    """Lay messages side by side in one buffer; return them, and its size."""
-    times, topics, data = zip(*rows, strict=True)
-    log_ns, number = np.array(times, np.int64), np.array(topics)
+def _located(values: Sequence[Any], slots: Mapping[int, int]) -> tuple[list[Located], int]:
+    """Lay messages (time, topic, data, and so on) side by side; return them, and their size."""
+    data: Sequence[bytes] = values[2::3]
+    log_ns, number = (np.fromiter(values[i::3], np.int64, len(data)) for i in (0, 1))
     lengths = np.fromiter(map(len, data), np.intp, len(data))
     content, offsets = b''.join(data), np.cumsum(lengths) - lengths
     found = []

@@ -96,10 +96,10 @@ def stamp_stats(source: str, stamps: NDArray[np.int64], begins: NDArray[np.bool_
     if not len(step):
         return StampStats(source, bool(len(stamps)))
     period = float(np.median(step))
-    if period <= 0:
+    ordinary = step[(step > 0) & (step <= _GAP * period)]
+    if not len(ordinary):
         return StampStats(source, False, 'most do not increase', period,
                           backward=int((step < 0).sum()), repeated=int((step == 0).sum()))
-    ordinary = step[(step > 0) & (step <= _GAP * period)]
     return StampStats(
         source, True, f'{zeros} of {zeros + len(stamps)} are zero' if zeros else '', period,
         float(ordinary.std()), int((step > _GAP * period).sum()), float(np.max(step)),

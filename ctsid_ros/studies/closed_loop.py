@@ -69,11 +69,11 @@ def lines(found: Summary, q: float) -> list[tuple[str, ...]]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     given = arguments(__doc__, 'closed-loop', 100, argv)
-    runs = keeping(given)
     rows: list[tuple[str, ...]] = []
-    for q in LEVELS:
-        done = runs(partial(one, q=q), f'q = {q:g}')
-        rows += lines(summary(done), q)
+    with keeping(given, len(LEVELS)) as runs:
+        for q in LEVELS:
+            done = runs(partial(one, q=q), f'q = {q:g}')
+            rows += lines(summary(done), q)
     conclude(given, 'closed_loop', Table(HEAD, tuple(rows), ('pole',)))
     return 0
 

@@ -91,11 +91,12 @@ def lines(sweep: Sweep, found: dict[str, list[Summary]]) -> list[tuple[str, ...]
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, write it and the figures."""
     given = arguments(__doc__, 'hd-parameters', 100, argv)
-    runs, rows = keeping(given), []
-    for sweep in SWEEPS:
-        found = swept(runs, sweep)
-        rows += lines(sweep, found)
-        write_drawings(given.out / f'hd_figure_{sweep.figure}.svg', drawn(sweep, found))
+    rows = []
+    with keeping(given, sum(len(s.values) for s in SWEEPS) * len(METHODS)) as runs:
+        for sweep in SWEEPS:
+            found = swept(runs, sweep)
+            rows += lines(sweep, found)
+            write_drawings(given.out / f'hd_figure_{sweep.figure}.svg', drawn(sweep, found))
     conclude(given, 'hd_parameters', Table(HEAD, tuple(rows), ('varied', 'method')))
     return 0
 

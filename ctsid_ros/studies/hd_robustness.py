@@ -61,20 +61,21 @@ def lines(done: Sequence[Outcome], snr: float, method: str) -> list[tuple[str, .
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, write it and the figures."""
     given = arguments(__doc__, 'hd-robustness', 500, argv)
-    runs, rows, plant = keeping(given), [], second_order()
-    for snr in SNRS:
-        done = {method: runs(partial(one, snr=snr, settings=settings), f'{snr} dB, {method}')
-                for method, settings in METHODS.items()}
-        for method in METHODS:
-            rows += lines(done[method], snr, method)
-        drawn = [[bode(done[method], plant, _OMEGA, output,
-                       f'[HD] figure {BODE_FILES[snr]}: {snr} dB, {method}', color)
-                  for color, method in enumerate(METHODS, 1)] for output in (0, 1)]
-        write_drawings(given.out / f'hd_figure_{BODE_FILES[snr]}.svg', [
-            [pair[part] for pair in row] for row in drawn for part in (0, 1)])
-        write_drawings(given.out / f'hd_figure_{PLANE_FILES[snr]}.svg', eigenvalues(
-            [(method, done[method]) for method in METHODS], plant.poles,
-            f'[HD] figure {PLANE_FILES[snr]}: {snr} dB', (-9.0, 0.0, 2.0)))
+    rows, plant = [], second_order()
+    with keeping(given, len(SNRS) * len(METHODS)) as runs:
+        for snr in SNRS:
+            done = {method: runs(partial(one, snr=snr, settings=settings), f'{snr} dB, {method}')
+                    for method, settings in METHODS.items()}
+            for method in METHODS:
+                rows += lines(done[method], snr, method)
+            drawn = [[bode(done[method], plant, _OMEGA, output,
+                           f'[HD] figure {BODE_FILES[snr]}: {snr} dB, {method}', color)
+                      for color, method in enumerate(METHODS, 1)] for output in (0, 1)]
+            write_drawings(given.out / f'hd_figure_{BODE_FILES[snr]}.svg', [
+                [pair[part] for pair in row] for row in drawn for part in (0, 1)])
+            write_drawings(given.out / f'hd_figure_{PLANE_FILES[snr]}.svg', eigenvalues(
+                [(method, done[method]) for method in METHODS], plant.poles,
+                f'[HD] figure {PLANE_FILES[snr]}: {snr} dB', (-9.0, 0.0, 2.0)))
     conclude(given, 'hd_robustness', Table(HEAD, tuple(rows), ('pole', 'method')))
     return 0
 

@@ -59,20 +59,20 @@ def published(name: str, place: int) -> tuple[str, ...]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table and write it."""
     given = arguments(__doc__, 'hd-unsaid', 40, argv)
-    runs = keeping(given)
     rows = [published('published HD', 0)]
     hd, ct = METHODS["paper's HD"], METHODS['CT-PBSID']
     plans = [('HD', count, said, p, hd.replace(past=p, future=p))
              for count, said, p in product(COUNTS, SNR_OF, WINDOWS)]
     plans += [('CT', count, said, 10, ct) for count, said in product(COUNTS[:3], SNR_OF)]
-    for name, count, said, p, settings in plans:
-        if name == 'CT' and rows[-1][0] == 'HD':
-            rows.append(published('published CT', 1))
-        found = {snr: summary(runs(
-            partial(one, snr=snr, count=count, together=SNR_OF[said], settings=settings),
-            f'{name}, {count} samples, SNR of {said}, p = {p}, {snr} dB')) for snr in SNRS}
-        shown, off = cells(found, int(name == 'CT'))
-        rows.append((name, str(count), said, str(p), *shown, f'{off:.2f}'))
+    with keeping(given, len(plans) * len(SNRS)) as runs:
+        for name, count, said, p, settings in plans:
+            if name == 'CT' and rows[-1][0] == 'HD':
+                rows.append(published('published CT', 1))
+            found = {snr: summary(runs(
+                partial(one, snr=snr, count=count, together=SNR_OF[said], settings=settings),
+                f'{name}, {count} samples, SNR of {said}, p = {p}, {snr} dB')) for snr in SNRS}
+            shown, off = cells(found, int(name == 'CT'))
+            rows.append((name, str(count), said, str(p), *shown, f'{off:.2f}'))
     conclude(given, 'hd_unsaid', Table(HEAD, tuple(rows), ('method', 'SNR of')))
     return 0
 

@@ -63,13 +63,14 @@ def draw(done: dict[str, list[Outcome]], snr: int, out: Path) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, write it and the figures."""
     given = arguments(__doc__, 'hd-vs-ct', 500, argv)
-    runs, rows = keeping(given), []
-    for snr in SNRS:
-        done = {method: runs(partial(one, snr=snr, settings=settings), f'{snr} dB, {method}')
-                for method, settings in METHODS.items()}
-        for method in METHODS:
-            rows += lines(method, summary(done[method]), snr)
-        draw(done, snr, given.out)
+    rows = []
+    with keeping(given, len(SNRS) * len(METHODS)) as runs:
+        for snr in SNRS:
+            done = {method: runs(partial(one, snr=snr, settings=settings), f'{snr} dB, {method}')
+                    for method, settings in METHODS.items()}
+            for method in METHODS:
+                rows += lines(method, summary(done[method]), snr)
+            draw(done, snr, given.out)
     conclude(given, 'hd_table_1', Table(HEAD, tuple(rows), ('pole', 'method')))
     return 0
 

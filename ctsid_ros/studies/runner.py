@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
+import sys
 from typing import Protocol, TypeVar
 
-from ctsid_ros.progress import progress
+from ctsid_ros.progress import Advance, progress
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.figure_files import write_table
 from ctsid_ros.studies.kept_runs import KeptRuns
@@ -17,7 +18,12 @@ from ctsid_ros.studies.monte_carlo import Outcome
 from ctsid_ros.workers import Workers, cores
 
 Task = Callable[[int], Outcome]
+Told = Callable[[int, int], None]
 T = TypeVar('T')
+
+
+def unheard(missing: int, ended: int) -> None:
+    """Take note of nothing."""
 
 
 class Kept(Protocol[T]):
@@ -31,7 +37,7 @@ class Kept(Protocol[T]):
 
 
 def runs(task: Callable[[int], T], title: str, count: int, jobs: int = 1,
-         kept: Kept[T] | None = None, study: str = '') -> list[T]:
+         kept: Kept[T] | None = None, study: str = '', told: Told = unheard) -> list[T]:
     """
     Return the outcomes of seeds 0, 1, ...
 
@@ -40,7 +46,7 @@ def runs(task: Callable[[int], T], title: str, count: int, jobs: int = 1,
     task : callable
         From the seed; of a module, for other processes have to find it.
     title : str
-        Of the experiment: for the line that shows how far it is, and for what is kept.
+        Of the experiment, for what is kept.
     count : int
     jobs : int
         Processes; 1: this one.
@@ -48,17 +54,69 @@ def runs(task: Callable[[int], T], title: str, count: int, jobs: int = 1,
         What is in it is not run again, and what is run is added to it.
     study : str
         Whose experiment it is: others may have the same title.
+    told : callable, optional
+        Called with how many runs are missing and how many of these are done, at first and whenever
+        one is.
     """
     experiment = f'{study}: {title}' if study else title
     done = kept.of(experiment) if kept else {}
     missing = [seed for seed in range(count) if seed not in done]
-    with progress(title) as advance:
-        for seed, found in zip(missing, _each(task, missing, jobs), strict=True):
-            done[seed] = found
-            if kept:
-                kept.add(experiment, seed, found)
-            advance(len(done) / max(count, len(done)), '')
+    told(len(missing), 0)
+    for ended, (seed, found) in enumerate(
+            zip(missing, _each(task, missing, jobs), strict=True), 1):
+        done[seed] = found
+        if kept:
+            kept.add(experiment, seed, found)
+        told(len(missing), ended)
     return [done[seed] for seed in range(count)]
+
+
+class HowFar:
+    """
+    How far a study of several experiments is; what was done before does not count.
+
+    Parameters
+    ----------
+    experiments, count : int
+        And how many runs each of them has.
+    advance : callable
+        Of `progress`.
+    """
+
+    def __init__(self, experiments: int, count: int, advance: Advance) -> None:
+        self._experiments, self._count, self._advance = experiments, count, advance
+        self._begun = self._before = 0
+
+    def begin(self, title: str) -> Told:
+        """Return what an experiment tells how far it is."""
+        self._begun += 1
+        done, rest = self._before, (self._experiments - self._begun) * self._count
+
+        def told(missing: int, ended: int) -> None:
+            self._before = done + ended
+            self._advance((done + ended) / max(done + missing + rest, 1),
+                          f'{title} ({self._begun} of {self._experiments}): '
+                          f'{self._count - missing + ended} of {self._count} runs')
+
+        return told
+
+
+@contextmanager
+def shown(study: str, experiments: int, count: int, jobs: int) -> Iterator[HowFar]:
+    """
+    Show what a study does, how far it is, and how long it will go on.
+
+    Parameters
+    ----------
+    study : str
+    experiments, count, jobs : int
+        And runs of each, and processes.
+    """
+    if not sys.stderr.isatty():     # there a bar tells
+        print(f'{study}: {experiments} experiments of {count} run{"s" * (count > 1)}, '
+              f'in {jobs} process{"es" * (jobs > 1)}', file=sys.stderr, flush=True)
+    with progress(study) as advance:
+        yield HowFar(experiments, count, advance)
 
 
 def conclude(given: argparse.Namespace, name: str, table: Table, words: str = '') -> None:
@@ -128,7 +186,13 @@ def positive(word: str) -> int:
     return value
 
 
-def keeping(given: argparse.Namespace) -> Callable[[Task, str], list[Outcome]]:
-    """Return `runs` with what the command line says."""
-    return partial(runs, count=given.seeds, jobs=given.jobs, study=given.study,
-                   kept=KeptRuns(given.out / 'runs.csv'))
+@contextmanager
+def keeping(given: argparse.Namespace, experiments: int
+            ) -> Iterator[Callable[[Task, str], list[Outcome]]]:
+    """Give `runs` of so many experiments with what the command line says, and show how far."""
+    kept = KeptRuns(given.out / 'runs.csv')
+    with shown(given.study, experiments, given.seeds, given.jobs) as far:
+        def one(task: Task, title: str) -> list[Outcome]:
+            return runs(task, title, given.seeds, given.jobs, kept, given.study, far.begin(title))
+
+        yield one

@@ -177,8 +177,9 @@ def draw(out: Path, models: dict[tuple[str, str], ComplexArray],
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table, write it and the figures."""
     given = arguments(__doc__, 'tm', 20, argv)
-    runs, truth = keeping(given), response(plant())
-    done = {key: runs(task, ', '.join(key)) for key, task in tasks().items()}
+    wanted, truth = tasks(), response(plant())
+    with keeping(given, len(wanted)) as runs:
+        done = {key: runs(task, ', '.join(key)) for key, task in wanted.items()}
     models = {key: np.array([response(o.model) for o in own]) for key, own in done.items()}
     errors = {key: np.asarray(np.abs(rows - truth)) for key, rows in models.items()}
     found = table(done, errors)

@@ -68,11 +68,11 @@ def lines(found: Summary, name: str, snr: float) -> list[tuple[str, ...]]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     given = arguments(__doc__, 'windows', 200, argv)
-    runs = keeping(given)
     rows: list[tuple[str, ...]] = []
-    for name, snr in EXPERIMENTS:
-        done = runs(partial(one, name=name, snr=snr), f'{name}, {snr} dB')
-        rows += lines(summary(done), name, snr)
+    with keeping(given, len(EXPERIMENTS)) as runs:
+        for name, snr in EXPERIMENTS:
+            done = runs(partial(one, name=name, snr=snr), f'{name}, {snr} dB')
+            rows += lines(summary(done), name, snr)
     conclude(given, 'windows', Table(HEAD, tuple(rows), ('plant', 'pole')))
     return 0
 

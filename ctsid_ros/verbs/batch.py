@@ -112,6 +112,7 @@ def _check_packages() -> None:
 def _perform(tasks: Sequence[Task], args: argparse.Namespace) -> bool:
     """Do the tasks; return whether it was interrupted."""
     from ctsid_ros.batch.scheduling import cluster, performed
+    from ctsid_ros.batch.task import rounds
     from ctsid_ros.workers import cores
 
     jobs = min(args.jobs or cores(), len(tasks))
@@ -125,7 +126,7 @@ def _perform(tasks: Sequence[Task], args: argparse.Namespace) -> bool:
                 cluster(jobs, args.scheduler) as client:
             if not (args.quiet or sys.stderr.isatty()):     # there a bar tells
                 say(f'{Path(tasks[0].bag).name} begins')
-            for task in performed(client, tasks):
+            for task in (done for own in rounds(tasks) for done in performed(client, own)):
                 count += 1
                 _advance(advance, count, len(tasks), task)
     except KeyboardInterrupt:

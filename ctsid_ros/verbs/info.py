@@ -10,6 +10,7 @@ import shlex
 from typing import TYPE_CHECKING, Any
 
 from ctsid_ros.report.document import Bullets, Section, to_text
+from ctsid_ros.report.overview import PAGE, lines
 from ctsid_ros.report.tables import Table, number
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -27,13 +28,16 @@ if TYPE_CHECKING:
     from ctsid_ros.recordings.survey_stats import FieldStats, StampStats
 
 HELP = 'show topics, rates, stamps, fields that could be signals, and excited stretches'
-EPILOG = 'example: ctsid info flight.mcap'
+EPILOG = """example: ctsid info flight.mcap
+         ctsid info log.ulg --all     (hundreds of fields: more than the one page)"""
 _MOST_FIELDS = 12  # of a topic, on the terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag(parser)
+    parser.add_argument('--all', action='store_true', help='show every topic, stamp and field, '
+                        'however many there are [default: one page]')
     add_style(parser, quiet=False)
 
 
@@ -49,7 +53,8 @@ def command(args: argparse.Namespace) -> int:
     if args.json:
         tell(_document(found, guesses, args.bag))
     else:
-        print(to_text(list(_sections(found, guesses, args.bag, bag_words(args)))))
+        sections = _sections if args.all or lines(found) <= PAGE else _brief
+        print(to_text(list(sections(found, guesses, args))))
     return ACCEPTED
 
 
@@ -67,9 +72,13 @@ def _document(found: Survey, guesses: Sequence[Guess], bags: list[str]) -> dict[
 
 def topic_section(found: Survey, bags: list[str]) -> Section:
     """Return what a bag is, and its topics."""
+    return Section(_title(found, bags), (_topics(found.topics),))
+
+
+def _title(found: Survey, bags: list[str]) -> str:
     begun = date(found.start_ns)
-    return Section(f'{named(bags)}: {found.duration:.1f} s, {found.messages} messages'
-                   + (f', recorded {begun}' if begun else ''), (_topics(found.topics),))
+    return f'{named(bags)}: {found.duration:.1f} s, {found.messages} messages' \
+        + (f', recorded {begun}' if begun else '')
 
 
 def stretch_section(guesses: Sequence[Guess]) -> Section:
@@ -87,9 +96,38 @@ def _by_input(guesses: Sequence[Guess]) -> Iterable[Guess]:
     return {g.pair.input.key: g for g in reversed(guesses)}.values()
 
 
-def _sections(found: Survey, guesses: Sequence[Guess], bags: list[str],
-              words: Sequence[str]) -> Iterable[Section]:
-    yield topic_section(found, bags)
+def _brief(found: Survey, guesses: Sequence[Guess], args: argparse.Namespace
+           ) -> Iterable[Section]:
+    """Yield what matters of a recording with hundreds of fields."""
+    from ctsid_ros.recordings.guess_candidates import FEWEST, likely_roles
+    from ctsid_ros.report.overview import overview
+
+    likely = {t.info.name: max(max(likely_roles(t, f.field)) for f in t.moving)
+              for t in found.topics if t.moving and t.info.count >= FEWEST}
+    used = [c.key[0] for g in guesses for c in (g.pair.input, g.pair.output)]
+    yield from overview(found, _title(found, args.bag), used,
+                        sorted(likely, key=lambda name: -likely[name]))
+    yield stretch_section(guesses)
+    yield from _end(_torn(found), found, args)
+
+
+def _torn(found: Survey) -> list[str]:
+    return [f'{t.info.name}: {t.undecodable} messages cannot be decoded or lack some fields '
+            f'({t.reason})'
+            for t in found.topics if t.undecodable]
+
+
+def _end(notes: Sequence[str], found: Survey, args: argparse.Namespace) -> Iterable[Section]:
+    """Yield what is odd, and what to do next."""
+    said = (*notes, *found.notes)
+    yield Section('Notes', (Bullets(said),) if said else ())
+    yield Section('', (f'Next: ctsid init {shlex.join(bag_words(args))} -o params.yaml',)
+                  if any(t.moving for t in found.topics) else ())
+
+
+def _sections(found: Survey, guesses: Sequence[Guess], args: argparse.Namespace
+              ) -> Iterable[Section]:
+    yield topic_section(found, args.bag)
     stamps = [(t, s) for t in found.topics for s in t.stamps]
     if stamps:
         yield Section('Time stamps (`stamp: auto` takes the first usable one of a topic)',
@@ -97,10 +135,11 @@ def _sections(found: Survey, guesses: Sequence[Guess], bags: list[str],
                               'longest [ms]', 'backward', 'repeated', 'remark'),
                              tuple(_stamp_row(t, s) for t, s in stamps),
                              ('topic', 'source', 'usable', 'remark')),))
-    moving = [(t, f) for t in found.topics for f in t.moving[:_MOST_FIELDS]]
+    most = None if args.all else _MOST_FIELDS
+    moving = [(t, f) for t in found.topics for f in t.moving[:most]]
     if moving:
-        more = [f'{t.info.name}: {len(t.moving) - _MOST_FIELDS} more fields move (--json lists '
-                'them)' for t in found.topics if len(t.moving) > _MOST_FIELDS]
+        more = [f'{t.info.name}: {len(t.moving) - _MOST_FIELDS} more fields move (--all shows '
+                'them)' for t in found.topics if most and len(t.moving) > most]
         yield Section('Fields that move', (Table(
             ('topic', 'field', 'min', 'max', 'mean', 'std', 'remark'),
             tuple(_field_row(t, f) for t, f in moving), ('topic', 'field', 'remark')),
@@ -110,12 +149,7 @@ def _sections(found: Survey, guesses: Sequence[Guess], bags: list[str],
     yield stretch_section(guesses)
     still = [f'{t.info.name}: {len(quiet)} more do not move'
              for t in found.topics if (quiet := [f for f in t.fields if not f.moves])]
-    torn = [f'{t.info.name}: {t.undecodable} messages cannot be decoded or lack some fields '
-            f'({t.reason})'
-            for t in found.topics if t.undecodable]
-    notes = (*still, *torn, *found.notes)
-    yield Section('Notes', (Bullets(notes),) if notes else ())
-    yield Section('', (f'Next: ctsid init {shlex.join(words)} -o params.yaml',) if moving else ())
+    yield from _end([*still, *_torn(found)], found, args)
 
 
 def _topics(topics: Iterable[TopicSurvey]) -> Table:

@@ -26,6 +26,11 @@ EPILOG = """example: ctsid init flight.mcap -o params.yaml
          (shows the three best pairs, and writes the first)
 example: ctsid init flight.mcap -o params.yaml --pick 2 --force
          (writes the second)
+example: ctsid init log.ulg -o params.yaml --input 'vehicle_torque_setpoint xyz[0:3]'
+                                           --output 'vehicle_angular_velocity xyz[0:3]'
+         (writes these; only holds, stamps and windows are looked for)
+example: ctsid init flight.mcap -o params.yaml --output '/imu angular_velocity.x'
+         (shows and writes the inputs that explain this output best)
 
 How the pairs are found, and what the columns mean: docs/choosing_signals.md."""
 _MOST_OTHERS = 8
@@ -34,8 +39,14 @@ _MOST_OTHERS = 8
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag(parser)
-    parser.add_argument('-o', '--output', metavar='FILE', default='-',
+    parser.add_argument('-o', '--out', metavar='FILE', default='-',
                         help='parameter file to write [default: standard output]')
+    for role in ('input', 'output'):
+        parser.add_argument(
+            f'--{role}', action='append', default=[], metavar='FIELD',
+            help=f"{role} of the model, as `ctsid info` names it: FIELD, 'TOPIC FIELD' or TOPIC, "
+            f"with * for anything and [0:3] for several; once for each [default: chosen from the "
+            'data]')
     parser.add_argument('--force', action='store_true', help='replace the file if it exists')
     add_pick(parser)
 
@@ -45,22 +56,24 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.config.parameter_text import dump_brief
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.guess import guess
+    from ctsid_ros.recordings.guess_named import named
     from ctsid_ros.recordings.survey import survey
 
     with open_bag(args.bag, args.time) as bag:
-        guessed = guess(bag, survey(bag), args.pick)
-    name = 'params.yaml' if args.output == '-' else args.output
+        found = survey(bag)
+        guessed = guess(bag, found, args.pick, named(found, args.input, args.output))
+    name = 'params.yaml' if args.out == '-' else args.out
     line = next_command(guessed, bag_words(args), name)
     text = head(guessed, line) + dump_brief(guessed.config)
-    if args.output == '-':
+    if args.out == '-':
         print(to_text([pair_section(guessed)]), file=sys.stderr)
         print(text, end='')
         return ACCEPTED
     from ctsid_core.model.storage import write_file
 
-    write_file(args.output, text.encode(), force=args.force)
+    write_file(args.out, text.encode(), force=args.force)
     print(to_text([pair_section(guessed), Section('', (
-        f'Wrote {args.output} with pair {guessed.pick}; look it over, then run:',
+        f'Wrote {args.out} with {_taken(guessed)}; look it over, then run:',
         Command(line)))]))
     for reason in guessed.reasons:
         say(reason)
@@ -74,9 +87,19 @@ def next_command(guessed: Guess, bags: Sequence[str], params: str) -> str:
     return shlex.join(('ctsid', 'identify', *bags, '--params', params, *intervals))
 
 
+def _taken(guessed: Guess) -> str:
+    """Say what is in the file."""
+    channels = (guessed.config.inputs, guessed.config.outputs)
+    if guessed.free:
+        return f'pair {guessed.pick}'
+    return ' and '.join(f'{len(own)} {role}{"s" * (len(own) > 1)}'
+                        for own, role in zip(channels, ('input', 'output'), strict=True))
+
+
 def pair_section(guessed: Guess) -> Section:
     """Return the pairs that were found, with the figures behind them."""
-    rows = tuple(_row(i, pair, guessed.pick) for i, pair in enumerate(guessed.pairs, 1))
+    rows = tuple(_row(i, pair, i == guessed.pick or not guessed.free)
+                 for i, pair in enumerate(guessed.pairs, 1))
     remarks = tuple(f'pair {i}: {cell(pair.input.key[0])} drives {cell(pair.nearer)}, which is '
                     'nearer to the plant' for i, pair in enumerate(guessed.pairs, 1)
                     if pair.nearer)
@@ -86,12 +109,12 @@ def pair_section(guessed: Guess) -> Section:
         *([Bullets(remarks)] if remarks else [])))
 
 
-def _row(index: int, pair: Pair, pick: int) -> tuple[str, ...]:
+def _row(index: int, pair: Pair, taken: bool) -> tuple[str, ...]:
     from ctsid_ros.recordings.coherence import lag, mean_coherence
 
     u, y, clock = pair.input, pair.output, pair.clock
     found = pair.explained
-    return (f'{index}{" *" if index == pick else ""}', ' '.join(u.key), ' '.join(y.key),
+    return (f'{index}{" *" if taken else ""}', ' '.join(u.key), ' '.join(y.key),
             f'{100 * found.past:.0f}', f'{100 * found.future:.0f}',
             number(mean_coherence(u.held, y.smooth, clock), 2),
             number(lag(u.held, y.smooth, clock), 2), f'{pair.frequencies:.0f}',
@@ -105,7 +128,7 @@ def head(guessed: Guess, line: str) -> str:
     for reason in guessed.reasons:
         lines += _comment(f'- {reason[0].upper()}{reason[1:]}.')
     for i, pair in enumerate(guessed.pairs, 1):
-        if i != guessed.pick:
+        if guessed.free and i != guessed.pick:
             lines += _comment(f'- Other pair (--pick {i}): {" ".join(pair.input.key)} -> '
                               f'{" ".join(pair.output.key)}, '
                               f'{100 * pair.explained.past:.0f} % explained.')

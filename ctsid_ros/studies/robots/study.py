@@ -23,7 +23,7 @@ from ctsid_ros.studies.robots.kept_rows import KeptRows
 from ctsid_ros.studies.robots.scoring import Row
 from ctsid_ros.studies.robots.sitting import Reach, sat
 from ctsid_ros.studies.robots.tables import by_family, by_kind
-from ctsid_ros.studies.runner import positive, runs
+from ctsid_ros.studies.runner import positive, runs, shown
 from ctsid_ros.workers import cores
 
 
@@ -63,9 +63,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Print the tables."""
     given = arguments(argv)
     kept, rows = KeptRows(given.out / 'runs.csv'), list[Row]()
-    for family in given.families:
-        task = partial(one, family=family, seed=given.seed, folder=given.out)
-        rows += runs(task, family, given.experiments, given.jobs, kept, f'seed {given.seed}')
+    with shown('robots', len(given.families), given.experiments, given.jobs) as far:
+        for family in given.families:
+            task = partial(one, family=family, seed=given.seed, folder=given.out)
+            rows += runs(task, family, given.experiments, given.jobs, kept, f'seed {given.seed}',
+                         far.begin(family))
     for name, table in (('robots_families', by_family(rows)), ('robots_inputs', by_kind(rows))):
         write_table(given.out / name, table)
         print(f'\n{table.text()}')
