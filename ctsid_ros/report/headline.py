@@ -10,6 +10,7 @@ import shlex
 
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Grade
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_ros.replay.results import MODEL
 from ctsid_ros.report.document import Command, Headline, Section
 from ctsid_ros.report.tables import Table, fit_words, number
@@ -67,10 +68,12 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
         Pairs of signals of which the recording says more; the way out where signals are at fault.
     """
     model = estimate.model or estimate.rejected_model
+    ahead = (f', predicted {HORIZONS[AHEAD]} samples ahead', ', 1 sample ahead') \
+        if by_predictions(estimate) else ('', '')
     own = [] if model is None else [
-        (f'fit of {", ".join(model.output_names)}{", predicted," * by_predictions(estimate)} [%]',
-         fit_words(estimate.fit)),
-        ('held-out fit [%]', fit_words(estimate.held_out_fit)), ('order', str(model.n))]
+        (f'fit of {", ".join(model.output_names)}{ahead[0]} [%]', fit_words(estimate.fit)),
+        (f'held-out fit{ahead[1]} [%]', fit_words(estimate.held_out_fit)),
+        ('order', str(model.n))]
     purpose, command = other_signals(run, better) \
         if better and estimate.status in _SIGNALS else _next(estimate, run)
     return Headline(estimate.verdict.grade.name, estimate.verdict.reason, command,

@@ -137,7 +137,7 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     """Return the numbers behind the verdict."""
     verdict = estimate.verdict
     inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
-                    percent(100 * x.own), percent(100 * x.uncertainty))
+                    percent(100 * x.own), number(100 * x.uncertainty, 2))
                    for x in verdict.excitation)
     columns = (100 * verdict.coloured_error, 100 * verdict.independent, verdict.whiteness,
                verdict.curve_gain, verdict.fresh_ratio)
