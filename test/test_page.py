@@ -23,7 +23,7 @@ import yaml
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
-from ctsid_core.model.verdict import Grade, Verdict
+from ctsid_core.model.verdict import Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
@@ -258,14 +258,14 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
     (Status.TOO_SHORT, "ctsid identify 'my bag' --params p.yaml")])
 def test_a_rejection_says_what_to_try_next(status, command):
     given = Estimate(status=status, settings=Settings(), statistics={'change_share': 0.4})
-    run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0))
+    run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0), ('--start', '1'))
     assert headline(given, run).command == command
     assert headline(given, run).grade == 'REJECT'
 
 
 def test_advice_after_an_interval_is_on_that_interval(folder):
     found = load_estimate(folder / 'res/model.json')
-    weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK))
+    weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=Remedy.EXCITE))
     args = Namespace(command_line='', bag=['bag'], params='p.yaml', start=2.0, duration=0.5)
     assert headline(weak, run_of(args)).command == (
         'ctsid advise bag --params p.yaml --start 2 --duration 0.5')

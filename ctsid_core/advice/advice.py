@@ -145,7 +145,7 @@ def _least(good: Callable[[float], bool], start: float) -> float:
 
 
 def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:
-    yield estimate.status.value
+    yield estimate.verdict.reason
     if estimate.status in (Status.NO_EXCITATION, Status.TOO_SHORT):
         slow = max(s.period for one in records for s in one.outputs)
         long = max(one.duration for one in records)

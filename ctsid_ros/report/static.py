@@ -195,8 +195,8 @@ def _curve(own: Any, curve: Curve) -> None:
     elif curve.kind == 'steps':
         own.step(curve.x, y, where='post', **line)
     elif curve.opacity > 0.0:
-        own.plot(curve.x, y, linestyle=(0, tuple(length / curve.width * _PIXEL for length in curve.dash))
-                 if curve.dash[1] else '-',
+        dash = tuple(length / curve.width * _PIXEL for length in curve.dash)
+        own.plot(curve.x, y, linestyle=(0, dash) if curve.dash[1] else '-',
                  marker='o' if curve.kind == 'both' else None, markersize=4, **line)
 
 
