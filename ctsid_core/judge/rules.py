@@ -100,6 +100,10 @@ def change_note(e: Evidence) -> tuple[str, ...]:
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
+    if e.unproven:
+        yield Remedy.SETTING, (
+            f'The model is unstable ({_growth(e.poles)}), and a model that is not '
+            'explains the data as well; set `method: hd-pbsid`.')
     for j in e.fixed_inputs:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
@@ -131,14 +135,16 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit, so '
             'something saturates or is clipped; take a part of the data in which it moves less.')
     for i in np.flatnonzero(e.held_out > _allowed(e.error)):
-        fewer = len(e.poles) - 1
-        yield (Remedy.SETTING if fewer else Remedy.LONGER), (
+        yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
-            f'{_percent(e.error[i])}; '
-            + (f'set `order` to {fewer}.' if fewer else 'take a longer window.'))
+            f'{_percent(e.error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, UNTESTED
+
+
+def _growth(poles: NDArray[np.complex128]) -> str:
+    return f'a mode grows as exp({np.max(poles.real):.2g} t)'
 
 
 def _allowed(error: Array) -> Array:

@@ -60,6 +60,8 @@ class Solution:
         Of a subspace method; their drop shows the order.
     condition : float
         Of its regression.
+    unproven : bool
+        Whether modes grow of which the samples do not show that they do.
     """
 
     settings: Settings
@@ -80,6 +82,7 @@ class Solution:
     simpler: ModalModel | None = None
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
+    unproven: bool = False
 
     @property
     def by_prediction(self) -> bool:

@@ -114,7 +114,7 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
         case Remedy.LONGER:
             if run.interval:
                 return 'all of the recording', run.command('identify')
-            return 'how long the recording is, and in which parts of it signals move', info
+            return 'how much longer the data have to be', run.command('advise')
         case Remedy.SETTING:
             return f'the same once more, with that changed in {run.params or "`--params`"}', again
         case Remedy.COMPARE:
