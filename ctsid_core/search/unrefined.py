@@ -116,7 +116,8 @@ def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
         with np.errstate(over='ignore', invalid='ignore'):
             mirrored = fit_at(samples, np.where(growing, -poles.conj(), poles), fit.model.delay,
                               free)
-            steady = climb(samples, mirrored, replace(free, limit=0.0), steps=_STEPS, least=ROUGHLY)
+            steady = climb(samples, mirrored, replace(free, limit=0.0), steps=_STEPS,
+                           least=ROUGHLY)
     except np.linalg.LinAlgError:
         return True
     price = float(np.log(samples.counts.sum())) * int(np.sum(growing))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict, replace
 
-from ctsid_core.model.verdict import Remedy
 from ctsid_ros.progress import progress, working
 from ctsid_ros.report.document import to_text
 from ctsid_ros.verbs.arguments import (
@@ -59,6 +58,7 @@ def command(args: argparse.Namespace) -> int:
     """Read, identify, print."""
     from ctsid_core.advice.advice import advise
     from ctsid_core.identify import identify
+    from ctsid_core.model.verdict import Remedy
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
     from ctsid_ros.replay.clock import by_bag_clock, zero_ns

@@ -210,7 +210,7 @@ def command(args: argparse.Namespace) -> int:
             first = headline(outcome.told, run, _facts(outcome), better)
             _write(out, outcome, args, truth, run, first)
     if args.json:
-        tell(_document(outcome, args, out))
+        tell({**_document(outcome, args, out), 'next': first.command})
     else:
         print(to_text(_sections(outcome, truth)))
         print(f'\n{next_text(first)}\n\nResults: {out}/ ({PAGE} has the plots)')

@@ -106,7 +106,7 @@ def command(args: argparse.Namespace) -> int:
             report = _Report(run, bag, args, truth)
             first = report.write(out)
     if args.json:
-        tell(report.document(out, interrupted))
+        tell({**report.document(out, interrupted), 'next': first.command})
     else:
         print(to_text(report.sections()))
         print(f'\n{next_text(first)}\n\nResults: {out}/ ({PAGE} has the plots)')
