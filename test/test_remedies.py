@@ -49,7 +49,9 @@ def findings() -> list[tuple[Remedy, str]]:
     record = Record.from_arrays(np.arange(9.0), np.arange(9.0), np.arange(9.0), np.arange(9.0))
     good = replace(UNJUDGED, grade=Grade.GOOD, reason='Every test is passed.')
     found = [(remedy, reason) for _, remedy, reason in rules._rejections(WORST)]
-    for one in (replace(WORST, unproven=True), replace(WORST, numbers=shared, fixed_inputs=())):
+    line = replace(WORST.numbers, excitation=(Excitation('a', 3.0, 3.0, 9.0, 1.0, 0.01),) * 2)
+    for one in (replace(WORST, unproven=True), *(replace(WORST, numbers=n, fixed_inputs=())
+                                                 for n in (line, shared))):
         found += rules._weaknesses(one)
     estimate = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=good)
     verdicts = [rules.unusable_estimate(s, record, Settings()).verdict for s in (
@@ -70,7 +72,8 @@ def test_every_rule_is_looked_at():
     said = ' '.join(reason for _, reason in findings())
     for words in ('not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
                   'finite', 'zero column', '1 frequency', 'independently', 'move it more',
-                  'explain little', 'is a curve', 'held out', 'not been tested', 'Nobody',
+                  'explain little', 'is a curve', 'held out', 'response to input a is at',
+                  'not been tested', 'Nobody',
                   'badly (fresh', 'is unstable', 'order has changed', 'A pole has moved',
                   'An earlier window', 'arithmetic', 'acts 0.1 s later', 'gaps', 'gobf failed'):
         assert words in said, words

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import held, held_response, noisy, random_plant, random_signal
+from plants import held, held_response, noisy, plant, random_plant, random_signal
 import pytest
 from verdict_cases import distance, excited, nothing, steps
 
@@ -223,6 +223,21 @@ def test_how_many_frequencies_have_nearly_all_of_the_motion_is_told(count, said)
     if said:
         assert verdict.reason.startswith(
             f'Nearly all of the motion of input u1 is at about {said}, which fits many models; ')
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
+def test_a_sine_under_noise_that_the_plant_does_not_answer_to_is_one_frequency(seed):
+    """A controller adds the noise of its sensor to the sine; a lag lets hardly any of it pass."""
+    rng = np.random.default_rng(seed)
+    lag = plant([[-1.2, 9.0], [0.0, -1.0 / 0.06]], [[0.0], [1.0 / 0.06]], [[1.0, 0.0]])
+    t_u, t = np.arange(-5.0, 60.0, 0.01), np.arange(0.003, 60.0, 0.005)
+    u = (0.13 * np.sin(np.pi * t_u) + 0.011 * rng.standard_normal(len(t_u)))[:, np.newaxis]
+    y = held_response(lag, t_u, u, t)
+    verdict = judged(Record.from_arrays(t_u, u, t, y + 0.05 * rng.standard_normal(y.shape),
+                                        input_hold='zoh'))
+    assert verdict.excitation[0].frequencies > 100.0
+    assert verdict.grade is Grade.WEAK
+    assert verdict.reason.startswith('Nearly all of the response to input u1 is at 0.5 Hz')
 
 
 @pytest.mark.parametrize('signal', ['step', 'doublet', 'sweep'])

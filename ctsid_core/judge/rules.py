@@ -117,6 +117,11 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
                 f'Nearly all of the motion of input {one.name} is at about {count} '
                 f'{"frequency" if count == 1 else "frequencies"}, which fits many models; '
                 'excite more frequencies (a sweep, steps, noise).')
+        elif one.low == one.high:
+            yield Remedy.EXCITE, (
+                f'Nearly all of the response to input {one.name} is at '
+                f'{one.low / (2.0 * np.pi):.2g} Hz, which fits many models; excite more '
+                'frequencies (a sweep, steps, noise).')
         if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'

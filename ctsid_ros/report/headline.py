@@ -89,8 +89,12 @@ def _band(estimate: Estimate) -> list[tuple[str, str]]:
     """Return the frequencies at which the inputs of an accepted model moved."""
     bands = estimate.verdict.excitation if estimate.ok else ()
     return [('excited [Hz]' if len(bands) == 1 else f'excited by {band.name} [Hz]',
-             f'{number(band.low / math.tau, 2)} to {number(band.high / math.tau, 2)}')
-            for band in bands if band.high > band.low]
+             _hertz(band.low, band.high)) for band in bands if band.high >= band.low]
+
+
+def _hertz(low: float, high: float) -> str:
+    ends = [number(w / math.tau, 2) for w in (low, high)]
+    return f'only {ends[0]}' if low == high else ' to '.join(ends)
 
 
 def by_predictions(estimate: Estimate) -> bool:

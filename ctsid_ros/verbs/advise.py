@@ -91,9 +91,9 @@ def command(args: argparse.Namespace) -> int:
     else:
         own = replace(advice, sentences=tuple(
             words for words in advice.sentences if words != estimate.verdict.reason))
-        print(to_text([verdict_section(told), accuracy_section(own), band_section(own),
-                       *([experiment_section(own, rejected=not estimate.ok)]
-                         if helps(estimate, advice) else [])]))
+        more = [accuracy_section(own), band_section(own),
+                experiment_section(own, rejected=not estimate.ok)]
+        print(to_text([verdict_section(told), *(more if helps(estimate, advice) else [])]))
         if not estimate.good and estimate.verdict.remedy is not Remedy.EXCITE:   # that is above
             print(f'\n{next_text(first)}')
     return ACCEPTED if estimate.ok else NO_MODEL
