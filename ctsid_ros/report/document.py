@@ -58,7 +58,15 @@ class Explorer:
     what: str = 'window'
 
 
-Part = str | Table | Bullets | Command | Figure | Gallery | Explorer
+@dataclass(frozen=True)
+class Picture:
+    """A drawing that is there already, as SVG, and what it shows; on the page only."""
+
+    svg: bytes
+    title: str
+
+
+Part = str | Table | Bullets | Command | Figure | Gallery | Explorer | Picture
 
 
 @dataclass(frozen=True)
