@@ -155,3 +155,13 @@ def test_it_is_the_same_everywhere(name, sent, verb, tmp_path, monkeypatch, caps
     if verb == 'advise':        # it says itself what its command is for
         assert 'Which experiment would help' in advised
         assert 'Try next' not in advised
+
+
+def test_of_several_inputs_the_one_known_least_is_named():
+    numbers = replace(WORST.numbers, excitation=tuple(
+        Excitation(name, 1.0, 2.0, 9.0, 1.0, unsure)
+        for name, unsure in (('a', 0.14), ('b', 2.0))))
+    reasons = [reason for _, reason in rules._weaknesses(
+        replace(WORST, numbers=numbers, fixed_inputs=()))]
+    assert reasons[0].startswith('The response to input b has')
+    assert reasons[1].startswith('The response to input a has')

@@ -3,8 +3,9 @@
 From numbers to a verdict.
 
 What rejects a model comes first, and gives its status; what weakens it comes next, the gravest
-first: the first that applies is the reason. A reason says what was found, and at its end, after a
-semicolon, the one thing to try next. Each threshold and where it was measured: `docs/verdict.md`.
+first: the first that applies is the reason; of several channels it names the worst. A reason says
+what was found, and at its end, after a semicolon, the one thing to try next. Each threshold and
+where it was measured: `docs/verdict.md`.
 """
 
 from __future__ import annotations
@@ -70,16 +71,16 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
-    for i in np.flatnonzero(e.coloured > _UNEXPLAINED):
+    for i in _largest_first(e.coloured, _UNEXPLAINED):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
             'that these are the right signals.')
     # What follows nothing goes by itself.
     follows = (e.held_out < _DRIVEN * e.driven) & ~_unsure(e.expected, e.error)
-    for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
+    for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
-            f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
+            f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)}), '
             'as far as the noise lets see; check that these are the right signals, and that they '
             'move.')
 
@@ -108,9 +109,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
             'B and D is not measured; leave it out of `inputs`.')
-    for j, one in enumerate(e.numbers.excitation):
-        if j in e.fixed_inputs:
-            continue
+    moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
+    for one in moving:
         if one.frequencies < _FEW_SINES:
             count = round(one.frequencies)
             yield Remedy.EXCITE, (
@@ -122,6 +122,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
                 f'Nearly all of the response to input {one.name} is at '
                 f'{one.low / (2.0 * np.pi):.2g} Hz, which fits many models; excite more '
                 'frequencies (a sweep, steps, noise).')
+    for one in sorted(moving, key=lambda x: np.nan_to_num(x.uncertainty, nan=np.inf),
+                      reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
@@ -129,23 +131,29 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             yield Remedy.EXCITE, (
                 f'The response to input {one.name} has a standard deviation of '
                 f'{_percent(one.uncertainty)}; {cure}.')
-    for i in np.flatnonzero(e.coloured > _DISTURBED):
+    for i in _largest_first(e.coloured, _DISTURBED):
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {100 * e.coloured[i]:.0f} % of its motion; find what else acts on it, and '
             'take it as an input.')
-    for i in np.flatnonzero(e.numbers.curve_gain > _CURVED):
+    for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
             f'Output {e.output_names[i]} is a curve of what a linear model makes of the '
             f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit, so '
             'something saturates or is clipped; take a part of the data in which it moves less.')
-    for i in np.flatnonzero(e.held_out > _allowed(e.error)):
+    for i in _largest_first(e.held_out / _allowed(e.error), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
             f'{_percent(e.error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, UNTESTED
+
+
+def _largest_first(values: Array, limit: float) -> list[int]:
+    """Return the places of values beyond a limit, the largest first: the reason names one."""
+    order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind='stable')
+    return [int(i) for i in order if values[i] > limit]
 
 
 def _growth(poles: NDArray[np.complex128]) -> str:
