@@ -39,7 +39,7 @@ from ctsid_ros.report.document import (
     to_markdown,
     to_text,
 )
-from ctsid_ros.report.drawing import COLORS, MOST_MODELS, Axes, Curve, Drawing
+from ctsid_ros.report.drawing import COLORS, MOST_MODELS, Axes, Curve, Drawing, over
 from ctsid_ros.report.headline import Run, headline
 from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.page import to_html
@@ -467,18 +467,31 @@ def test_fits_by_horizon_fall_to_that_of_the_simulation():
     assert all(f[0] > 90.0 for f in fits.values())
 
 
-@pytest.mark.parametrize('count', [2, 3, MOST_MODELS])
-def test_of_lines_that_agree_every_one_is_seen(count, tmp_path):
+def pixels_of(curves: list[Curve], path: Path) -> list[int]:
+    """Return how many pixels of a drawing have the colour of each curve."""
     from matplotlib.colors import to_rgb
     from matplotlib.image import imread
 
+    write_drawings(path, [Axes(curves, x_limits=(0.0, 1.0))])
+    pixels = imread(path)[60:-90, 120:-40, :3].reshape(-1, 3)
+    return [int(np.sum(np.abs(pixels - to_rgb(COLORS[c.color])).max(axis=1) < 0.02))
+            for c in curves]
+
+
+@pytest.mark.parametrize('count', [2, 3, MOST_MODELS])
+def test_of_crosses_that_agree_every_one_is_seen(count, tmp_path):
+    at = np.array([0.3, 0.7])
+    seen = pixels_of([Curve(at, at, f'm{k}', k, 'cross', width=over(k, range(count)))
+                      for k in range(1, count + 1)], tmp_path / 'same.png')
+    assert min(seen) > 0.3 * max(seen) > 0
+
+
+@pytest.mark.parametrize('count', [2, 3, MOST_MODELS])
+def test_of_lines_that_agree_every_one_is_seen(count, tmp_path):
     x = np.linspace(0.0, 1.0, 400)
     curves = [Curve(x, np.sin(6.0 * x), f'm{k}', k, layer=(k, count), width=2.0)
               for k in range(1, count + 1)]
-    write_drawings(tmp_path / 'same.png', [Axes(curves, x_limits=(0.0, 1.0))])
-    pixels = imread(tmp_path / 'same.png')[60:-90, 120:-40, :3].reshape(-1, 3)
-    seen = [int(np.sum(np.abs(pixels - to_rgb(COLORS[c.color])).max(axis=1) < 0.02))
-            for c in curves]
+    seen = pixels_of(curves, tmp_path / 'same.png')
     assert min(seen) > 0.3 * max(seen) > 0
     dashes = [trace['line'].get('dash') for trace in figure(Drawing((Axes(curves),)))['data']]
     assert len(set(dashes)) == count
