@@ -155,6 +155,8 @@ def test_it_is_the_same_everywhere(name, sent, verb, tmp_path, monkeypatch, caps
     if verb == 'advise':        # it says itself what its command is for
         assert 'Which experiment would help' in advised
         assert 'Try next' not in advised
+        assert 'no further data are needed' not in advised
+        assert re.search(r'move torque between \S+ and \S+ Hz', ' '.join(advised.split()))
 
 
 def test_of_several_inputs_the_one_known_least_is_named():

@@ -54,7 +54,7 @@ def _best(p: PoleAdvice) -> tuple[str, str]:
     if p.std <= p.wanted or math.isinf(p.enough):
         return ('-', '-')
     band = p.bands[0]
-    return f'{band.input}, {_hertz(band)} Hz', number(p.enough, 2)
+    return f'{band.input}, {_hertz(band)} Hz', number(p.lasting, 2)
 
 
 def _hertz(band: Band) -> str:
