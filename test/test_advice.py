@@ -135,7 +135,7 @@ def test_rejected_models_are_good_enough_for_advice_and_none_gets_a_word():
     still = Record.from_arrays(t, np.ones(len(t)), t, rng.standard_normal(len(t)))
     advice = advise(identify(still), still)
     assert advice.poles == ()
-    assert 'excite the inputs' in advice.sentences[0]
+    assert 'in which they move' in advice.sentences[0]
     assert 'move the inputs between 0.2 and 10 Hz' in advice.sentences[1]
 
 

@@ -275,6 +275,11 @@ def test_study_prints_its_table(ctsid, tmp_path, monkeypatch):
     for method in ("paper's HD", 'ours', 'CT-PBSID'):
         assert len(re.findall(rf'dB +-\d.* {method} ', out)) == 2    # one SNR, two poles
     assert '0.0882' in out                                            # CT-PBSID as published
+    page = (tmp_path / 'report.html').read_text(encoding='utf-8')
+    assert page.count('<img ') == len([*tmp_path.glob('*.svg')]) > 0
+    assert '0.0882' in page
+    assert 'ctsid study hd-vs-ct --seeds 1' in re.sub(r'</?span>', '', page)
+    assert 'plotly' not in page                                       # nothing that it would draw
     assert ctsid('study', 'nothing')[0] == 2
     assert ctsid('study', 'all', '--seeds', '0')[0] == 2
 

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 
@@ -17,7 +18,8 @@ from test_gain_tuner import FRESH, GOOD, LIMITS, TRUTH, S
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.storage import to_json
 from ctsid_core.model.verdict import UNJUDGED
-from ctsid_ros.examples.acceptance import objection
+from ctsid_ros.examples.acceptance import Limits, objection
+from ctsid_ros.messages.interface import OUTPUTS
 
 SOURCES = Path(__file__).resolve().parent.parent / 'docs/cpp'
 CXX, CMAKE = shutil.which('c++'), shutil.which('cmake')
@@ -84,6 +86,31 @@ def test_what_is_no_model_is_told(check_model, tmp_path, text):
                          check=False)
     assert (ran.returncode, ran.stdout) == (1, '')
     assert 'it is not a model of ctsid' in ran.stderr
+
+
+def test_the_node_asks_for_what_is_published():
+    node = (SOURCES / 'model_consumer.cpp').read_text(encoding='utf-8')
+    package, kind, name = OUTPUTS['model'].type.split('/')
+    subscribed = re.search(r'create_subscription<([\w:]+)>\(\s*"identifier/(\w+)", (\w+)', node)
+    assert subscribed.groups() == (f'{package}::{kind}::{name}', 'model', 'latched')
+    assert f'#include <{package}/{kind}/{name.lower()}.hpp>' in node
+    assert 'latched = rclcpp::QoS(1).reliable().transient_local();' in node
+    header = (SOURCES / 'model_message.hpp').read_text(encoding='utf-8')
+    limits = dict(re.findall(r'^  double (\w+) = ([\d.]+);', header, re.MULTILINE))
+    wanted = {f.name: f.default for f in fields(Limits) if f.name not in ('inputs', 'outputs')}
+    assert {key: float(value) for key, value in limits.items()} == wanted
+    assert set(re.findall(r'declare_parameter(?:<\w+>)?\("(\w+)"', node)) == {
+        f.name for f in fields(Limits)}
+
+
+@pytest.mark.skipif(not find_spec('rclpy'), reason='this needs rclpy')
+def test_the_identifier_is_reliable_and_latched():
+    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+    from ctsid_ros.node.identifier import LATCHED
+
+    assert (LATCHED.depth, LATCHED.reliability, LATCHED.durability) == (
+        1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @pytest.mark.skipif(not ROS or CMAKE is None, reason='this needs rclcpp: source a ROS 2')

@@ -47,7 +47,7 @@ def plain(estimate: Estimate) -> dict:
     """Return all bits but for what asks for and tells of the second method."""
     document = json.loads(to_json(estimate))
     document['settings'].pop('validation.cross_check')
-    for key in ('agreement', 'grade', 'reason'):
+    for key in ('agreement', 'grade', 'reason', 'remedy'):
         document['verdict'].pop(key, None)
     return document
 
@@ -224,7 +224,7 @@ def test_a_second_method_without_a_model_is_no_silent_agreement():
     rejected = first_order(1.0, model=None, rejected_model=first_order(1.0).model,
                            status=Status.UNEXPLAINED,
                            verdict=replace(GOOD, grade=Grade.REJECT, reason='Nothing fits.'))
-    for other, word in ((none, 'TOO_SHORT'), (rejected, 'UNEXPLAINED. Nothing fits.')):
+    for other, word in ((none, 'TOO_SHORT'), (rejected, 'UNEXPLAINED. Nothing fits;')):
         found = checked(first_order(1.0), other)
         assert found.verdict.grade is Grade.WEAK
         assert word in found.verdict.reason
@@ -310,7 +310,7 @@ def test_a_dead_time_beyond_its_deviation_is_no_agreement(delay, std, agrees):
     assert found.agrees == agrees
     assert (found.late, found.dead_time) == (('', 0.0) if agrees else ('u', delay))
     if not agrees:
-        assert 'acts 0.001 s later; set its `delay`, or `method: hd-pbsid`' in found.weakness
+        assert 'acts 0.001 s later; set its `delay`.' in found.weakness
         assert 'finds that input u acts 0.001 s later' in found.words
     back = agreement(with_delay(first_order(1.0), delay, std), first_order(1.0), 'gobf')
     assert agrees or 'earlier' in back.words

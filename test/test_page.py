@@ -23,7 +23,7 @@ import yaml
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
-from ctsid_core.model.verdict import Grade, Verdict
+from ctsid_core.model.verdict import Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
@@ -39,14 +39,16 @@ from ctsid_ros.report.document import (
     to_markdown,
     to_text,
 )
-from ctsid_ros.report.drawing import Axes, Curve, Drawing
+from ctsid_ros.report.drawing import COLORS, MOST_MODELS, Axes, Curve, Drawing, over
 from ctsid_ros.report.headline import Run, headline
+from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import pole_figure, region
 from ctsid_ros.report.residual_figures import correlation, horizon_fits
 from ctsid_ros.report.responses import bode_figures
 from ctsid_ros.report.sections import gain_section
 from ctsid_ros.report.spectra import spectra
+from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table, percent, pole_text
 from ctsid_ros.report.window_figures import window_figure
 from ctsid_ros.report.words import lines, markdown, printable
@@ -106,7 +108,7 @@ def test_page_stands_alone(folder):
 
 def test_verdict_and_command_come_first(folder):
     page = (folder / 'res/report.html').read_text(encoding='utf-8')
-    words = ' '.join(Tags(page).words)
+    words = ' '.join(' '.join(Tags(page).words).split())
     assert words.index('GOOD') < words.index('Try next') < words.index('Measured and simulated')
     assert 'ctsid simulate res/model.json ANOTHER_BAG' in words
     for drawn in ('residual of rate', 'coherence', 'time after the step', 'Fit by horizon',
@@ -256,14 +258,14 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
     (Status.TOO_SHORT, "ctsid identify 'my bag' --params p.yaml")])
 def test_a_rejection_says_what_to_try_next(status, command):
     given = Estimate(status=status, settings=Settings(), statistics={'change_share': 0.4})
-    run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0))
+    run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0), ('--start', '1'))
     assert headline(given, run).command == command
     assert headline(given, run).grade == 'REJECT'
 
 
 def test_advice_after_an_interval_is_on_that_interval(folder):
     found = load_estimate(folder / 'res/model.json')
-    weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK))
+    weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=Remedy.EXCITE))
     args = Namespace(command_line='', bag=['bag'], params='p.yaml', start=2.0, duration=0.5)
     assert headline(weak, run_of(args)).command == (
         'ctsid advise bag --params p.yaml --start 2 --duration 0.5')
@@ -463,3 +465,39 @@ def test_fits_by_horizon_fall_to_that_of_the_simulation():
     fits = horizon_fits(model, record)
     assert list(fits) == pytest.approx([0.02 * k for k in (1, 2, 5, 10, 20, 50, 100, 200)])
     assert all(f[0] > 90.0 for f in fits.values())
+
+
+def pixels_of(curves: list[Curve], path: Path) -> list[int]:
+    """Return how many pixels of a drawing have the colour of each curve."""
+    from matplotlib.colors import to_rgb
+    from matplotlib.image import imread
+
+    write_drawings(path, [Axes(curves, x_limits=(0.0, 1.0))])
+    pixels = imread(path)[60:-90, 120:-40, :3].reshape(-1, 3)
+    return [int(np.sum(np.abs(pixels - to_rgb(COLORS[c.color])).max(axis=1) < 0.02))
+            for c in curves]
+
+
+@pytest.mark.parametrize('count', [2, 3, MOST_MODELS])
+def test_of_crosses_that_agree_every_one_is_seen(count, tmp_path):
+    at = np.array([0.3, 0.7])
+    seen = pixels_of([Curve(at, at, f'm{k}', k, 'cross', width=over(k, range(count)))
+                      for k in range(1, count + 1)], tmp_path / 'same.png')
+    assert min(seen) > 0.3 * max(seen) > 0
+
+
+@pytest.mark.parametrize('count', [2, 3, MOST_MODELS])
+def test_of_lines_that_agree_every_one_is_seen(count, tmp_path):
+    x = np.linspace(0.0, 1.0, 400)
+    curves = [Curve(x, np.sin(6.0 * x), f'm{k}', k, layer=(k, count), width=2.0)
+              for k in range(1, count + 1)]
+    seen = pixels_of(curves, tmp_path / 'same.png')
+    assert min(seen) > 0.3 * max(seen) > 0
+    dashes = [trace['line'].get('dash') for trace in figure(Drawing((Axes(curves),)))['data']]
+    assert len(set(dashes)) == count
+
+
+def test_one_number_along_a_logarithmic_axis_has_few_numbers_beside_it():
+    axis = figure(Drawing((Axes([Curve(np.array([0.1]), np.array([94.0]), 'fit', 1, 'both')],
+                                x_log=True),)))['layout']['xaxis']
+    assert sum(0.01 <= tick <= 1.0 for tick in axis['tickvals']) < 10

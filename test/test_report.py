@@ -40,9 +40,9 @@ from ctsid_ros.report.responses import (
     step_figures,
 )
 from ctsid_ros.report.sections import (
-    advice_section,
     bode_section,
     model_section,
+    remark_section,
     truth_section,
     window_section,
 )
@@ -381,14 +381,14 @@ def test_a_rejected_model_is_shown_as_such():
 
 @pytest.mark.parametrize(('given', 'words'), [
     (estimate(), None),
-    (estimate(held_out_fit=np.array([60.0])), 'longer'),
-    (estimate(settings=Settings(max_order=2)), 'reached `max_order`'),
+    (estimate(held_out_fit=np.array([60.0])), 'far better'),
+    (estimate(settings=Settings(max_order=2)), 'that `max_order` allows'),
     (estimate(std=9.0), 'hardly determined'),
     (estimate(shifted(TRUTH, 5.0)), 'unstable')])
-def test_advice_fits_the_outcome(given, words):
-    text = to_markdown('', [advice_section(given, np.empty(0), ())])
+def test_remarks_fit_the_outcome(given, words):
+    text = to_markdown('', [remark_section(given, np.empty(0))])
     if words is None:
-        assert 'dead time' in text  # all that is left to try
+        assert 'dead time' in text  # all that is left to say
         assert text.count('\n- ') == 1
     else:
         assert words in text
@@ -473,7 +473,7 @@ def test_work_without_an_end_is_one_line_once_it_has_taken_a_while(monkeypatch):
 
 def test_an_estimate_without_a_model_is_told_once():
     given = estimate(None, status=Status.GAPS)
-    text = to_markdown('', [model_section(given, 'x'), advice_section(given, np.empty(0), ())])
+    text = to_markdown('', [model_section(given, 'x'), remark_section(given, np.empty(0))])
     assert text.count(Status.GAPS.value) == 1
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import held, held_response, noisy, random_plant, random_signal
+from plants import held, held_response, noisy, plant, random_plant, random_signal
 import pytest
 from verdict_cases import distance, excited, nothing, steps
 
@@ -133,6 +133,22 @@ def test_a_sensor_that_sticks_halfway_is_named(seed, share):
     assert verdict.reason.startswith('Output y2 keeps exactly the same value')
 
 
+@pytest.mark.parametrize(('levels', 'stuck'), [(None, True), *slow((256, False))])
+def test_noise_that_ends_tells_of_a_stuck_sensor_where_no_input_moves(levels, stuck):
+    """A step, and the sensor dies later; one of 8 bits shows no noise, and may be at rest."""
+    rng = np.random.default_rng(0)
+    lag, t = plant([[-2.0]], [[2.0]], [[1.0]]), np.arange(0.0, 10.0, 0.01)
+    u = (t > 1.0)[:, np.newaxis] * 1.0
+    y = held_response(lag, t, u, t)
+    if levels is None:
+        y = y + 0.01 * rng.standard_normal(y.shape)
+        y[600:] = y[600]
+    else:
+        y = np.round(levels * y) / levels
+    verdict = judged(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert ('keeps exactly the same value' in verdict.reason) is stuck
+
+
 @pytest.mark.parametrize('levels', [3, *slow(10, 100)])
 def test_a_coarse_sensor_is_not_stuck(levels):
     def quantise(y):
@@ -212,7 +228,7 @@ def test_one_or_two_sines_are_never_good_at_whatever_stamps_they_are_held(rate, 
     (1, 1, '1 frequency'), (1, 2, ''), (1, 5, ''),
     (2, 1, '1 frequency'), (2, 2, '2 frequencies'), (2, 5, '')])
 def test_how_many_frequencies_have_nearly_all_of_the_motion_is_told(order, count, said):
-    """Sines of amplitude 1 / f, which move as much from sample to sample, tell two numbers each."""
+    """Sines of amplitude 1 / f move as much from sample to sample, and tell two numbers each."""
     t = np.arange(0.0, 40.0, 0.02)
     waves = np.array([0.1, 0.3, 1.0, 2.0, 4.0])[:count]
     rng = np.random.default_rng(5)
@@ -225,6 +241,21 @@ def test_how_many_frequencies_have_nearly_all_of_the_motion_is_told(order, count
     if said:
         assert verdict.reason.startswith(
             f'Nearly all of the motion of input u1 is at about {said}, which fits many models; ')
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2)])
+def test_a_sine_under_noise_that_the_plant_does_not_answer_to_is_one_frequency(seed):
+    """A controller adds the noise of its sensor to the sine; a lag lets hardly any of it pass."""
+    rng = np.random.default_rng(seed)
+    lag = plant([[-1.2, 9.0], [0.0, -1.0 / 0.06]], [[0.0], [1.0 / 0.06]], [[1.0, 0.0]])
+    t_u, t = np.arange(-5.0, 60.0, 0.01), np.arange(0.003, 60.0, 0.005)
+    u = (0.13 * np.sin(np.pi * t_u) + 0.011 * rng.standard_normal(len(t_u)))[:, np.newaxis]
+    y = held_response(lag, t_u, u, t)
+    verdict = judged(Record.from_arrays(t_u, u, t, y + 0.05 * rng.standard_normal(y.shape),
+                                        input_hold='zoh'))
+    assert verdict.excitation[0].frequencies > 100.0
+    assert verdict.grade is Grade.WEAK
+    assert verdict.reason.startswith('Nearly all of the response to input u1 is at 0.5 Hz')
 
 
 @pytest.mark.parametrize('signal', ['step', 'doublet', 'sweep'])

@@ -17,6 +17,7 @@ import numpy as np
 from ctsid_core.advice.forecast import Band, Forecast, forecast
 from ctsid_core.errors import DataError
 from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.verdict import Remedy
 from ctsid_core.signals.record import Record
 
 _MOST = 1e4           # times as long or as large: never
@@ -54,6 +55,11 @@ class PoleAdvice:
     larger: float
     bands: tuple[Band, ...]
     enough: float
+
+    @property
+    def lasting(self) -> float:
+        """As `enough`, but a period at least [s]: less of it is not in the band."""
+        return max(self.enough, 2.0 * pi / self.bands[0].high)
 
 
 @dataclass(frozen=True)
@@ -118,7 +124,13 @@ def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float 
                       for k in np.flatnonzero(of.poles.imag >= 0).tolist())
     except np.linalg.LinAlgError as error:       # of the data's making
         return Advice((), seconds, (f'The arithmetic of the forecast failed: {error}.',))
-    return Advice(poles, seconds, tuple(_sentences(poles, wanted, seconds)))
+    asks = estimate.verdict.remedy in (Remedy.EXCITE, Remedy.LONGER)
+    if not asks or any(p.std > p.wanted for p in poles):
+        return Advice(poles, seconds, tuple(_sentences(poles, wanted, seconds)))
+    return Advice(poles, seconds, (
+        f'If this model is right, the standard deviation of every pole is at most '
+        f'{100 * wanted:.3g} % of its size; its verdict asks for more than that: '
+        f'{_motion(records, ", ".join(model.input_names))}.',))
 
 
 def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:
@@ -145,13 +157,17 @@ def _least(good: Callable[[float], bool], start: float) -> float:
 
 
 def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:
-    yield estimate.status.value
+    yield estimate.verdict.reason
     if estimate.status in (Status.NO_EXCITATION, Status.TOO_SHORT):
-        slow = max(s.period for one in records for s in one.outputs)
-        long = max(one.duration for one in records)
-        yield (f'For a first model move the inputs between {2 / long:.2g} and '
-               f'{0.1 / slow:.2g} Hz (two periods in this window, a tenth of the slowest '
-               'sampling), as strongly as is safe.')
+        yield f'For a first model {_motion(records, "the inputs")}.'
+
+
+def _motion(records: Sequence[Record], inputs: str) -> str:
+    """Return at which frequencies to move inputs of which too little is known to say more."""
+    slow = max(s.period for one in records for s in one.outputs)
+    long = max(one.duration for one in records)
+    return (f'move {inputs} between {2 / long:.2g} and {0.1 / slow:.2g} Hz (two periods in this '
+            'window, a tenth of the slowest sampling), as strongly as is safe')
 
 
 def _sentences(poles: Sequence[PoleAdvice], wanted: float, seconds: float) -> Iterator[str]:
@@ -173,7 +189,7 @@ def _band_words(p: PoleAdvice, seconds: float) -> str:
     words = (f'{seconds:.3g} s more of {best.input} at {best.low / (2 * pi):.2g} to '
              f'{best.high / (2 * pi):.2g} Hz, as large as now (rms {best.rms:.3g}), would divide '
              f'it by {1 / best.ratio:.2g}')
-    return words + (f'; {p.enough:.2g} s are enough.' if p.enough < np.inf else '.')
+    return words + (f'; {p.lasting:.2g} s are enough.' if p.enough < np.inf else '.')
 
 
 def _named(pole: complex) -> str:

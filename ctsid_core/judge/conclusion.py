@@ -158,7 +158,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
-        numbers=numbers, by_prediction=solution.by_prediction)
+        numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven)
 
 
 def _over_all(solution: Solution) -> Array:

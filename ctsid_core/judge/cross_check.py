@@ -87,7 +87,7 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     what the verdict lets the response to an input be uncertain by. Where nothing can be compared,
     the methods neither agree nor contradict each other.
     """
-    problem = '' if second.ok else f'{second.status.name}. {second.verdict.reason}'
+    problem = '' if second.ok else f'{second.status.name}. {_finding(second.verdict.reason)}.'
     one, other = (e.model or e.rejected_model for e in (first, second))
     if one is None or other is None:
         return Agreement(method, False, True,
@@ -115,6 +115,11 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
                      float(found.deviations[at]), one.input_names[found.input[at]],
                      float(found.omega[at]), float(away[worst]), float(std[worst]), late,
                      dead_time, problem)
+
+
+def _finding(reason: str) -> str:
+    """Return what was found, without what to try next: that is for who asked for this method."""
+    return (reason.rpartition('; ')[0] or reason).removesuffix('.')
 
 
 def _later(first: Estimate, second: Estimate, one: StateSpace,

@@ -36,6 +36,8 @@ class Evidence:
         Which of several records is explained least.
     by_prediction : bool
         Whether the model was found by its predictions: errors are those of predictions then.
+    unproven : bool
+        Whether modes grow of which the data do not show that they do.
     numbers : Verdict
         With the numbers that have a place in it.
     """
@@ -53,6 +55,7 @@ class Evidence:
     worst: str
     numbers: Verdict
     by_prediction: bool = False
+    unproven: bool = False
 
     @property
     def error(self) -> Array:

@@ -3,8 +3,9 @@
 From numbers to a verdict.
 
 What rejects a model comes first, and gives its status; what weakens it comes next, the gravest
-first: the first that applies is the reason. Each threshold and where it was measured:
-`docs/verdict.md`.
+first: the first that applies is the reason; of several channels it names the worst. A reason says
+what was found, and at its end, after a semicolon, the one thing to try next. Each threshold and
+where it was measured: `docs/verdict.md`.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.instants import after_start
 from ctsid_core.linear.types import Array, Mask
-from ctsid_core.model.estimate import Estimate, Status
-from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Verdict
+from ctsid_core.model.estimate import REMEDIES, Estimate, Status
+from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
@@ -45,53 +46,52 @@ _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
-            'inputs move in one part of the window only; wait for the next window, or test it on '
-            'other data.')
+            'inputs move in one part of the window only; test it on data that it has not seen.')
 
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
-    for status, reason in _rejections(evidence):
-        return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason)
-    for reason in _weaknesses(evidence):
-        return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason)
+    for status, remedy, reason in _rejections(evidence):
+        return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason, remedy=remedy)
+    for remedy, reason in _weaknesses(evidence):
+        return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason, remedy=remedy)
     return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_summary(evidence))
 
 
-def _rejections(e: Evidence) -> Iterator[tuple[Status, str]]:
+def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
     error = np.delete(e.error, e.fixed_outputs)
     if not (np.isfinite(e.poles).all() and np.isfinite(error).all()):
-        yield Status.UNRELIABLE, Status.UNRELIABLE.value
+        yield Status.UNRELIABLE, Remedy.SIGNALS, Status.UNRELIABLE.value
     if e.fixed_outputs:
-        yield Status.NO_RESPONSE, (
-            f'{_outputs(e, e.fixed_outputs)} not move within the window; check the sensor '
-            'and that it is the right signal, or leave it out.')
+        yield Status.NO_RESPONSE, Remedy.SIGNALS, (
+            f'{_outputs(e, e.fixed_outputs)} not move within the window; check that the sensor '
+            'works.')
     for one in e.stuck:
-        yield Status.NO_RESPONSE, (
+        yield Status.NO_RESPONSE, Remedy.PART, (
             f'Output {e.output_names[one.output]} keeps exactly the same value '
-            f'{after_start(one.start, one.end)}, although inputs move; the sensor is stuck or its '
-            'last value is repeated: check it, or leave it out.')
+            f'{after_start(one.start, one.end)}, although inputs move: the sensor is stuck, or '
+            'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
-        yield Status.CHANGED, _changed(e)
-    for i in np.flatnonzero(e.coloured > _UNEXPLAINED):
-        yield Status.UNEXPLAINED, (
+        yield Status.CHANGED, Remedy.SPLIT, _changed(e)
+    for i in _largest_first(e.coloured, _UNEXPLAINED):
+        yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
-            'that these are the right signals and that nothing else drives the plant.')
+            'that these are the right signals.')
     # What follows nothing goes by itself.
     follows = (e.held_out < _DRIVEN * e.driven) & ~_unsure(e.expected, e.error)
-    for i in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
-        yield Status.UNEXPLAINED, (
-            f'Output {e.output_names[i]} does not follow the inputs ({_listed(e.input_names)}), '
-            'as far as the noise lets see; move the inputs more, check the sensor of '
-            f'{e.output_names[i]} and that these are the right signals, or leave it out.')
+    for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
+        yield Status.UNEXPLAINED, Remedy.SIGNALS, (
+            f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)}), '
+            'as far as the noise lets see; check that these are the right signals, and that they '
+            'move.')
 
 
 def _changed(e: Evidence) -> str:
     (a, b), (c, d) = e.change.one, e.change.two
     return (f'The plant changed {e.where}: one model fits {a:.0f} % before and {b:.0f} % after '
             f'that, two models {c:.0f} and {d:.0f} %; identify each side by '
-            'itself, or wait until the change has left the window.')
+            'itself.')
 
 
 def change_note(e: Evidence) -> tuple[str, ...]:
@@ -102,40 +102,64 @@ def change_note(e: Evidence) -> tuple[str, ...]:
             f'before and after {e.where.removeprefix("about ")}',)
 
 
-def _weaknesses(e: Evidence) -> Iterator[str]:
+def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
+    if e.unproven:
+        yield Remedy.SETTING, (
+            f'The model is unstable ({_growth(e.poles)}), and a model that is not '
+            'explains the data as well; set `method: hd-pbsid`.')
     for j in e.fixed_inputs:
-        yield (f'Input {e.input_names[j]} does not move within the window, and its zero column of '
-               'B and D is not measured; move it, or leave it out.')
-    for j, one in enumerate(e.numbers.excitation):
-        if j in e.fixed_inputs:
-            continue
+        yield Remedy.SETTING, (
+            f'Input {e.input_names[j]} does not move within the window, and its zero column of '
+            'B and D is not measured; leave it out of `inputs`.')
+    moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
+    for one in moving:
         if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:
             count = round(one.frequencies)
-            yield (f'Nearly all of the motion of input {one.name} is at about {count} '
-                   f'{"frequency" if count == 1 else "frequencies"}, which fits many models; '
-                   'excite more frequencies (a sweep, steps, or noise).')
+            yield Remedy.EXCITE, (
+                f'Nearly all of the motion of input {one.name} is at about {count} '
+                f'{"frequency" if count == 1 else "frequencies"}, which fits many models; '
+                'excite more frequencies (a sweep, steps, noise).')
+        elif one.low == one.high:
+            yield Remedy.EXCITE, (
+                f'Nearly all of the response to input {one.name} is at '
+                f'{one.low / (2.0 * np.pi):.2g} Hz, which fits many models; excite more '
+                'frequencies (a sweep, steps, noise).')
+    for one in sorted(moving, key=lambda x: np.nan_to_num(x.uncertainty, nan=np.inf),
+                      reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
-            cure = alone if one.own < _UNCORRELATED else \
-                'move it more, or for longer, or leave it out'
-            yield (f'The response to input {one.name} has a standard deviation of '
-                   f'{_percent(one.uncertainty)}; {cure}.')
-    for i in np.flatnonzero(e.coloured > _DISTURBED):
-        yield (f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
-               f'apart, is {100 * e.coloured[i]:.0f} % of its motion; check its sensor, measure '
-               'what else acts on it, or leave it out.')
-    for i in np.flatnonzero(e.numbers.curve_gain > _CURVED):
-        yield (f'Output {e.output_names[i]} is a curve of what a linear model makes of the '
-               f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit; '
-               'something saturates or is clipped, or the motion is too large: move less, or '
-               'elsewhere.')
-    for i in np.flatnonzero(e.held_out > _allowed(e.error)):
-        yield (f'On the part of the window that was held out the error of output '
-               f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
-               f'{_percent(e.error[i])}; take a longer window, or lower `max_order`.')
+            cure = alone if one.own < _UNCORRELATED else 'move it more'
+            yield Remedy.EXCITE, (
+                f'The response to input {one.name} has a standard deviation of '
+                f'{_percent(one.uncertainty)}; {cure}.')
+    for i in _largest_first(e.coloured, _DISTURBED):
+        yield Remedy.SIGNALS, (
+            f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
+            f'apart, is {100 * e.coloured[i]:.0f} % of its motion; find what else acts on it, and '
+            'take it as an input.')
+    for i in _largest_first(e.numbers.curve_gain, _CURVED):
+        yield Remedy.PART, (
+            f'Output {e.output_names[i]} is a curve of what a linear model makes of the '
+            f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit, so '
+            'something saturates or is clipped; take a part of the data in which it moves less.')
+    for i in _largest_first(e.held_out / _allowed(e.error), 1.0):
+        yield Remedy.LONGER, (
+            f'On the part of the window that was held out the error of output '
+            f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
+            f'{_percent(e.error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
-        yield UNTESTED
+        yield Remedy.TEST, UNTESTED
+
+
+def _largest_first(values: Array, limit: float) -> list[int]:
+    """Return the places of values beyond a limit, the largest first: the reason names one."""
+    order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind='stable')
+    return [int(i) for i in order if values[i] > limit]
+
+
+def _growth(poles: NDArray[np.complex128]) -> str:
+    return f'a mode grows as exp({np.max(poles.real):.2g} t)'
 
 
 def _allowed(error: Array) -> Array:
@@ -190,24 +214,25 @@ def unusable_estimate(status: Status, record: Record, settings: Settings,
                       notes: tuple[str, ...] = ()) -> Estimate:
     """Return the estimate that says why nothing of a record can be used."""
     return Estimate(status=status, settings=settings, notes=notes, verdict=replace(
-        UNJUDGED, grade=Grade.REJECT, reason=_why_unusable(status, record)))
+        UNJUDGED, grade=Grade.REJECT, reason=_why_unusable(status, record),
+        remedy=REMEDIES.get(status, Remedy.SIGNALS)))
 
 
 def failed_estimate(error: Exception, settings: Settings, notes: tuple[str, ...]) -> Estimate:
     """Return the estimate that says that the arithmetic failed: of the data's making."""
     return Estimate(status=Status.UNRELIABLE, settings=settings, notes=notes, verdict=replace(
-        UNJUDGED, grade=Grade.REJECT, reason=f'The arithmetic failed ({error}); check the '
-        'signals, their sizes and units.'))
+        UNJUDGED, grade=Grade.REJECT, remedy=Remedy.SIGNALS,
+        reason=f'The arithmetic failed ({error}); check the signals, their sizes and units.'))
 
 
 def _why_unusable(status: Status, record: Record) -> str:
     """Return why nothing of a record can be used, with the names that matter."""
     if status is Status.NO_EXCITATION:
-        return (f'No input moves within the window ({", ".join(record.input_names)}); excite the '
-                'inputs, or choose a window in which they move.')
+        return (f'No input moves within the window ({", ".join(record.input_names)}); choose a '
+                'part of the data in which they move.')
     if status is Status.NO_RESPONSE:
         return (f'No output moves within the window ({", ".join(record.output_names)}); check '
-                'that the right signals are used.')
+                'that the sensors work.')
     return str(status.value)
 
 
@@ -216,7 +241,8 @@ def weakened(verdict: Verdict) -> Verdict:
     seen = verdict.agreement
     if verdict.grade is not Grade.GOOD or seen is None or not seen.contradicts:
         return verdict
-    return replace(verdict, grade=Grade.WEAK, reason=seen.weakness)
+    remedy = Remedy.SETTING if seen.late and not seen.problem else Remedy.COMPARE
+    return replace(verdict, grade=Grade.WEAK, reason=seen.weakness, remedy=remedy)
 
 
 def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
@@ -235,8 +261,8 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
     return replace(
         estimate, status=Status.CHANGED, model=None, rejected_model=estimate.model,
         notes=(*estimate.notes, words), verdict=replace(
-            estimate.verdict, grade=Grade.REJECT, reason=f'{words.capitalize()}; wait until the '
-            'change has left the window.'))
+            estimate.verdict, grade=Grade.REJECT, remedy=Remedy.WAIT,
+            reason=f'{words.capitalize()}; wait until the change has left the window.'))
 
 
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
@@ -259,30 +285,36 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     if model is None:
         return replace(estimate, verdict=verdict)
     if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
-        verdict = replace(verdict, grade=Grade.GOOD, reason='Every test is passed; the previous '
-                          'model simulates the new data of this window well.')
+        verdict = replace(verdict, grade=Grade.GOOD, remedy=Remedy.TEST,
+                          reason='Every test is passed; the previous model simulates the new '
+                          'data of this window well.')
         verdict = weakened(verdict)
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
                    *_moves(model.n, before, moved)]
         if reasons:
-            verdict = replace(verdict, grade=Grade.WEAK, reason=reasons[0])
+            remedy, reason = reasons[0]
+            verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)
     return replace(estimate, verdict=verdict)
 
 
-def _collapses(names: tuple[str, ...], fit: Array, ratio: Array) -> Iterator[str]:
+def _collapses(names: tuple[str, ...], fit: Array, ratio: Array
+               ) -> Iterator[tuple[Remedy, str]]:
     collapsed = np.where(np.isfinite(ratio), (ratio > _FRESH_RATIO) & (fit < _FRESH_FIT),
                          fit < EXPLAINED)
     for i in np.flatnonzero(collapsed):
-        yield (f'The previous model simulates the new data of output {names[i]} badly (fresh fit '
-               f'{max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
-               'successive models agree again.')
+        yield Remedy.WAIT, (
+            f'The previous model simulates the new data of output {names[i]} badly (fresh fit '
+            f'{max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
+            'successive models agree again.')
 
 
-def _moves(order: int, before: int, moved: float) -> Iterator[str]:
+def _moves(order: int, before: int, moved: float) -> Iterator[tuple[Remedy, str]]:
     if before not in (0, order):
-        yield (f'The order has changed from {before} to {order} since the last accepted model; '
-               'wait until successive models agree again, or set `order`.')
+        yield Remedy.SETTING, (
+            f'The order has changed from {before} to {order} since the last accepted model; '
+            'set `order`.')
     if moved > _MOVED:
-        yield (f'A pole has moved by {moved:.2g} standard deviations since the previous model; '
-               'wait until successive models agree again, or set `order`.')
+        yield Remedy.WAIT, (
+            f'A pole has moved by {moved:.2g} standard deviations since the previous model; '
+            'wait until successive models agree again.')

@@ -76,12 +76,12 @@ class Agreement:
         if not self.contradicts:
             return ''
         if self.problem:
-            return f'The cross-check by {self.method} failed: {self.problem}'
+            found = self.problem.removesuffix('.')
+            return f'The cross-check by {self.method} failed: {found}; compare the methods.'
         if self.late:
             return (f'Another method, {self.method}, finds that input {self.late} acts '
-                    f'{self._late}; set its `delay`, or `method: {self.method}`.')
-        return (f'Another method, {self.method}, {self._differs}; raise `order` or `max_order`, '
-                'check the dead time and the hold of the inputs, or the plant is not linear.')
+                    f'{self._late}; set its `delay`.')
+        return f'Another method, {self.method}, {self._differs}; compare the methods.'
 
     @property
     def words(self) -> str:

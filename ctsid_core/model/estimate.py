@@ -23,7 +23,7 @@ from ctsid_core.model.covariance import (
     response_deviation,
 )
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import UNJUDGED, Grade, Verdict
+from ctsid_core.model.verdict import UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 
 
@@ -33,20 +33,21 @@ class Status(Enum):
     OK = 'A model was identified.'
     TOO_SHORT = ('The window holds too few samples or too short a time for a model; take a '
                  'longer window.')
-    NO_EXCITATION = ('No input moves within the window; excite the inputs, or choose a window in '
-                     'which they move.')
+    NO_EXCITATION = ('No input moves within the window; choose a part of the data in which they '
+                     'move.')
     NO_RESPONSE = ('An output does not move within the window, or is stuck; check that its sensor '
-                   'works and the right signals are used, or leave it out.')
-    GAPS = ('Too much of the window lies in gaps of the data; find out why samples are '
-            'missing, or choose another window.')
-    UNEXPLAINED = ('No linear model explains all outputs by the inputs; check the choice of '
-                   'inputs and outputs, the dead time and the order, or the plant is not linear '
-                   'over this window.')
+                   'works.')
+    GAPS = ('Too much of the window lies in gaps of the data; choose a part without gaps.')
+    UNEXPLAINED = ('No linear model explains all outputs by the inputs; check that these '
+                   'are the right signals.')
     UNRELIABLE = ('No finite model could be computed from the data; check the signals, their '
-                  'sizes and units, or lower the order.')
+                  'sizes and units.')
     CHANGED = ('The plant, or the offset of a signal, changed within the window, and one model of '
-               'both would be wrong; take a window before or after the change, or wait until the '
-               'change has left the window.')
+               'both would be wrong; identify each side of the change by itself.')
+
+
+REMEDIES = {Status.TOO_SHORT: Remedy.LONGER, Status.GAPS: Remedy.PART,
+            Status.CHANGED: Remedy.SPLIT}     # of all others it is to look at the signals
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,8 @@ class Estimate:
 
     def __post_init__(self) -> None:
         if self.model is None and self.verdict.grade is not Grade.REJECT:
-            none = replace(self.verdict, grade=Grade.REJECT, reason=self.status.value)
+            none = replace(self.verdict, grade=Grade.REJECT, reason=self.status.value,
+                           remedy=REMEDIES.get(self.status, Remedy.SIGNALS))
             object.__setattr__(self, 'verdict', none)
         elif self.model is not None and self.verdict.grade is Grade.REJECT:
             raise DataError('`verdict` is REJECT but `model` is given; give it as '

@@ -29,9 +29,16 @@ from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, Rival
 from ctsid_core.model.cross_check_result import Agreement
-from ctsid_core.model.estimate import Choice, Estimate, OrderTried, RecordShare, Status
+from ctsid_core.model.estimate import (
+    REMEDIES,
+    Choice,
+    Estimate,
+    OrderTried,
+    RecordShare,
+    Status,
+)
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade, Verdict
+from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 
 FORMAT = 'ctsid-model'
@@ -112,8 +119,10 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
         raise StorageError(f'`status` is {status.name} but `model` is '
                            f'{"given" if model else "null"}; they contradict each other, so the '
                            'file was changed by hand: write it again')
-    unjudged = UNJUDGED if model else replace(UNJUDGED, grade=Grade.REJECT, reason=status.value)
-    verdict = read_verdict(document['verdict']) if 'verdict' in document else unjudged
+    remedy = Remedy.TEST if model else REMEDIES.get(status, Remedy.SIGNALS)
+    unjudged = UNJUDGED if model else replace(UNJUDGED, grade=Grade.REJECT, reason=status.value,
+                                              remedy=remedy)
+    verdict = read_verdict(document['verdict'], remedy) if 'verdict' in document else unjudged
     if (verdict.grade is Grade.REJECT) != (model is None):
         raise StorageError(f'`verdict` is {verdict.grade.name} but `model` is '
                            f'{"given" if model else "null"}; they contradict each other, so the '
@@ -148,7 +157,7 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
 def describe(verdict: Verdict) -> dict[str, object]:
     """Return a verdict as words, numbers, and lists and mappings of them."""
     found: dict[str, object] = {f.name: getattr(verdict, f.name) for f in fields(Verdict)}
-    found['grade'] = verdict.grade.name
+    found['grade'], found['remedy'] = verdict.grade.name, verdict.remedy.name
     agreement = found.pop('agreement')
     if agreement is not None:
         found['agreement'] = {key: getattr(agreement, key) for key in AGREEMENT_KEYS}
@@ -412,7 +421,7 @@ def _status(name: Any) -> Status:
     return Status[name]
 
 
-def read_verdict(found: Any) -> Verdict:
+def read_verdict(found: Any, default: Remedy = Remedy.TEST) -> Verdict:
     """
     Return the verdict that `describe` has described, after a way through JSON.
 
@@ -422,7 +431,8 @@ def read_verdict(found: Any) -> Verdict:
         If it is none.
     """
     found = _object(found, 'verdict')
-    _check_keys({'agreement': None, **found}, tuple(f.name for f in fields(Verdict)), 'verdict')
+    _check_keys({'agreement': None, 'remedy': None, **found},
+                tuple(f.name for f in fields(Verdict)), 'verdict')
     grade = found['grade']
     if not isinstance(grade, str) or grade not in Grade.__members__:
         raise StorageError(f'`verdict.grade` is {_shown(grade)}; this ctsid knows '
@@ -431,9 +441,14 @@ def read_verdict(found: Any) -> Verdict:
         key: _number(value, f'verdict.{key}', nan=True) if key in SCALARS else
         _numbers(value, f'verdict.{key}', nan=True)
         for key, value in found.items()
-        if key not in ('grade', 'reason', 'excitation', 'agreement')}
+        if key not in ('grade', 'reason', 'remedy', 'excitation', 'agreement')}
+    remedy = found.get('remedy', default.name)
+    if not isinstance(remedy, str) or remedy not in Remedy.__members__:
+        raise StorageError(f'`verdict.remedy` is {_shown(remedy)}; this ctsid knows '
+                           f'{", ".join(Remedy.__members__)}: upgrade it')
     return Verdict(
         grade=Grade[grade], reason=_word(found['reason'], 'verdict.reason'),
+        remedy=Remedy[remedy],
         excitation=tuple(_read_excitation(x, f'verdict.excitation[{i}]')
                          for i, x in enumerate(_list(found, 'excitation'))),
         agreement=_read_agreement(found['agreement']) if 'agreement' in found else None,

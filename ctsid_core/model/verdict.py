@@ -27,6 +27,20 @@ class Grade(Enum):
     REJECT = 'There is no model, or it is wrong.'
 
 
+class Remedy(Enum):
+    """What to try next; the value says it in a clause. A reason ends with what that is here."""
+
+    TEST = 'test the model on data that it has not seen'
+    EXCITE = 'move the inputs otherwise'
+    SIGNALS = 'look at the signals'
+    PART = 'take a part of the data without that'
+    SPLIT = 'identify each side of the change by itself'
+    LONGER = 'take a longer window'
+    SETTING = 'change the setting that is named'
+    COMPARE = 'compare the methods'
+    WAIT = 'wait until that has left the window'
+
+
 @dataclass(frozen=True)
 class Excitation:
     """
@@ -67,6 +81,8 @@ class Verdict:
     grade : Grade
     reason : str
         One sentence: what is wrong and what to do.
+    remedy : Remedy
+        The kind of that.
     excitation : tuple of Excitation
         Of each input.
     pole_uncertainty : float
@@ -104,6 +120,7 @@ class Verdict:
 
     grade: Grade
     reason: str
+    remedy: Remedy = Remedy.TEST
     excitation: tuple[Excitation, ...] = ()
     pole_uncertainty: float = float('nan')
     whiteness: Array = field(default_factory=lambda: np.empty(0))
@@ -120,4 +137,4 @@ class Verdict:
 
 
 UNJUDGED = Verdict(grade=Grade.WEAK, reason='Nobody has judged this model; test it on data that '
-                   'it has not seen before using it.')
+                   'it has not seen.')

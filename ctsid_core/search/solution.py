@@ -62,6 +62,8 @@ class Solution:
         Of a subspace method; their drop shows the order.
     condition : float
         Of its regression.
+    unproven : bool
+        Whether modes grow of which the samples do not show that they do.
     """
 
     settings: Settings
@@ -83,6 +85,7 @@ class Solution:
     rivals: tuple[tuple[float, ModalModel], ...] = ()
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
+    unproven: bool = False
 
     @property
     def by_prediction(self) -> bool:

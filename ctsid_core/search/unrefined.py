@@ -17,7 +17,7 @@ import numpy as np
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.output_error import Fit, Free, fit_states
+from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.linear.matrix_functions import modes
 from ctsid_core.model.estimate import Choice
@@ -27,6 +27,7 @@ from ctsid_core.search.solve import corrupt_rows, free_of, order_row
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.interface import Method, MethodModel
 
+_STEPS = 15
 _WORST = 1e10         # condition of the eigenvectors up to which a model has modes
 
 
@@ -76,7 +77,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
 
     used = made.settings.replace(delay=settings.delay, order=fit.model.n)
     return Solution(used, part, samples, fit, free, chosen.independent, table, tuple(choices),
-                    tuple(remarks), refit=refit,
+                    tuple(remarks), refit=refit, unproven=_unproven(samples, fit, free),
                     singular_values=made.singular_values, condition=made.condition)
 
 
@@ -98,6 +99,29 @@ def _likeliest(offered: Sequence[MethodModel], samples: Samples, own: Settings,
         if best is None or cost < best[0]:
             best = cost, fit, one
     return None if best is None else (best[1], best[2], by_order)
+
+
+def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
+    """
+    Return whether modes grow of which the samples do not show that they do.
+
+    They do where the model is likelier than the best one near it of which none grows, by more than
+    the price of a number for each of these modes.
+    """
+    poles = fit.model.poles
+    growing = poles.real > 0.0
+    if not growing.any():
+        return False
+    try:
+        with np.errstate(over='ignore', invalid='ignore'):
+            mirrored = fit_at(samples, np.where(growing, -poles.conj(), poles), fit.model.delay,
+                              free)
+            steady = climb(samples, mirrored, replace(free, limit=0.0), steps=_STEPS,
+                           least=ROUGHLY)
+    except np.linalg.LinAlgError:
+        return True
+    price = float(np.log(samples.counts.sum())) * int(np.sum(growing))
+    return not steady.cost - fit.cost > price
 
 
 def _fitted(one: MethodModel, samples: Samples, own: Settings, free: Free) -> Fit | None:

@@ -3,8 +3,9 @@
 Outputs that stop moving: a sensor that hangs, or a driver that repeats its last value.
 
 A long run of samples equal to the last bit says so, if the output does not stand still elsewhere,
-and inputs move meanwhile as they do in the rest of the window, or there is noise elsewhere, which
-never repeats. Coarse sensors repeat values as well, but for a small part of the window, or at rest.
+and inputs move meanwhile as they do in the rest of the window, or there is noise elsewhere,
+which never repeats. Coarse sensors repeat values as well, but for a small part of the window, or
+at rest.
 """
 
 from __future__ import annotations

@@ -287,7 +287,8 @@ def _vehicles(flights: Sequence[Flight]) -> Section:
                      *(str(sum(f.grades[g] for f in own)) for g in GRADES),
                      str(sum(bool(f.failure) for f in own)), _slowest(own)))
     return Section('Vehicles', (Table(
-        ('vehicle', 'bags', 'recorded', *GRADES, 'failed', 'slowest mode, median [rad/s]'),
+        ('vehicle', 'bags', 'recorded', *(f'{g} windows' for g in GRADES), 'failed bags',
+         'slowest mode, median [rad/s]'),
         tuple(rows), ('vehicle', 'recorded')),))
 
 

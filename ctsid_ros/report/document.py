@@ -58,7 +58,15 @@ class Explorer:
     what: str = 'window'
 
 
-Part = str | Table | Bullets | Command | Figure | Gallery | Explorer
+@dataclass(frozen=True)
+class Picture:
+    """A drawing that is there already, as SVG, and what it shows; on the page only."""
+
+    svg: bytes
+    title: str
+
+
+Part = str | Table | Bullets | Command | Figure | Gallery | Explorer | Picture
 
 
 @dataclass(frozen=True)
@@ -130,6 +138,11 @@ def _text(part: Part) -> str:
     return wrapped(part, '  ', '  ') if isinstance(part, str) else ''
 
 
+def next_text(headline: Headline) -> str:
+    """Return what to try next as text for a terminal."""
+    return f'{wrapped(f"Try next{_purpose(headline)}:")}\n  {printable(headline.command)}'
+
+
 def wrapped(text: str, first: str = '', rest: str = '') -> str:
     """Return text in lines of a terminal's width."""
     return textwrap.fill(printable(text), WIDTH, initial_indent=first, subsequent_indent=rest,
@@ -161,8 +174,11 @@ def _markdown(part: Part) -> str:
 
 
 def _try(headline: Headline) -> tuple[str, ...]:
-    purpose = f': {headline.purpose}' if headline.purpose else ''
-    return markdown(printable(f'Try next{purpose}:')), _code(headline.command)
+    return markdown(printable(f'Try next{_purpose(headline)}:')), _code(headline.command)
+
+
+def _purpose(headline: Headline) -> str:
+    return f': {headline.purpose}' if headline.purpose else ''
 
 
 def _code(line: str) -> str:

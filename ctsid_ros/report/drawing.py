@@ -20,6 +20,7 @@ from ctsid_core.linear.types import Array
 Kind = Literal['line', 'dots', 'both', 'dashed', 'cloud', 'cross', 'steps', 'stems']
 INK, SOFT, LINE, PAPER = '#1c2733', '#5b6b7b', '#dde3e9', '#ffffff'
 MOST_MODELS = 6     # in one drawing: each has a colour of its own
+_DASH, _PART = (7.0, 5.0), 7.0     # dashes, and what shows of each of lines that agree [pixels]
 COLORS = ('#6b7a89', '#1769c4', '#cf222e', '#15803d', '#7e22ce', '#bf8700', '#0e7490')
 GREEN, AMBER, RED = 3, 5, 2     # numbers among them
 
@@ -50,6 +51,8 @@ class Curve:
         Of the line; crosses grow with it.
     texts : sequence of str
         What is said of each point where a pointer is on it; numbers if empty.
+    layer : (int, int)
+        Its number, from 1, among so many lines that may lie on each other.
     """
 
     x: Array
@@ -63,6 +66,20 @@ class Curve:
     bars: bool = False
     width: float = 1.5
     texts: Sequence[str] = ()
+    layer: tuple[int, int] = (1, 1)
+
+    @property
+    def dash(self) -> tuple[float, float]:
+        """
+        Length of its dashes and of the gaps between them; no gaps if it is a whole line.
+
+        Each layer leaves one part more of the period than the one below, so that lines that agree
+        show one part of each.
+        """
+        if self.kind == 'dashed':
+            return _DASH
+        number, count = self.layer
+        return _PART * (count - number + 1), _PART * (number - 1)
 
 
 @dataclass(frozen=True)
@@ -149,7 +166,7 @@ class Drawing:
 
 
 def over(number: int, every: Sized) -> float:
-    """Return the width of a curve, counted from 1, of which the next ones may lie on top."""
+    """Return the width of crosses, counted from 1, of which the next ones may lie on top."""
     return 1.5 + 1.8 * (len(every) - number)
 
 

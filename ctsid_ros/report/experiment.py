@@ -8,10 +8,10 @@ import math
 from ctsid_core.advice.advice import Advice, PoleAdvice
 from ctsid_core.advice.forecast import Band
 from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.verdict import Remedy
 from ctsid_ros.report.document import Bullets, Section
 from ctsid_ros.report.tables import Table, number, pole_text
 
-_NOT_MOTION = (Status.NO_RESPONSE, Status.CHANGED)
 _FORECAST = ('The model is rejected, and what follows is computed with it: it holds as far as the '
              'model does.')
 
@@ -24,16 +24,16 @@ def experiment_section(advice: Advice, *, brief: bool = True, rejected: bool = F
 
 
 def helps(estimate: Estimate, advice: Advice) -> bool:
-    """Return whether more motion is what a model lacks, as far as its poles tell."""
-    return estimate.ok or (estimate.status not in _NOT_MOTION
-                           and (not advice.poles
-                                or any(p.std > p.wanted for p in advice.poles)))
+    """Return whether more motion is what a model lacks, by its verdict or as its poles tell."""
+    return bool(advice.sentences) and (
+        estimate.good or estimate.verdict.remedy in (Remedy.EXCITE, Remedy.LONGER)
+        or estimate.status is Status.NO_EXCITATION)
 
 
-def rejection_section(estimate: Estimate) -> Section:
-    """Return that a model is rejected, and why; nothing if it is not."""
-    return Section('' if estimate.ok else f'REJECTED ({estimate.status.name})',
-                   () if estimate.ok else (estimate.verdict.reason,))
+def verdict_section(estimate: Estimate) -> Section:
+    """Return that a model is rejected, or weak, and why; nothing if it is good."""
+    title = 'WEAK' if estimate.ok else f'REJECTED ({estimate.status.name})'
+    return Section('', ()) if estimate.good else Section(title, (estimate.verdict.reason,))
 
 
 def accuracy_section(advice: Advice) -> Section:
@@ -54,7 +54,7 @@ def _best(p: PoleAdvice) -> tuple[str, str]:
     if p.std <= p.wanted or math.isinf(p.enough):
         return ('-', '-')
     band = p.bands[0]
-    return f'{band.input}, {_hertz(band)} Hz', number(p.enough, 2)
+    return f'{band.input}, {_hertz(band)} Hz', number(p.lasting, 2)
 
 
 def _hertz(band: Band) -> str:

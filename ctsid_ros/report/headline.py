@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import math
 import shlex
 
-from ctsid_core.model.estimate import Estimate, Status
-from ctsid_core.model.verdict import Grade
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.verdict import Remedy
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_ros.replay.results import MODEL
 from ctsid_ros.report.document import Command, Headline, Section
 from ctsid_ros.report.tables import Table, fit_words, number
 
 _CHANNELS = ('guessed', 'of the model')
-_SIGNALS = (Status.NO_EXCITATION, Status.NO_RESPONSE, Status.UNEXPLAINED)
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,14 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
         Pairs of signals of which the recording says more; the way out where signals are at fault.
     """
     model = estimate.model or estimate.rejected_model
+    ahead = (f', predicted {HORIZONS[AHEAD]} samples ahead', ', 1 sample ahead') \
+        if by_predictions(estimate) else ('', '')
     own = [] if model is None else [
-        (f'fit of {", ".join(model.output_names)}{", predicted," * by_predictions(estimate)} [%]',
-         fit_words(estimate.fit)),
-        ('held-out fit [%]', fit_words(estimate.held_out_fit)), ('order', str(model.n))]
+        (f'fit of {", ".join(model.output_names)}{ahead[0]} [%]', fit_words(estimate.fit)),
+        (f'held-out fit{ahead[1]} [%]', fit_words(estimate.held_out_fit)),
+        ('order', str(model.n))]
     purpose, command = other_signals(run, better) \
-        if better and estimate.status in _SIGNALS else _next(estimate, run)
+        if better and estimate.verdict.remedy is Remedy.SIGNALS else _next(estimate, run)
     return Headline(estimate.verdict.grade.name, estimate.verdict.reason, command,
                     (*own, *_band(estimate), *facts), purpose)
 
@@ -87,8 +89,12 @@ def _band(estimate: Estimate) -> list[tuple[str, str]]:
     """Return the frequencies at which the inputs of an accepted model moved."""
     bands = estimate.verdict.excitation if estimate.ok else ()
     return [('excited [Hz]' if len(bands) == 1 else f'excited by {band.name} [Hz]',
-             f'{number(band.low / math.tau, 2)} to {number(band.high / math.tau, 2)}')
-            for band in bands if band.high > band.low]
+             _hertz(band.low, band.high)) for band in bands if band.high >= band.low]
+
+
+def _hertz(low: float, high: float) -> str:
+    ends = [number(w / math.tau, 2) for w in (low, high)]
+    return f'only {ends[0]}' if low == high else ' to '.join(ends)
 
 
 def by_predictions(estimate: Estimate) -> bool:
@@ -97,26 +103,46 @@ def by_predictions(estimate: Estimate) -> bool:
 
 
 def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
-    """Return what to try next: what for, and the command."""
-    status = estimate.status
-    if estimate.verdict.grade is Grade.GOOD and run.model:
-        return ('how well it explains a recording that it has not seen, before it is used',
-                f'ctsid simulate {shlex.quote(run.model)} ANOTHER_BAG')
-    if estimate.ok:
-        return ('how much more to move which input, and how fast',
-                run.command('advise', *run.interval))
-    if status is Status.CHANGED:
-        share = estimate.statistics.get('change_share', math.nan)
-        if not math.isfinite(share):
-            return 'models of short windows, before and after', run.command('replay')
-        start, end = run.span
-        at = start + share * (end - start)
-        return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
-            'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
-    if status is Status.TOO_SHORT:
-        return 'all of the recording, or a longer part of it', run.command('identify')
-    return ('which signals are in the recording, at which rates, and which of them move',
-            shlex.join(('ctsid', 'info', *run.bags)))
+    """Return what to try next, as the reason of the verdict says: what for, and the command."""
+    again = run.command('identify', *run.interval)
+    info = shlex.join(('ctsid', 'info', *run.bags))
+    match estimate.verdict.remedy:
+        case Remedy.TEST:
+            if run.model:
+                return ('how well it explains a recording that it has not seen, before it is used',
+                        f'ctsid simulate {shlex.quote(run.model)} ANOTHER_BAG')
+            return 'the model in a file, with a report', again
+        case Remedy.EXCITE:
+            return ('how much more to move which input, and how fast',
+                    run.command('advise', *run.interval))
+        case Remedy.LONGER:
+            if run.interval:
+                return 'all of the recording', run.command('identify')
+            return 'how much longer the data have to be', run.command('advise')
+        case Remedy.SETTING:
+            return f'the same once more, with that changed in {run.params or "`--params`"}', again
+        case Remedy.COMPARE:
+            return ('what each method makes of the same data',
+                    run.command('compare', *run.interval))
+        case Remedy.SPLIT:
+            return _split(estimate, run)
+        case Remedy.WAIT:
+            return ('a model of this window and all after it', run.command(
+                'identify', '--start', f'{run.span[0]:.1f}'))
+        case Remedy.PART:
+            return 'models of short windows: in which parts one is right', run.command('replay')
+        case Remedy.SIGNALS:
+            return 'which signals are in the recording, at which rates, and when they move', info
+
+
+def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
+    share = estimate.statistics.get('change_share', math.nan)
+    if not math.isfinite(share):
+        return 'models of short windows, before and after', run.command('replay')
+    start, end = run.span
+    at = start + share * (end - start)
+    return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
+        'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
 
 
 def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:

@@ -96,6 +96,8 @@ def _log(limits: tuple[float, float] | None, values: Sequence[Array]) -> dict[st
     if not len(known):
         return axis
     low, high = limits or (float(np.min(known)), float(np.max(known)))
+    if low == high:                             # plotly shows a decade on either side
+        low, high = low / 10.0, high * 10.0
     axis['dtick'] = max(math.ceil(math.log10(high / low) / _MOST_DECADES), 1)
     for most, factors in _TICKS:
         if math.log10(high / low) < most:
@@ -110,6 +112,7 @@ def _up(panel: Axes, number: str, domain: tuple[float, float]) -> dict[str, Any]
         'anchor': f'x{number}', 'domain': [round(d, 5) for d in domain], 'gridcolor': '--line',
         'zeroline': False, 'linecolor': '--line', 'tickfont': {'size': 11},
         'hoverformat': '.5~g', 'showticklabels': not panel.bare, 'nticks': 6,
+        'exponentformat': 'e',
         'showgrid': not panel.bare,
         'title': {'text': _text(panel.y_label), 'standoff': 2}}
     if panel.y_log:
@@ -161,9 +164,9 @@ def _traces(curve: Curve) -> list[dict[str, Any]]:
         own |= {'text': [_text(text) for text in curve.texts], 'hoverinfo': 'text'}
     elif not curve.label:
         own['hoverinfo'] = 'x+y'
-    if curve.kind == 'dashed':
-        own['line']['dash'] = 'dash'
-    elif curve.kind == 'steps':
+    if curve.dash[1]:
+        own['line']['dash'] = ','.join(f'{length:g}px' for length in curve.dash)
+    if curve.kind == 'steps':
         own['line']['shape'] = 'hv'
     elif curve.kind == 'both':
         own |= {'mode': 'lines+markers', 'marker': {'color': color, 'size': 5}}

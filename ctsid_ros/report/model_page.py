@@ -78,7 +78,9 @@ def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]],
     """Return when the plant changed, and the fits of one model and of two."""
     numbers, cost = estimate.statistics, estimate.verdict.change_cost
     share = numbers.get('change_share', math.nan)
-    if not math.isfinite(share) or not (cost > _NOTED or estimate.status is Status.CHANGED):
+    # What is rejected for a graver fault, like a sensor that hangs, says nothing of the plant.
+    if not math.isfinite(share) or not (estimate.status is Status.CHANGED
+                                        or (estimate.ok and cost > _NOTED)):
         return [], []
     part = shown.parts[0].found.times
     at = float(part[0] + share * (part[-1] - part[0]))
@@ -87,7 +89,8 @@ def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]],
     return [(at, 'change')], [
         f'Marked: the most likely change of the plant, {at + shown.offset:.1f} s after the start '
         f'of the bag. One model fits {fits[0]} % before and {fits[1]} % after it, two models '
-        f'{fits[2]} and {fits[3]} %.']
+        f'{fits[2]} and {fits[3]} %' + ', too little to reject it.' * estimate.ok + '.' * (
+            not estimate.ok)]
 
 
 def raw_section(record: Record, offset: float, settings: Settings) -> Section:

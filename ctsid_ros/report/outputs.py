@@ -16,7 +16,7 @@ from ctsid_core.model.validation import Validation
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_ros.report.document import Figure
-from ctsid_ros.report.drawing import RED, Axes, Curve, Drawing, Span, over
+from ctsid_ros.report.drawing import RED, Axes, Curve, Drawing, Span
 from ctsid_ros.report.tables import label, percent
 
 MOST_OUTPUTS = 12
@@ -127,8 +127,9 @@ def compared_figures(record: Record, parts: Mapping[str, Part], offset: float) -
             shown = np.clip(y_hat, low - (high - low), high + (high - low))
             if not curves:
                 curves = [Curve(times, y, 'measured', 0, opacity=0.6, width=3.0)]
-            curves.append(Curve(times, shown, model, color, width=over(color, parts)))
-            residuals.append(Curve(times, y - shown, model, color, width=1.0))
+            layer = color, len(parts)
+            curves.append(Curve(times, shown, model, color, layer=layer))
+            residuals.append(Curve(times, y - shown, model, color, width=1.0, layer=layer))
         panels = (Axes(residuals, f'residual of {name}', spans=spans, levels=(0.0,), height=90.0),
                   Axes(curves, name, spans=spans, height=220.0, y_limits=(low, high)), *inputs)
         how = {f', {p.how}' for p in parts.values() if p.how != 'simulated'}

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from ctsid_ros.report.document import (
     Figure,
     Gallery,
     Headline,
+    Picture,
     Section,
 )
 from ctsid_ros.report.drawing import Drawing
@@ -45,7 +47,8 @@ def to_html(title: str, sections: Sequence[Section], headline: Headline | None =
     series : mapping, optional
         What the explorer shows of each window or order: see `explorer.series`.
     """
-    drawings = _Drawings(plotly_js(), sections)
+    drawn = bool(_all(sections) or series)
+    drawings = _Drawings(plotly_js() if drawn else None, sections)
     blocks = [{'title': section.title, 'folded': section.folded,
                'parts': [drawings.block(part) for part in section.parts]}
               for section in sections if any(
@@ -53,7 +56,7 @@ def to_html(title: str, sections: Sequence[Section], headline: Headline | None =
     text: str = _template().render(
         title=title, headline=headline, blocks=blocks, library=drawings.library,
         figures=drawings.figures, series=series or {'frames': [], 'windows': []},
-        style=_file('page.css'), script=_file('page.js'), static=STATIC)
+        style=_file('page.css'), script=_file('page.js'), static=STATIC * drawn)
     return text
 
 
@@ -78,6 +81,9 @@ class _Drawings:
                     'figures': [self._figure(one) for one in part.figures]}
         if isinstance(part, Figure):
             return {'kind': 'gallery', 'columns': 1, 'figures': [self._figure(part)]}
+        if isinstance(part, Picture):       # as an image: nothing in it is run
+            return {'kind': 'picture', 'title': part.title,
+                    'data': b64encode(part.svg).decode()}
         if isinstance(part, Explorer):
             return {'kind': 'explorer', 'first': part.first, 'what': part.what}
         return {'kind': 'text', 'text': part}

@@ -14,7 +14,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.step_response import horizon, step_response
 from ctsid_ros.report.document import Figure
-from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span, over
+from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 from ctsid_ros.report.spectra import Spectra
 from ctsid_ros.report.tables import label
 
@@ -23,6 +23,7 @@ _MOST_DB, _MOST_DEG = 20.0, 90.0    # half the width of a band
 _COHERENT = 0.3     # coherence below which spectra show no response
 _BEYOND = 3.0       # times the supported frequencies: there the phase is worth its room
 _AXIS = 'frequency [rad/s]'
+_WIDTH = 1.8        # of lines of models
 _BELOW = 10.0       # times below the excited band is nothing drawn
 _STILL = 1e-4       # of the fastest pole: a slower one integrates
 
@@ -145,7 +146,7 @@ def _bode(models: Mapping[str, tuple[StateSpace, Covariance | None]], omega: Arr
                                           (phases, found[name][1], std[1], _MOST_DEG)):
             curves.append(Curve(omega, values, name, color, 'line',
                                 *_around(values, own[:, i, j], most),
-                                width=over(color, models)))
+                                width=_WIDTH, layer=(color, len(models))))
     if truth and (truth.ny, truth.nu) == _sizes(models):
         for curves, values in zip((gains, phases), response_of(truth, omega, i, j), strict=True):
             curves.append(Curve(omega, values, 'true', 2, 'dashed'))
@@ -209,10 +210,10 @@ def step_figures(models: Mapping[str, tuple[StateSpace, Covariance | None]],
                  truth: StateSpace | None = None, bands: Bands = ()) -> list[Figure]:
     """Draw the response of each output to a unit step of each input, with bands."""
     first = next(iter(models.values()))[0]
-    length = max(step_length(model, _together(bands)) for model, _ in models.values())
-    found = {name: step_response(model, covariance, length=length if all(
+    shown = max(step_length(model, _together(bands)) + max(model.delay, default=0.0)
+                for model, _ in models.values())     # that of a small dead time goes on to there
+    found = {name: step_response(model, covariance, length=shown if all(
         model.poles.real < 0.0) else None) for name, (model, covariance) in models.items()}
-    shown = length + max(max(model.delay, default=0.0) for model, _ in models.values())
     true = step_response(truth) if truth and (truth.ny, truth.nu) == _sizes(models) else None
     figures = []
     for i, j in pairs(first):
@@ -220,7 +221,7 @@ def step_figures(models: Mapping[str, tuple[StateSpace, Covariance | None]],
         for color, (name, f) in enumerate(found.items(), 1):
             curves.append(_late(f.times, f.values[:, i, j], f.std[:, i, j],
                                 models[name][0].delay[j], name, color,
-                                width=over(color, found)))
+                                layer=(color, len(found))))
         if true is not None and truth is not None:
             curves.append(_late(true.times, true.values[:, i, j], true.std[:, i, j],
                                 truth.delay[j], 'true', 2, dashed=True))
@@ -232,10 +233,10 @@ def step_figures(models: Mapping[str, tuple[StateSpace, Covariance | None]],
 
 
 def _late(times: Array, values: Array, std: Array, delay: float, name: str, color: int, *,
-          dashed: bool = False, width: float = 1.5) -> Curve:
+          dashed: bool = False, layer: tuple[int, int] = (1, 1)) -> Curve:
     """Return a step response after its dead time, and zero before."""
     x = np.concatenate(([0.0, delay], times + delay))
     y, s = (np.concatenate(([0.0, 0.0], v)) for v in (values, std))
     known = bool(np.isfinite(std).any())
     return Curve(x, y, name, color, 'dashed' if dashed else 'line', y - 2 * s if known else None,
-                 y + 2 * s if known else None, width=width)
+                 y + 2 * s if known else None, width=_WIDTH, layer=layer)

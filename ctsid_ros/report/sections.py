@@ -137,7 +137,7 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     """Return the numbers behind the verdict."""
     verdict = estimate.verdict
     inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
-                    percent(100 * x.own), percent(100 * x.uncertainty))
+                    percent(100 * x.own), number(100 * x.uncertainty, 2))
                    for x in verdict.excitation)
     columns = (100 * verdict.coloured_error, 100 * verdict.independent, verdict.whiteness,
                verdict.curve_gain, verdict.fresh_ratio)
@@ -336,32 +336,27 @@ def _verdict(pairs: Sequence[tuple[Mode, Mode]], count: int) -> str:
             f'{worst:.1f}.')
 
 
-def advice_section(estimate: Estimate, test_fit: Array, complaints: Sequence[str], *,
-                   delay_sought: bool = False) -> Section:
-    """Return what to try next, beside what the verdict says."""
-    lines = tuple(_advice(estimate, test_fit, complaints, delay_sought))
-    return Section('What to try next', (Bullets(lines),) if lines else (), brief=False)
+def remark_section(estimate: Estimate, test_fit: Array, *, delay_sought: bool = False) -> Section:
+    """Return what else is worth knowing of a model; what to try next, its verdict says alone."""
+    lines = tuple(_remarks(estimate, test_fit, delay_sought))
+    return Section('Remarks on the model', (Bullets(lines),) if lines else (), brief=False)
 
 
-def _advice(estimate: Estimate, test_fit: Array, complaints: Sequence[str], delay_sought: bool
-            ) -> Iterator[str]:
+def _remarks(estimate: Estimate, test_fit: Array, delay_sought: bool) -> Iterator[str]:
     model, settings = estimate.model or estimate.rejected_model, estimate.settings
     if model is None:
         return
     unseen = test_fit if np.isfinite(test_fit).any() else estimate.held_out_fit
     if np.isfinite(unseen).any() and np.nanmax(estimate.fit - unseen) > 15.0:
-        yield ('The fit is far better on the data of the model than on unseen data: take a longer '
-               '`window.length` (or interval), or lower `max_order`.')
+        yield 'The fit is far better on the data of the model than on unseen data.'
     if model.n == settings.max_order:
-        yield f'The order reached `max_order` ({settings.max_order}): raise it.'
+        yield (f'The order is the largest that `max_order` allows ({settings.max_order}): larger '
+               'ones were not tried.')
     if any(m.std > abs(m.pole) for m in modes_of(estimate)):
-        yield ('Some poles are hardly determined (std larger than the pole itself): lower '
-               '`max_order`, or excite the plant around their frequency.')
+        yield ('Some poles are hardly determined (std larger than the pole itself): the inputs '
+               'say little of them.')
     if (model.poles.real > 0).any():
-        yield ('The model is unstable: right for a plant that a controller holds upright; else '
-               'lower `max_order` or take a longer interval.')
+        yield 'The model is unstable: right for a plant that a controller holds upright.'
     if not any(model.delay) and model.n > 1 and not delay_sought:
-        yield ('The model has no dead time. If you know of one (commands that act late), set '
-               'the `delay` of the input: without it the model needs extra states to imitate it.')
-    if complaints:
-        yield 'Correct what the notes on the data name, or choose an interval without it.'
+        yield ('The model has no dead time, and none was looked for (`delay` of the input): extra '
+               'states imitate one.')

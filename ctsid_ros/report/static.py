@@ -23,6 +23,7 @@ NARROW, WIDE = 350.0, 900.0     # points: of a phone, and of a page
 _POINTS = 1200  # more than these make a file large and no curve finer
 _FONT = 11.0    # points; the page shows drawings at their size or larger
 _DOT = 2.5      # points
+_PIXEL = 0.75   # points of one of the page
 _GAP = 30.0     # above each axes, for its title
 _LEFT, _RIGHT, _BOTTOM = 58.0, 12.0, 42.0
 _STYLE = {'font.size': _FONT, 'font.family': 'sans-serif', 'svg.fonttype': 'none',
@@ -194,7 +195,8 @@ def _curve(own: Any, curve: Curve) -> None:
     elif curve.kind == 'steps':
         own.step(curve.x, y, where='post', **line)
     elif curve.opacity > 0.0:
-        own.plot(curve.x, y, linestyle=(0, (5, 3)) if curve.kind == 'dashed' else '-',
+        dash = tuple(length / curve.width * _PIXEL for length in curve.dash)
+        own.plot(curve.x, y, linestyle=(0, dash) if curve.dash[1] else '-',
                  marker='o' if curve.kind == 'both' else None, markersize=4, **line)
 
 

@@ -24,7 +24,7 @@ _MOST_TRACKS, _MOST_GAINS = 12, 12
 
 def window_figure(windows: Windows, truth: StateSpace | None = None) -> Figure:
     """Draw verdicts, fits, natural frequency, damping and dead time over time."""
-    seen = [(c.time, 'change') for c in changes(windows)]
+    seen = [(c.time, 'change') for c in changes(windows) if c.rejects]
     panels = [_strip(windows, seen), _fits(windows, seen), *_modes(windows, truth, seen),
               *_dead_times(windows, seen)]
     last = panels[-1]

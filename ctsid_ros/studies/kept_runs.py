@@ -26,8 +26,8 @@ from ctsid_ros.studies.monte_carlo import Outcome
 COLUMNS = ('experiment', 'code', 'seed', 'order', 'status', 'error', 'deviation',
            'A', 'B', 'C', 'D', 'whole')
 # Modules of the studies that results do not depend on.
-DRAWING = ('clouds', 'network', 'figure_files', 'hd_basis', 'page', 'runner', 'kept_runs',
-           'kept_rows', 'tables', 'study')
+DRAWING = ('clouds', 'network', 'figure_files', 'hd_basis', 'page', 'report_page', 'runner',
+           'kept_runs', 'kept_rows', 'tables', 'study')
 
 
 class KeptRuns:

@@ -188,15 +188,6 @@ def better_pairs(bags: Sequence[str], time: Sequence[str], config: Config) -> li
             f'({100 * p.explained.past:.0f} % explained)' for p in pairs]
 
 
-def say_better(run: Run, better: Sequence[str]) -> None:
-    """Name better pairs, if there are any."""
-    from ctsid_ros.report.headline import other_signals
-
-    if better:
-        purpose, line = other_signals(run, better)
-        say(f'{purpose}:\n  {line}')
-
-
 def read_params(path: str) -> Config:
     """Read a parameter file; faults are reported with its name."""
     from ctsid_ros.config.parameter_file import read_config

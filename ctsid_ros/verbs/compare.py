@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import SettingsError
 from ctsid_ros.progress import Advance, progress, silent, working
-from ctsid_ros.report.document import Section, to_text
+from ctsid_ros.report.document import Section, next_text, to_text
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,
@@ -153,7 +153,7 @@ def of_models(paths: Sequence[str], bags: Sequence[str], args: argparse.Namespac
     args.bag = [*bags]
     with results_folder(args.out, bags or [str(Path(files[0]).resolve().parent)], verb,
                         force=args.force) as out, working('writing the report', quiet=args.quiet):
-        _write(out, compared, args, f'{len(found)} models' + (
+        told = _write(out, compared, args, f'{len(found)} models' + (
             f' on {named(bags)}' if bags else ''))
     if args.json:
         tell({'verb': verb, 'bag': named(bags) if bags else None, 'results': out,
@@ -161,7 +161,7 @@ def of_models(paths: Sequence[str], bags: Sequence[str], args: argparse.Namespac
               'models': [{'name': c.name, 'file': f, **document(c)}
                          for c, f in zip(compared.found, files, strict=True)]})
     else:
-        _print(compared, out)
+        _print(compared, out, told)
     return ACCEPTED if any(c.estimate.ok for c in found) else NO_MODEL
 
 
@@ -225,7 +225,7 @@ def _of_methods(args: argparse.Namespace) -> int:
                 orders = compare_orders(data.record, config.settings, found, args.orders, advance)
             compared = Compared(found, 'method', data, offset, notes, orders)
             with working('writing the report', quiet=args.quiet):
-                _write(out, compared, args, f'{len(found)} methods on {bag_name(args.bag)}')
+                told = _write(out, compared, args, f'{len(found)} methods on {bag_name(args.bag)}')
     if args.json:
         tell({'verb': 'compare', 'bag': named(args.bag), 'results': out,
               'reference': reference(found), 'notes': notes,
@@ -234,7 +234,7 @@ def _of_methods(args: argparse.Namespace) -> int:
               'orders': [{'order': n, 'verdict': o.estimate.verdict.grade.name, 'fit': o.fit,
                           'held_out_fit': o.held_out_fit} for n, o in orders.items()]})
     else:
-        _print(compared, out)
+        _print(compared, out, told)
     return ACCEPTED if any(c.estimate.ok for c in found) else NO_MODEL
 
 
@@ -329,15 +329,15 @@ def _numbers(compared: Compared) -> list[Section]:
             verdict_section(found), complaint_section(compared.notes)]
 
 
-def _print(compared: Compared, out: Path) -> None:
+def _print(compared: Compared, out: Path, told: Headline) -> None:
     from ctsid_ros.replay.results import PAGE
 
     print(to_text(_numbers(compared)))
-    print(f'\nResults: {out}/ ({PAGE} has the plots)')
+    print(f'\n{next_text(told)}\n\nResults: {out}/ ({PAGE} has the plots)')
 
 
-def _write(out: Path, compared: Compared, args: argparse.Namespace, title: str) -> None:
-    """Write the report, the table, and the models of the methods."""
+def _write(out: Path, compared: Compared, args: argparse.Namespace, title: str) -> Headline:
+    """Write the report, the table, and the models; return what the report says first."""
     from ctsid_core.model.storage import to_json
     from ctsid_core.settings import METHODS
     from ctsid_ros.config.origin import package_version
@@ -369,6 +369,7 @@ def _write(out: Path, compared: Compared, args: argparse.Namespace, title: str) 
     write_results(out, {
         **files, REPORT: to_markdown(title, [table, *numbers, *last], first),
         PAGE: to_html(title, [table, *choice, *drawn, *rest, *last], first, orders)})
+    return first
 
 
 def _headline(compared: Compared, run: Run) -> Headline:
@@ -382,7 +383,7 @@ def _headline(compared: Compared, run: Run) -> Headline:
     first = headline(lead.estimate, run, [('methods that agree', agreeing(found))])
     first = replace(first, sentence=f'{lead.name}: {first.sentence}')
     return replace(first, command=run.command('identify'), purpose='one model, with every test '
-                   'of it') if lead.estimate.ok else first
+                   'of it') if lead.estimate.good else first
 
 
 def _headline_of_models(compared: Compared, run: Run) -> Headline:

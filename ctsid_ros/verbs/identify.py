@@ -25,7 +25,7 @@ from ctsid_ros.replay.results import (
     results_folder,
     write_results,
 )
-from ctsid_ros.report.document import Section, to_markdown, to_text
+from ctsid_ros.report.document import Headline, Section, next_text, to_markdown, to_text
 from ctsid_ros.report.tables import Table, percent
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
@@ -44,7 +44,6 @@ from ctsid_ros.verbs.arguments import (
     read_truth,
     run_of,
     say,
-    say_better,
     seconds,
     span,
     tell,
@@ -182,16 +181,12 @@ class Outcome:
                for i, source in enumerate(self.sources, 1) for note in source.notes]
         return (*own, *self.told.notes)
 
-    @property
-    def complaints(self) -> tuple[str, ...]:
-        """Those of them on the messages of the channels."""
-        return tuple(c for source in self.sources for c in source.data.complaints)
-
 
 def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, print."""
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.grouping import recordings
+    from ctsid_ros.report.headline import headline
 
     truth = read_truth(args)
     intervals = _intervals(args)
@@ -212,13 +207,13 @@ def command(args: argparse.Namespace) -> int:
             better = [] if outcome.estimate.ok else better_pairs(groups[0], args.time,
                                                                  outcome.config)
             run = run_of(args, str(out / MODEL), outcome.sources[0].span)
-            _write(out, outcome, args, truth, run, better)
+            first = headline(outcome.told, run, _facts(outcome), better)
+            _write(out, outcome, args, truth, run, first)
     if args.json:
-        tell(_document(outcome, args, out))
+        tell({**_document(outcome, args, out), 'next': first.command})
     else:
         print(to_text(_sections(outcome, truth)))
-        print(f'\nResults: {out}/ ({PAGE} has the plots)')
-    say_better(run, better)
+        print(f'\n{next_text(first)}\n\nResults: {out}/ ({PAGE} has the plots)')
     return ACCEPTED if outcome.estimate.ok else NO_MODEL
 
 
@@ -292,13 +287,13 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
 
     from ctsid_ros.report.dead_time import delay_words, looked_for
     from ctsid_ros.report.sections import (
-        advice_section,
         channel_section,
         choice_section,
         complaint_section,
         gain_section,
         model_section,
         record_section,
+        remark_section,
         truth_section,
     )
 
@@ -322,8 +317,8 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
                      gain_section(model, estimate.covariance)]
         sections += [truth_section(estimate, (), truth)] if truth else []
     return [*sections, choice_section(estimate, brief=True), complaint_section(outcome.notes),
-            advice_section(estimate, fit, outcome.complaints,
-                           delay_sought=looked_for(estimate, outcome.config.settings))]
+            remark_section(estimate, fit, delay_sought=looked_for(
+                estimate, outcome.config.settings))]
 
 
 def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
@@ -338,16 +333,15 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
 
 
 def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
-           truth: StateSpace | None, run: Run, better: Sequence[str]) -> None:
+           truth: StateSpace | None, run: Run, first: Headline) -> None:
     from ctsid_core.model.storage import save_series, to_json
-    from ctsid_ros.report.headline import headline, repeat_section
+    from ctsid_ros.report.headline import repeat_section
     from ctsid_ros.report.page import to_html
 
     estimate, title = outcome.estimate, f'One model of {bag_name(args.bag)}'
     if len(outcome.sources) > 1:
         title = f'One model of {len(outcome.sources)} records'
     found = _origin(outcome, args)
-    first = headline(outcome.told, run, _facts(outcome), better)
     numbers = [*_sections(outcome, truth, verdict=False), *_numbers(outcome),
                repeat_section(run, found)]
     write_results(out, {

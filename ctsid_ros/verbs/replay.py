@@ -24,7 +24,14 @@ from ctsid_ros.replay.results import (
     results_folder,
     write_results,
 )
-from ctsid_ros.report.document import Bullets, Section, to_markdown, to_text
+from ctsid_ros.report.document import (
+    Bullets,
+    Headline,
+    Section,
+    next_text,
+    to_markdown,
+    to_text,
+)
 from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     INTERRUPTED,
@@ -43,7 +50,6 @@ from ctsid_ros.verbs.arguments import (
     read_truth,
     run_of,
     say,
-    say_better,
     tell,
 )
 
@@ -98,16 +104,15 @@ def command(args: argparse.Namespace) -> int:
                 say('interrupted before the first window was complete: there are no results')
                 return INTERRUPTED
             report = _Report(run, bag, args, truth)
-            report.write(out)
+            first = report.write(out)
     if args.json:
-        tell(report.document(out, interrupted))
+        tell({**report.document(out, interrupted), 'next': first.command})
     else:
         print(to_text(report.sections()))
-        print(f'\nResults: {out}/ ({PAGE} has the plots)')
+        print(f'\n{next_text(first)}\n\nResults: {out}/ ({PAGE} has the plots)')
     if interrupted:
         say(f'interrupted: the results are those of the first {len(run.results)} windows')
         return INTERRUPTED
-    say_better(run_of(args), report.better)
     return NO_MODEL if run.best is None else ACCEPTED
 
 
@@ -158,10 +163,10 @@ class _Report:
     def sections(self, *, verdict: bool = True) -> list[Section]:
         from ctsid_ros.report.dead_time import delay_words, looked_for
         from ctsid_ros.report.sections import (
-            advice_section,
             channel_section,
             choice_section,
             complaint_section,
+            remark_section,
             status_section,
             truth_section,
             window_section,
@@ -179,8 +184,8 @@ class _Report:
         if self.truth:
             sections.append(truth_section(estimate, self.results, self.truth))
         return [*sections, choice_section(estimate), complaint_section(self.notes),
-                advice_section(estimate, self.best.next_fit, self.played.complaints,
-                               delay_sought=looked_for(estimate, settings))]
+                remark_section(estimate, self.best.next_fit, delay_sought=looked_for(
+                    estimate, settings))]
 
     def _which(self) -> str:
         return 'the best on unseen data' if self.best.tested else \
@@ -198,7 +203,8 @@ class _Report:
         table = fit_table(estimate, model, next_fit=self.best.next_fit)
         return replace(section, parts=(*section.parts[:-1], table))
 
-    def write(self, out: Path) -> None:
+    def write(self, out: Path) -> Headline:
+        """Write all files, and return what the report says first."""
         from ctsid_core.model.storage import save_series, to_json
         from ctsid_ros.export.estimates_bag import write_estimates
         from ctsid_ros.report.explorer import window_series
@@ -229,6 +235,7 @@ class _Report:
             save_series(out / name, [r.estimate for r in stored],
                         columns=self._columns(), force=True)
         write_estimates(out / TOPICS_BAG, self.played.config, [r.tracked for r in stored])
+        return first
 
     def _facts(self) -> list[tuple[str, str]]:
         from ctsid_ros.report.tables import fit_words

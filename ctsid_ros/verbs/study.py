@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from importlib import import_module
 from pathlib import Path
+import shlex
 
 HELP = 'repeat a Monte Carlo study and print it beside what was published'
 # Of the two papers; all of them by `all`.
@@ -60,7 +61,21 @@ def command(args: argparse.Namespace) -> int:
 
 def _run(name: str, more: list[str]) -> int:
     code: int = import_module(f'ctsid_ros.studies.{STUDIES[name][0]}').main(more)
+    if code == 0:
+        from ctsid_ros.studies.report_page import write_page
+
+        page = write_page(_folder(name, more), f'{name}: {STUDIES[name][1]}',
+                          shlex.join(('ctsid', 'study', name, *more)))
+        print(f'Page: {page}' if page else 'There is nothing to show on a page.')
     return code
+
+
+def _folder(name: str, more: list[str]) -> Path:
+    """Return the folder of a study, as it understands its own options."""
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument('--out', type=Path, default=Path('results/studies') / name)
+    out: Path = parser.parse_known_args(more)[0].out
+    return out
 
 
 def _of_all(more: list[str]) -> argparse.Namespace:

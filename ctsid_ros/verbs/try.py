@@ -67,8 +67,8 @@ def command(args: argparse.Namespace) -> int:
         text = head(guessed, line) + dump_brief(guessed.config)
         write_file(params, text.encode(), force=True)
         code = _identify(line, args, out)
-    if not args.json:
-        print(_next(guessed, args, out, code))
+    if not args.json and code != ACCEPTED:
+        print(_otherwise(guessed, args, out))
     return code
 
 
@@ -85,13 +85,10 @@ def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
     return identify.command(own)
 
 
-def _next(guessed: Guess, args: argparse.Namespace, out: Path, code: int) -> str:
-    """Return what to do next, as a line."""
-    from ctsid_ros.replay.results import MODEL
-
-    if code == ACCEPTED:
-        return f'Next: ctsid simulate {shlex.quote(str(out / MODEL))} ANOTHER_BAG'
+def _otherwise(guessed: Guess, args: argparse.Namespace, out: Path) -> str:
+    """Return how to try with other signals, as a line."""
     if guessed.pick < len(guessed.pairs):
-        return f'Next: {shlex.join(("ctsid", "try", *args.bag, "--pick", str(guessed.pick + 1)))}'
-    return f'Next: correct {out / PARAMS}, then ' \
+        words = ('ctsid', 'try', *args.bag, '--pick', str(guessed.pick + 1))
+        return f'The next pair of signals: {shlex.join(words)}'
+    return f'With signals of your own: correct {out / PARAMS}, then ' \
            f'{shlex.join(("ctsid", "identify", *args.bag, "--params", str(out / PARAMS)))}'
