@@ -52,7 +52,7 @@ def test_stamps_are_measured():
     ([0, 0, 0, 0], False, 'all are zero'), ([0, 0, 0, START], False, '3 of 4 are zero'),
     ([0, START, START + 1, START + 2], True, '1 of 4 are zero'), ([START] * 4, False, 'increase'),
     ([START], True, ''), ([], False, ''),
-    ([START + 10**10, START, START + 10**12], False, 'increase')])
+    ([START + 10**12, START, START + 12 * 10**11], False, 'increase')])
 def test_stamps_that_cannot_be_used(stamps, usable, why):
     found = stamp_stats('header', np.array(stamps, dtype=np.int64))
     assert found.usable is usable
