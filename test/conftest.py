@@ -6,12 +6,15 @@ from __future__ import annotations
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import signal
 
 from plants import PLANTS, Plant
 import pytest
 from schema import faults_of_file
 
 ROOT = Path(__file__).resolve().parent.parent
+# A shell lets what it starts behind `&` ignore Ctrl-C, and so would the programs tested here.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

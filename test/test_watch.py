@@ -154,7 +154,7 @@ def test_a_running_node_is_watched_until_ctrl_c(live, capfd):
     assert re.search(r'verdicts +G', done.stdout)
     assert '\x1b' not in done.stdout
     absent = subprocess.run(
-        [sys.executable, '-m', 'ctsid_ros.cli', 'watch', 'other', '--timeout', '3'], env=live.env,
+        [sys.executable, '-m', 'ctsid_ros.cli', 'watch', 'other', '--timeout', '10'], env=live.env,
         capture_output=True, text=True, timeout=60, check=False)
     assert absent.returncode == 1
     assert 'there is /identifier: give that name' in absent.stderr

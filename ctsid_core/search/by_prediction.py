@@ -19,6 +19,7 @@ Ljung, System Identification, 2nd edition, sections 4.3, 7.2 and 13.4 (closed lo
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 import warnings
 
@@ -110,8 +111,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     thin = joint.thinned(_SEARCHED)
     found = _orders(thin, starts, own, record, corrupt, order)
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
-    last = [_judged(joint, fit_at(joint, one.found.fit.model.poles, one.found.fit.model.delay, own,
-                                  one.found.fit), own, record, corrupt) for one in likely]
+    last = [_climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own, record,
+                     corrupt) for fit in (one.found.fit for one in likely)]
     known = [one for one in last if one is not None]
     if not known:
         return None
@@ -122,16 +123,20 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record,
             corrupt: tuple[Mask | None, ...], order: int) -> dict[int, PredictionFit]:
-    """Return predictors of orders from below the regression's choice upwards, or of one order."""
+    """Return predictors of the orders next to that whose start predicts best, or of one order."""
+    begun: dict[int, Fit] = {}
+    for n, start in starts.items():
+        delay = np.concatenate((start.delay, np.zeros(joint.ny)))
+        with suppress(np.linalg.LinAlgError):
+            begun[n] = fit_at(joint, start.poles, delay, free, _near(start, joint, delay))
+    judged = {n: _judged(joint, fit, free, record, corrupt) for n, fit in begun.items()
+              if order in (0, n)}
     found: dict[int, PredictionFit] = {}
-    n = best = order or max(min(starts, key=lambda n: starts[n].score) - MORE, 1)
+    known = {n: one.information for n, one in judged.items() if one is not None}
+    best = order or min(known, key=lambda n: known[n], default=1)
+    n = order or max(best - MORE, 1)
     while n in starts and not joint.effort.over and (not found or n <= best + MORE):
-        delay = np.concatenate((starts[n].delay, np.zeros(joint.ny)))
-        try:
-            one = _judged(joint, fit_at(joint, starts[n].poles, delay, free, _near(
-                starts[n], joint, delay)), free, record, corrupt)
-        except np.linalg.LinAlgError:
-            one = None
+        one = _climbed(joint, begun[n], free, record, corrupt) if n in begun else None
         if one is not None:
             found[n] = one
             if best not in found or one.information < found[best].information:
@@ -140,16 +145,25 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
     return found
 
 
-def _judged(joint: Samples, start: Fit, free: Free, record: Record,
+def _climbed(joint: Samples, start: Fit, free: Free, record: Record,
+             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
+    """Return what predicts better, the likeliest predictor near a start or the start; or None."""
+    fits = climb(joint, start, free, steps=_STEPS, least=ROUGHLY), start
+    known = [_judged(joint, fit, free, record, corrupt) for fit in fits]
+    return min((one for one in known if one is not None), key=lambda one: one.information,
+               default=None)
+
+
+def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
-    """Return the predictor of greatest likelihood near a start; None: no plant that predicts."""
-    one = tried(joint, climb(joint, start, free, steps=_STEPS, least=ROUGHLY), free)
-    delay, nu = one.fit.model.delay, joint.nu - joint.ny
+    """Return a predictor and how its plant predicts; None: there is no plant that does."""
+    one = tried(joint, fit, free)
+    delay, nu = fit.model.delay, joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
-    likely = np.sqrt(one.fit.power.mean(axis=0))
+    likely = np.sqrt(fit.power.mean(axis=0))
     known: list[PredictionFit] = []
     for unstable in (True, False):
-        plant = plant_of(one.fit, joint, len(joint.records) - 1, unstable)
+        plant = plant_of(fit, joint, len(joint.records) - 1, unstable)
         if plant is None:
             continue
         errors = prediction_errors(plant, delay[:nu], record, HORIZONS, corrupt)

@@ -41,7 +41,7 @@ class Start:
     Parameters
     ----------
     score : float
-        -2 log likelihood, and the price of its parameters (Schwarz): the least is most likely.
+        -2 log likelihood: of one order the least is most likely.
     poles : ndarray, shape (m,)
         Real ones, and one of each pair [rad/s].
     b : ndarray, shape (m, nu + ny)
@@ -111,8 +111,7 @@ def _at(samples: Samples, step: float, highest: int, delay: Array,
         C = np.linalg.lstsq(x, now[:, -ny:], rcond=None)[0]
         power = np.sum((now[:, -ny:] - x @ C) ** 2, axis=0) / len(stacked)
         move = np.linalg.lstsq(np.hstack((x, now)), following, rcond=None)[0].T
-        score = len(stacked) * float(np.sum(np.log(power + 1e-300))) \
-            + np.log(len(stacked)) * n * (width + ny)
+        score = len(stacked) * float(np.sum(np.log(power + 1e-300)))
         yield Start(score, *_modes(move[:, :n], move[:, n:] / size, step, free), delay)
 
 
