@@ -7,6 +7,7 @@ from dataclasses import replace
 import os
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Grade
 from ctsid_core.settings import Settings
 from ctsid_ros.examples.demo_table import AGAIN, Truth, judge, line, summary
+from ctsid_ros.examples.domain import claim_domain
 from ctsid_ros.examples.quadrotor_roll import Plant
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -133,6 +135,17 @@ def test_models_have_to_be_good_again_soon():
     assert summary(flight)[1]
     flight = [w for w in windows(*doubts) if w.estimate.start_ns != 115 * S or not w.estimate.good]
     assert not summary(flight)[1]
+
+
+def test_a_domain_is_claimed_that_nobody_is_in():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as third_participant:
+        third_participant.bind(('127.0.0.1', 7410 + 250 * 90 + 4))
+        domain, claim = claim_domain([90, 91])
+        with claim:
+            assert domain == 91
+            with pytest.raises(OSError, match='all ROS domains'):
+                claim_domain([90, 91])
+    claim_domain([91])[1].close()
 
 
 def demo(*arguments: str) -> subprocess.Popen:

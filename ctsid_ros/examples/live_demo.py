@@ -17,11 +17,11 @@ import argparse
 from collections.abc import Sequence
 import io
 import os
-import random
 import sys
 
 from ctsid_ros.blas import use_one_thread
 from ctsid_ros.examples.demo_processes import processes
+from ctsid_ros.examples.domain import claim_domain
 
 SEED = 1
 
@@ -32,8 +32,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal that has no ± shows a ?
         sys.stdout.reconfigure(errors='replace', line_buffering=True)
     use_one_thread()
-    own = {'ROS_DOMAIN_ID': str(random.randint(1, 101)),
-           'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    try:
+        domain, claim = claim_domain()
+    except OSError as error:
+        print(f'live_demo: error: {error}', file=sys.stderr)
+        return 1
+    own = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
     os.environ |= own
     try:
         from ctsid_ros.examples.demo_node import Plan, fly
@@ -43,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     print('to watch it in another terminal, in this environment: '
           f'{" ".join(f"{name}={value}" for name, value in own.items())} ctsid watch')
-    with processes() as started:
+    with claim, processes() as started:
         try:
             good = fly(started, Plan(args.params, args.duration, args.payload, args.seed))
         except KeyboardInterrupt:
