@@ -16,9 +16,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 import os
 from pathlib import Path
-import random
 import signal
-import socket
 import subprocess
 import sys
 from threading import Thread
@@ -38,6 +36,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from ctsid_core.model.estimate import Estimate
+from ctsid_ros.examples.domain import claim_domain
 from ctsid_ros.messages import Health, decode_diagnostics, decode_metadata, decode_model
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -286,15 +285,3 @@ def meet(node: Node, name: str, wait: Callable[[Callable[[], object], str], obje
 
     start = time.monotonic()
     wait(answered, f'an answer of {name}')
-
-
-def claim_domain() -> tuple[int, socket.socket]:
-    """Return a domain that no other test of this computer uses, and what holds it."""
-    while True:
-        domain, claim = random.randint(1, 100), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            claim.bind(('127.0.0.1', 42_000 + domain))
-        except OSError:
-            claim.close()
-            continue
-        return domain, claim

@@ -172,6 +172,21 @@ def fits_every_screen(browser, path: Path) -> None:
             assert page.locator('.plot').count() >= 2
 
 
+def test_figures_of_a_study_are_legible_on_a_phone_and_in_the_dark(browser, tmp_path):
+    assert main(['study', 'hd-basis', '--out', str(tmp_path)]) == 0
+    text = 11.0 / 10.0      # of a figure that is 920 wide its text is 10
+    page_of = tmp_path / 'report.html'
+    with opened(browser, page_of, phone=True, dark=True) as page:
+        width, inner = page.evaluate('[document.documentElement.scrollWidth, innerWidth]')
+        assert width <= inner
+        assert page.locator('.picture img').first.bounding_box()['width'] >= 920 * text
+        paint = "getComputedStyle(document.querySelector('.picture img')).filter"
+        assert 'invert' in page.evaluate(paint)
+        page.emulate_media(media='print')
+        assert page.evaluate(paint) == 'none'
+        assert page.locator('.picture img').first.bounding_box()['width'] < 720
+
+
 @pytest.mark.parametrize(('name', 'word'), [('windows', 'GOOD'), ('changed', 'CHANGED'),
                                             ('rejected', 'REJECT'), ('batch', 'PARTLY')])
 def test_the_word_comes_first_in_its_colour(browser, folder, name, word):

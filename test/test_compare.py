@@ -18,7 +18,8 @@ from test_page import Tags, data_of
 from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import load_estimate, save_model
-from ctsid_core.model.validation import simulation
+from ctsid_core.model.validation import prediction, simulation
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.settings import METHODS, Settings
 from ctsid_core.signals.record import Record
 from ctsid_ros.cli import main
@@ -105,7 +106,7 @@ def test_orders_can_be_chosen_on_the_page_and_the_chosen_one_is_the_same_model(r
     assert '‹ order before' in page
 
 
-def test_an_order_that_only_predicts_is_drawn_with_the_fit_of_its_simulation():
+def test_orders_are_drawn_with_fits_of_the_kind_of_the_chosen_one():
     t = np.arange(0.0, 5.0, 0.02)
     rng = np.random.default_rng(3)
     record = Record.from_arrays(t, rng.standard_normal((250, 1)), t,
@@ -117,7 +118,9 @@ def test_an_order_that_only_predicts_is_drawn_with_the_fit_of_its_simulation():
     assert found.fit == pytest.approx(simulation(TRUTH, record).fit)
     assert np.isnan(found.held_out_fit).all()
     assert order_of(good, record, good).fit == order_of(ahead, record, ahead).fit == 70.0
-    assert np.isnan(order_of(good, record, ahead).fit).all()
+    other = order_of(good, record, ahead)
+    assert other.fit == pytest.approx(prediction(TRUTH, record, HORIZONS[AHEAD]).fit)
+    assert np.isnan(other.held_out_fit).all()
 
 
 @pytest.mark.parametrize('verb', ['compare', 'show'])

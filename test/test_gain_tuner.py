@@ -156,8 +156,7 @@ def test_parameters_that_do_not_fit_are_said_and_not_fatal(live):
 
 def test_age_counts_again_after_the_design(monkeypatch):
     rclpy = pytest.importorskip('rclpy')
-    from live import claim_domain
-
+    from ctsid_ros.examples.domain import claim_domain
     from ctsid_ros.examples.tuner_node import GainTuner
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     domain, claim = claim_domain()

@@ -25,7 +25,7 @@ from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.coherence import lag, mean_coherence
 from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
-from ctsid_ros.recordings.guess import _scalars, better, guess
+from ctsid_ros.recordings.guess import better, guess, scalars
 from ctsid_ros.recordings.guess_candidates import no_signal
 from ctsid_ros.recordings.guess_pairs import Comparison, effective_frequencies, without_slow
 from ctsid_ros.recordings.guess_ranking import rank
@@ -240,13 +240,16 @@ def test_better_pairs_are_known(base):
                                                          field='angular_velocity.x')])
         assert better(bag, good) == []
         assert [p.input.key for p in better(bag, poor)][0] == ('/twist_out', 'twist.angular.z')
+        wrong = good.with_channels([replace(good.inputs[0], field='twist.linear.x'),
+                                    *good.outputs])     # what moves this output is asked
+        assert {p.output.key for p in better(bag, wrong)} == scalars(good.outputs)
 
 
 def test_ranges_are_the_scalars_in_them():
     path = 'euler(pose.pose.orientation)'
     channels = [Channel('a', 'input', '/b', 'c/D', 'effort[0:2]'),
                 Channel('r', 'output', '/o', ODOMETRY, path)]
-    assert _scalars(channels) == {('/b', 'effort[0]'), ('/b', 'effort[1]'), *(
+    assert scalars(channels) == {('/b', 'effort[0]'), ('/b', 'effort[1]'), *(
         ('/o', f'{path}.{part}') for part in ('roll', 'pitch', 'yaw'))}
 
 
@@ -399,4 +402,5 @@ def test_a_rejected_run_names_better_pairs(base, tmp_path, capsys, monkeypatch):
     (tmp_path / 'p.yaml').write_text(dump_brief(poor))
     assert main(['identify', str(base), '--params', 'p.yaml', '--out', 'res', '--quiet']) == 3
     out = ' '.join(capsys.readouterr().out.split())
-    assert 'the data say more about other signals: /twist_out twist.angular.z -> /odom' in out
+    assert 'the data say more about other signals: /twist_out twist.angular.z -> /' in out
+    assert '-o other.yaml --' in out

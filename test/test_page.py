@@ -40,7 +40,7 @@ from ctsid_ros.report.document import (
     to_text,
 )
 from ctsid_ros.report.drawing import COLORS, MOST_MODELS, Axes, Curve, Drawing, over
-from ctsid_ros.report.headline import Run, headline
+from ctsid_ros.report.headline import Better, Run, headline
 from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import pole_figure, region
@@ -283,9 +283,14 @@ def test_a_gain_that_is_not_known_is_said_to_be_so(folder):
 def test_better_signals_are_the_way_out_of_wrong_ones_only(status, said):
     run = Run('', ('bag',), 'p.yaml', '', (0.0, 10.0))
     found = headline(Estimate(status=status, settings=Settings()), run,
-                     better=['/cmd x -> /imu y (99 % explained)'])
+                     better=Better(('/cmd x -> /imu y (99 % explained)',)))
     assert ('/cmd x -> /imu y (99 % explained)' in found.purpose) is said
+    assert ('move the inputs more' in found.purpose) is said
     assert (found.command == 'ctsid init bag -o other.yaml') is said
+    kept = headline(Estimate(status=status, settings=Settings()), run, better=Better(
+        ('/cmd x -> /imu y (99 % explained)',), ('--output', '/imu y')))
+    assert 'move the inputs more' not in kept.purpose
+    assert (kept.command == "ctsid init bag -o other.yaml --output '/imu y'") is said
 
 
 def test_what_a_report_needs_is_asked_for_before_the_work(folder, monkeypatch, capsys):

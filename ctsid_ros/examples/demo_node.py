@@ -11,19 +11,23 @@ import time
 
 import rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from ctsid_core.model.estimate import Estimate
 from ctsid_ros.examples.demo_processes import Processes
-from ctsid_ros.examples.demo_table import Truth, Window, judge, line, summary
+from ctsid_ros.examples.demo_table import AGAIN, Truth, Window, judge, line, summary
 from ctsid_ros.messages import decode_metadata, decode_model
 
 IDENTIFIER, ROBOT, TUNER = ('ctsid_ros.node', 'ctsid_ros.examples.simulated_robot',
                             'ctsid_ros.examples.gain_tuner')
-_START = 30.0  # time for processes to start and to find each other [s]
-_LAST = 1.0  # time for the last window to be identified, after the flight [s]
+# How long processes may take to start, to find each other, or to identify a window [s]: a busy
+# computer is waited for.
+_PATIENCE = 60.0
+_BEFORE = 3  # windows before the payload comes, however long the computer takes for them
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,7 @@ class Observer(Node):  # type: ignore[misc]  # rclpy has no types
         self.truths: list[Truth] = []
         self.windows: list[Window] = []
         self._waiting: dict[int, Estimate] = {}  # for their verdicts, by number of the window
+        self._robot = AsyncParameterClient(self, 'simulated_robot')
         self.create_subscription(String, 'identifier/model', self._on_model, every)
         self.create_subscription(String, 'gain_tuner/verdict', self._on_verdict, every)
         self.create_subscription(String, 'simulated_robot/truth', self._on_truth, every)
@@ -53,6 +58,14 @@ class Observer(Node):  # type: ignore[misc]  # rclpy has no types
         """Return whether identifier and tuner wait for the robot."""
         return bool(self.count_subscribers('imu') and self.count_subscribers('command/torque')
                     and self.count_subscribers('identifier/model') > 1)
+
+    def attach(self, payload: float) -> None:
+        """Let the robot carry a payload [kg] from now on."""
+        self._robot.set_parameters([Parameter('payload', value=payload)])
+
+    def seen(self, phase: str) -> int:
+        """Return how many windows of a phase are judged."""
+        return sum(window.phase == phase for window in self.windows)
 
     def finish(self, number: float = math.inf, verdict: str = '') -> None:
         """Judge the windows up to a number, to which the verdict belongs; without it, all."""
@@ -109,29 +122,40 @@ def _watch(observer: Observer, processes: Processes, plan: Plan) -> None:
     print('starting identifier, gain tuner and robot ...')
     processes.start(IDENTIFIER, '--params-file', plan.params)
     processes.start(TUNER)
-    _spin(observer, processes, observer.ready, _START, 'identifier and tuner do not start')
-    processes.start(ROBOT, '-p', f'seed:={plan.seed}', '-p', f'change_to:={float(plan.payload)!r}',
-                    '-p', f'change_after:={plan.duration / 2!r}')
-    _spin(observer, processes, lambda: bool(observer.truths), _START, 'the robot does not fly')
+    _spin(observer, processes, observer.ready, 'identifier and tuner do not start')
+    processes.start(ROBOT, '-p', f'seed:={plan.seed}')
+    _spin(observer, processes, lambda: bool(observer.truths), 'the robot does not fly')
     print(f'a payload of {plan.payload:g} kg is attached after {plan.duration / 2:g} s. Each '
           'line: end of the window; then true pole: identified pole ± reported\n'
           'standard deviation (distance in standard deviations) [rad/s]')
-    _spin(observer, processes, lambda: False, plan.duration)
-    _spin(observer, processes, lambda: False, _LAST)
+    began = time.monotonic()
+    _spin(observer, processes, lambda: time.monotonic() - began > plan.duration / 2
+          and observer.seen('before') >= _BEFORE, 'no models before the payload')
+    observer.attach(plan.payload)
+    _spin(observer, processes, lambda: len(observer.truths) > 1, 'the payload is not attached')
+    _spin(observer, processes, lambda: time.monotonic() - began > plan.duration
+          and observer.seen('after') >= AGAIN, 'no models after the payload')
     observer.finish()
 
 
-def _spin(observer: Observer, processes: Processes, until: Callable[[], bool], seconds: float,
-          otherwise: str = '') -> None:
-    """Spin until something is true, or for some time; that is an error if a text is given."""
-    end = time.monotonic() + seconds
+def _spin(observer: Observer, processes: Processes, until: Callable[[], bool],
+          otherwise: str) -> None:
+    """
+    Spin until something is true.
+
+    Raises
+    ------
+    TimeoutError
+        If nothing new has been judged for too long; it begins with `otherwise`.
+    """
+    seen, since = len(observer.windows), time.monotonic()
     while not until():
         if processes.interrupted:
             raise KeyboardInterrupt
         if ended := processes.ended():
             raise RuntimeError(f'{ended[0]} has ended')
-        if time.monotonic() > end:
-            if otherwise:
-                raise TimeoutError(f'{otherwise} within {seconds:g} s')
-            return
+        if len(observer.windows) > seen:
+            seen, since = len(observer.windows), time.monotonic()
+        if time.monotonic() - since > _PATIENCE:
+            raise TimeoutError(f'{otherwise}: nothing new for {_PATIENCE:g} s')
         rclpy.spin_once(observer, timeout_sec=0.1)

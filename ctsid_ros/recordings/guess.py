@@ -156,19 +156,24 @@ def better(bag: Bag, config: Config) -> list[Pair]:
     """
     Return pairs of which the data of a bag say clearly more than of those of a config.
 
+    Those with the same outputs, if there are any; else those with the same inputs; else others.
+
     Raises
     ------
     BagError
         If the bag cannot be read on.
     """
     ranking = rank(bag, look_at(bag))
-    inputs, outputs = _scalars(config.inputs), _scalars(config.outputs)
+    inputs, outputs = scalars(config.inputs), scalars(config.outputs)
     used = max((p.score for p in ranking.compared if p.input.key in inputs
                 and p.output.key in outputs), default=0.0)
-    return [p for p in ranking.pairs[:OFFERED] if p.score > used + _CLEARLY]
+    found = [p for p in ranking.pairs if p.score > used + _CLEARLY]
+    asked = [p for p in found if p.output.key in outputs] \
+        or [p for p in found if p.input.key in inputs] or found
+    return asked[:OFFERED]
 
 
-def _scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
+def scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
     """Return topic and field of each scalar of some channels."""
     return {(c.topic, str(path)) for c in channels for path in (
         [FieldPath(c.path.steps, (part,)) for part in c.path.euler]

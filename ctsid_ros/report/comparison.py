@@ -18,7 +18,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.cross_check_result import UNKNOWN, Agreement
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import simulation
+from ctsid_core.model.validation import prediction, simulation
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import GLOSSARY, Bullets, Explorer, Figure, Gallery, Section
@@ -212,15 +212,15 @@ def order_of(estimate: Estimate, record: Record, chosen: Estimate) -> Order:
     """
     Return an order beside the chosen one.
 
-    Where no simulation of an order explains the data, its fits are of predictions: then that of
-    its simulation is taken instead.
+    One that was found by simulation and the other by predictions: then its own fit is computed
+    anew, as that of the chosen one is meant.
     """
-    predicted = by_predictions(estimate)
+    predicted = by_predictions(chosen)
     model = estimate.model or estimate.rejected_model
-    if model is None or predicted == by_predictions(chosen):
+    if model is None or predicted == by_predictions(estimate):
         return Order(estimate, estimate.fit, estimate.held_out_fit)
-    unknown = np.full(model.ny, math.nan)
-    return Order(estimate, simulation(model, record).fit if predicted else unknown, unknown)
+    found = prediction(model, record, HORIZONS[AHEAD]) if predicted else simulation(model, record)
+    return Order(estimate, found.fit, np.full(model.ny, math.nan))
 
 
 def order_sections(orders: Mapping[int, Order], chosen: int) -> list[Section]:
@@ -244,8 +244,9 @@ def order_sections(orders: Mapping[int, Order], chosen: int) -> list[Section]:
         'Own: the fit on the data that a model is of; it rises with the order. Held out: the fit '
         'of a second model, of a part of the data, on the rest; it stops rising where further '
         'states describe noise. Take the lowest order at which both have come to rest. A click '
-        'on an order shows its model below. (Without a held-out fit: an order of which no '
-        'simulation explains the data.)', Gallery((_fit_figure(orders, chosen),)),
+        'on an order shows its model below. (Without a held-out fit: an order that was found '
+        'in another way than the chosen one, by simulation or by predictions.)',
+        Gallery((_fit_figure(orders, chosen),)),
         Table(('order', 'verdict', 'fit [%]', 'held-out fit [%]', 'poles [rad/s]', ''), rows,
               left))),
         Section('One order', (Explorer([*orders].index(chosen) if chosen in orders else 0,

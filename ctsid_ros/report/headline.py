@@ -52,8 +52,26 @@ class Run:
         return shlex.join(('ctsid', verb, *self.bags, *params, *more))
 
 
+@dataclass(frozen=True)
+class Better:
+    """
+    Pairs of signals of which a recording says more than of those that gave no model.
+
+    Parameters
+    ----------
+    pairs : tuple of str
+        In words.
+    kept : tuple of str
+        The arguments of `ctsid init` that keep the signal that all of them share with those that
+        were chosen; empty if they share none.
+    """
+
+    pairs: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
+
+
 def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = (),
-             better: Sequence[str] = ()) -> Headline:
+             better: Better = Better()) -> Headline:
     """
     Return the verdict of an estimate, and what to try next.
 
@@ -63,8 +81,8 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
     run : Run
     facts : sequence of (str, str)
         Numbers to show beside its own.
-    better : sequence of str
-        Pairs of signals of which the recording says more; the way out where signals are at fault.
+    better : Better
+        The way out where signals are at fault.
     """
     model = estimate.model or estimate.rejected_model
     ahead = (f', predicted {HORIZONS[AHEAD]} samples ahead', ', 1 sample ahead') \
@@ -74,15 +92,19 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
         (f'held-out fit{ahead[1]} [%]', fit_words(estimate.held_out_fit)),
         ('order', str(model.n))]
     purpose, command = other_signals(run, better) \
-        if better and estimate.verdict.remedy is Remedy.SIGNALS else _next(estimate, run)
+        if better.pairs and estimate.verdict.remedy is Remedy.SIGNALS else _next(estimate, run)
     return Headline(estimate.verdict.grade.name, estimate.verdict.reason, command,
                     (*own, *_band(estimate), *facts), purpose)
 
 
-def other_signals(run: Run, better: Sequence[str]) -> tuple[str, str]:
+def other_signals(run: Run, better: Better) -> tuple[str, str]:
     """Return that a recording says more of other signals, and the command that takes them."""
-    return (f'the data say more about other signals: {"; ".join(better)}; they are shown, and the '
-            'first is written, by', shlex.join(('ctsid', 'init', *run.bags, '-o', 'other.yaml')))
+    first = '' if better.kept else 'nothing in the recording says more about these: move the ' \
+        'inputs more, and record again. '
+    what = 'the data say' if better.kept else 'The data say'
+    return (f'{first}{what} more about other signals: {"; ".join(better.pairs)}; they are shown, '
+            'and the first is written, by',
+            shlex.join(('ctsid', 'init', *run.bags, '-o', 'other.yaml', *better.kept)))
 
 
 def _band(estimate: Estimate) -> list[tuple[str, str]]:

@@ -70,7 +70,7 @@ def command(args: argparse.Namespace) -> int:
         helps,
         verdict_section,
     )
-    from ctsid_ros.report.headline import headline
+    from ctsid_ros.report.headline import Better, headline
 
     with open_bag(args.bag, args.time) as bag:
         config = config_for(args, bag)
@@ -82,7 +82,7 @@ def command(args: argparse.Namespace) -> int:
         estimate = identify(data.record, config.settings)
     advice = advise(estimate, data.record, args.wanted / 100, args.more)
     told = by_bag_clock(estimate, estimate.start_ns - round(span[0] * 1e9))
-    better = [] if estimate.ok else better_pairs(args.bag, args.time, config)
+    better = Better() if estimate.ok else better_pairs(args.bag, args.time, config)
     first = headline(told, run_of(args, span=span), better=better)
     if args.json:
         tell({'verb': 'advise', 'bag': named(args.bag), 'status': estimate.status.name,

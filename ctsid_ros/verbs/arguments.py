@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.recordings.guess_ranking import Pair
     from ctsid_ros.recordings.playback import Interval
-    from ctsid_ros.report.headline import Run
+    from ctsid_ros.report.headline import Better, Run
 
 ACCEPTED, NO_MODEL, INTERRUPTED = 0, 3, 130
 
@@ -175,17 +175,23 @@ def _guessed(bag: Bag) -> Config:
     return guessed.config
 
 
-def better_pairs(bags: Sequence[str], time: Sequence[str], config: Config) -> list[str]:
+def better_pairs(bags: Sequence[str], time: Sequence[str], config: Config) -> Better:
     """Return the pairs of which a recording says more than of those that gave no model."""
     from ctsid_ros.errors import BagError
     from ctsid_ros.recordings.bag import open_bag
-    from ctsid_ros.recordings.guess import better
+    from ctsid_ros.recordings.guess import better, scalars
+    from ctsid_ros.report.headline import Better
 
     pairs: Sequence[Pair] = ()
     with suppress(BagError), open_bag(bags, time) as bag:      # the results go without
         pairs = better(bag, config)
-    return [f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
-            f'({100 * p.explained.past:.0f} % explained)' for p in pairs]
+    kept: tuple[str, ...] = ()
+    for side, channels in (('input', config.inputs), ('output', config.outputs)):
+        if pairs and all(getattr(p, side).key in scalars(channels) for p in pairs):
+            kept = (f'--{side}', ' '.join(getattr(pairs[0], side).key))
+    return Better(tuple(
+        f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
+        f'({100 * p.explained.past:.0f} % explained)' for p in pairs), kept)
 
 
 def read_params(path: str) -> Config:

@@ -186,7 +186,7 @@ def command(args: argparse.Namespace) -> int:
     """Read, identify, test, write, print."""
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.grouping import recordings
-    from ctsid_ros.report.headline import headline
+    from ctsid_ros.report.headline import Better, headline
 
     truth = read_truth(args)
     intervals = _intervals(args)
@@ -204,8 +204,8 @@ def command(args: argparse.Namespace) -> int:
         with working(_task(sources), quiet=args.quiet):
             outcome = _identify(tuple(sources), args.test_from)
         with working('writing the report', quiet=args.quiet):
-            better = [] if outcome.estimate.ok else better_pairs(groups[0], args.time,
-                                                                 outcome.config)
+            better = Better() if outcome.estimate.ok else better_pairs(
+                groups[0], args.time, outcome.config)
             run = run_of(args, str(out / MODEL), outcome.sources[0].span)
             first = headline(outcome.told, run, _facts(outcome), better)
             _write(out, outcome, args, truth, run, first)
@@ -353,9 +353,18 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
 
 
 def _facts(outcome: Outcome) -> list[tuple[str, str]]:
+    from ctsid_core.model.validation import simulation
+    from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.tables import fit_words
 
-    return [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
+    alone = []
+    if outcome.model and by_predictions(outcome.estimate) and len(outcome.sources) == 1 \
+            and not outcome.tests:      # what a controller is designed for; as by horizon below
+        (number, record), = _shown(outcome)
+        own = outcome.estimate.trimmed(outcome.model, number)
+        alone = [('simulated from the inputs alone [%]',
+                  fit_words(simulation(own, record, trim='refit').fit))]
+    return alone + [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
                                          if len(outcome.sources) > 1 else ''),
              fit_words(t.test.fit)) for t in outcome.tests]
 

@@ -145,6 +145,7 @@ class _Report:
     def __init__(self, run: Replay, bag: Bag, args: argparse.Namespace, truth: StateSpace | None
                  ) -> None:
         from ctsid_ros.replay.clock import by_bag_clock, zero_ns
+        from ctsid_ros.report.headline import Better
 
         self.args, self.truth, self.played = args, truth, run.played
         self.zero_ns = zero_ns(bag, run.results[0].estimate.start_ns)
@@ -152,8 +153,8 @@ class _Report:
             r.estimate, self.zero_ns))) for r in run.results]
         best = len(run.results) - 1 if run.best is None else run.best
         self.run, self.best, self.number = run, self.results[best], best + 1
-        self.better = [] if run.best is not None else better_pairs(args.bag, args.time,
-                                                                   run.played.config)
+        self.better = Better() if run.best is not None else better_pairs(
+            args.bag, args.time, run.played.config)
         self.notes = tuple(dict.fromkeys((*bag.notes, *self.played.complaints)))
 
     @property
