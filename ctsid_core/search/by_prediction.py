@@ -44,6 +44,7 @@ HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
 _STEPS = 15
+_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried
 _FINAL = 2                  # orders that are climbed with all samples
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
@@ -147,11 +148,42 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
 
 def _climbed(joint: Samples, start: Fit, free: Free, record: Record,
              corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
-    """Return what predicts better, the likeliest predictor near a start or the start; or None."""
-    fits = climb(joint, start, free, steps=_STEPS, least=ROUGHLY), start
-    known = [_judged(joint, fit, free, record, corrupt) for fit in fits]
-    return min((one for one in known if one is not None), key=lambda one: one.information,
-               default=None)
+    """Return the best predictor near a start or near a filter of its plant; None: no plant."""
+    best = _nearby(joint, start, free, record, corrupt)
+    filtered = _filter(joint, best, free) if best is not None else None
+    other = _nearby(joint, filtered, free, record, corrupt) if filtered is not None else None
+    return min((one for one in (best, other) if one is not None),
+               key=lambda one: one.information, default=None)
+
+
+def _nearby(joint: Samples, start: Fit, free: Free, record: Record,
+            corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
+    """Return the likeliest predictor near a start; the start, if that one is of no plant."""
+    return _judged(joint, climb(joint, start, free, steps=_STEPS, least=ROUGHLY), free, record,
+                   corrupt) or _judged(joint, start, free, record, corrupt)
+
+
+def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
+    """
+    Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
+
+    Predictors may be slower than the past of the regression, and climbs end before they are
+    there. With no noise in the plant poles are its own, those that grow mirrored.
+    """
+    m, n = one.matrices, len(one.matrices.A)
+    C, fits = m.C / joint.size[:, np.newaxis], []
+    omega = np.geomspace(1.0 / joint.length, 1.0 / joint.interval, _NOISES)
+    B = m.B / np.maximum(np.linalg.norm(m.B, axis=0), 1e-300)
+    with suppress(np.linalg.LinAlgError):
+        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A, B)
+        for noise in (0.0, *np.linalg.norm(responses, 2, axis=(1, 2)) ** -2.0):
+            both = np.linalg.eigvals(np.block([[m.A.T, -C.T @ C], [-noise * B @ B.T, -m.A]]))
+            poles = np.sort_complex(both)[:n]
+            if poles.real.max() < free.limit:
+                fits.append(fit_at(joint, poles[poles.imag >= 0.0], one.found.fit.model.delay,
+                                   free))
+    best = min(fits, key=lambda fit: fit.cost, default=None)
+    return best if best is not None and best.cost < one.found.fit.cost else None
 
 
 def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
