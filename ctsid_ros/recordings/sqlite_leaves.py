@@ -36,11 +36,13 @@ from ctsid_ros.recordings.sqlite_pages import (
     cells,
     messages,
     read_pages,
+    varints,
 )
 
 _COLUMNS = [('id', 'INTEGER', 1), ('topic_id', 'INTEGER', 0), ('timestamp', 'INTEGER', 0),
             ('data', 'BLOB', 0)]  # name, type, part of the primary key
 _DEEPEST = 20  # levels of a table that SQLite follows
+_GREATEST = np.iinfo(np.int64).max  # `id` of all
 
 
 class Form(NamedTuple):
@@ -92,19 +94,20 @@ def leaves_of(path: Path, database: sqlite3.Connection) -> Leaves | None:
     try:
         with path.open('rb', buffering=0) as file:
             form = Form(size, file.read(21)[20], count)
-            return _leaves(path, file, form, _numbers(file, form, root[0]))
+            return _leaves(path, file, form, *_numbers(file, form, root[0]))
     except (_NotPlainError, EOFError):
         return None
 
 
-def _numbers(file: BinaryIO, form: Form, root: int) -> Index:
-    """Return the numbers of the leaves, in order, from that of the highest page."""
-    level = np.array([root])
+def _numbers(file: BinaryIO, form: Form, root: int) -> tuple[Index, Index]:
+    """Return the numbers of the leaves, in order, and the greatest `id` that each may have."""
+    level, greatest = np.array([root]), np.array([_GREATEST])
     for _ in range(_DEEPEST):
         if read_pages(file, level[:1], form.size)[0] == LEAF:
-            return level
-        level = np.concatenate([_below(read_pages(file, some, form.size), len(some), form)
-                                for some in _parts(level, form)])
+            return level, greatest
+        below = [_below(read_pages(file, some, form.size), own, form) for some, own in zip(
+            _parts(level, form), _parts(greatest, form), strict=True)]
+        level, greatest = (np.concatenate(column) for column in zip(*below, strict=True))
         if len(level) > form.pages or np.min(level) < 2 or np.max(level) > form.pages:
             raise _NotPlainError
     raise _NotPlainError
@@ -115,15 +118,17 @@ def _parts(numbers: Index, form: Form) -> list[Index]:
     return [numbers[i:i + step] for i in range(0, len(numbers), step)]
 
 
-def _below(content: Bytes, count: int, form: Form) -> Index:
-    """Return the numbers of the pages below some."""
-    pages = _checked(content, count, form, INTERIOR)
+def _below(content: Bytes, greatest: Index, form: Form) -> tuple[Index, Index]:
+    """Return the numbers of the pages below some, and the greatest `id` of each."""
+    pages = _checked(content, len(greatest), form, INTERIOR)
     page, at = cells(content, pages, form.size, INTERIOR_HEAD)
-    if (at < 0).any() or (at + 4 > page + form.size - form.unused).any():
+    keys, end = varints(content, np.maximum(at, 0) + 4)
+    if (at < 0).any() or (end > page + form.size - form.unused).any():
         raise _NotPlainError
     # The last one of each page stands in its head.
-    return np.insert(big_endian(content, at, 4), np.searchsorted(page, pages, 'right'),
-                     big_endian(content, pages + 8, 4))
+    behind = np.searchsorted(page, pages, 'right')
+    return (np.insert(big_endian(content, at, 4), behind, big_endian(content, pages + 8, 4)),
+            np.insert(keys, behind, greatest))
 
 
 def _checked(content: Bytes, count: int, form: Form, kind: int) -> Index:
@@ -136,23 +141,26 @@ def _checked(content: Bytes, count: int, form: Form, kind: int) -> Index:
     return pages
 
 
-def _leaves(path: Path, file: BinaryIO, form: Form, numbers: Index) -> Leaves:
-    first, last, counts, before = [], [], Counter[int](), None
+def _leaves(path: Path, file: BinaryIO, form: Form, numbers: Index, greatest: Index) -> Leaves:
+    ranges, counts = [], Counter[int]()
     for some in _parts(numbers, form):
         content = read_pages(file, some, form.size)
         pages = _checked(content, len(some), form, LEAF)
         found = messages(content, pages, form.size, form.unused)
-        ids = found.id if before is None else np.append(before, found.id)
-        if not found.sound.all() or (ids[1:] <= ids[:-1]).any():
+        if not found.sound.all() or (found.id[1:] <= found.id[:-1]).any():
             raise _NotPlainError
-        before = ids[-1]
-        sizes = big_endian(content, pages + 3, 2)
-        starts = np.cumsum(sizes) - sizes
-        first.append(np.minimum.reduceat(found.log_ns, starts))
-        last.append(np.maximum.reduceat(found.log_ns, starts))
+        ends = np.cumsum(big_endian(content, pages + 3, 2))
+        starts = np.append(0, ends[:-1])
+        ranges.append((found.id[starts], found.id[ends - 1],
+                       np.minimum.reduceat(found.log_ns, starts),
+                       np.maximum.reduceat(found.log_ns, starts)))
         topics, number = np.unique(found.topic, return_counts=True)
         counts.update(dict(zip(topics.tolist(), number.tolist(), strict=True)))
-    return Leaves(path, form, numbers, np.concatenate(first), np.concatenate(last), counts)
+    least, most, first_ns, last_ns = (np.concatenate(r) for r in zip(*ranges, strict=True))
+    # By these SQLite finds a single row.
+    if (most > greatest).any() or (least[1:] <= greatest[:-1]).any():
+        raise _NotPlainError
+    return Leaves(path, form, numbers, first_ns, last_ns, counts)
 
 
 def blocks(leaves: Leaves, database: sqlite3.Connection, batch: int, wanted: Wanted

@@ -111,12 +111,12 @@ def messages(content: Bytes, pages: Index, size: int, unused: int) -> Cells:
     """
     page, at = cells(content, pages, size, LEAF_HEAD)
     sound, usable = at >= 0, size - unused
-    payload, at = _varints(content, np.maximum(at, 0))
-    id_, begin = _varints(content, at)
-    head, at = _varints(content, begin)
+    payload, at = varints(content, np.maximum(at, 0))
+    id_, begin = varints(content, at)
+    head, at = varints(content, begin)
     types = []
     for _ in range(_COLUMNS):
-        kind, at = _varints(content, at)
+        kind, at = varints(content, at)
         types.append(kind)
     own, topic, time, data = types
     length = data - _BLOB >> 1
@@ -140,7 +140,7 @@ def _local(payload: Index, usable: int) -> Index:
     return np.where(payload <= usable - 35, payload, np.where(own <= usable - 35, own, least))
 
 
-def _varints(content: Bytes, at: Index) -> tuple[Index, Index]:
+def varints(content: Bytes, at: Index) -> tuple[Index, Index]:
     """Return numbers of 1 to 9 bytes, and where they end."""
     byte = content[at]
     value, end = (byte & 0x7f).astype(np.int64), at + 1
