@@ -253,7 +253,7 @@ def _score(u: Candidate, y: Candidate, found: Explained, lines: float) -> float:
     stamps = np.prod([1.0 if c.topic.stamp == 'header' else _NO_HEADER for c in (u, y)])
     spaces = [c.key[0].split('/')[1] for c in (u, y) if c.key[0].count('/') > 1]
     together = _APART if len(spaces) == 2 and spaces[0] != spaces[1] else 1.0
-    told = -lines * np.log(1.0 - np.clip(past, 0.0, _CERTAIN))
+    told = -lines * np.log(1.0 - np.clip(found.past, 0.0, _CERTAIN))
     return float(max(past, 0.0) * first * min(found.overlap / _LONG, 1.0) * stamps * together
                  * _enough(told) * u.acts * y.measures)
 
