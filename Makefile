@@ -9,6 +9,8 @@ PIP := $(PY) -m pip install --quiet --disable-pip-version-check --prefer-binary
 # Two processes with one BLAS thread each are faster on two cores than the reverse.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
 PYTHON ?=
+# Of the recordings of `make bench`: 300000 are files of 0.6 GB, and take three times as long.
+BENCH_MESSAGES ?= 100000
 PACKAGING := setup.py setup.cfg pyproject.toml
 
 .PHONY: demo demo-live test test-all lint bench docs studies study-table1 bags clean
@@ -53,6 +55,7 @@ bench: $(VENV)/.installed-bench $(VENV)/.tried-ros
 	$(PY) benchmarks/peers.py
 	$(PY) benchmarks/bursty.py
 	$(PY) benchmarks/methods.py
+	$(PY) benchmarks/recordings.py --messages $(BENCH_MESSAGES)
 	$(PY) benchmarks/node.py
 
 bags: $(VENV)/.installed

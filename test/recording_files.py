@@ -85,6 +85,69 @@ def write_ulog(path: Path, t_u, u, t_y, y) -> Path:
     return path
 
 
+def write_px4_log(path: Path, seed: int = 0, seconds: float = 40.0, axis: int = 0) -> Path:
+    """
+    A hover of a PX4 multicopter in which one axis is excited.
+
+    Each axis turns by its torque (gain 20, lag of 0.05 s) under a rate loop, whose gyro is noisy.
+    A takeoff moves thrust, battery and height once; the heading that is wanted follows the one
+    that is measured; motors mix all torques.
+    """
+    rng, step = np.random.default_rng(seed), 0.004
+    time = np.arange(0.0, seconds, step)
+    count = len(time)
+    up = 1.0 / (1.0 + np.exp(-(time - 6.0) / 0.5))
+    wish = np.zeros((count, 3))
+    wish[:, axis] = np.repeat(rng.choice([-0.6, 0.6], count // 100 + 1), 100)[:count] * (time > 10)
+    torque, rate, seen = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    acting = np.zeros(3)
+    gusts = 0.5 * rng.standard_normal((count, 3))
+    for k in range(1, count):
+        acting += step / 0.05 * (torque[k - 1] - acting)
+        rate[k] = rate[k - 1] + step * (20.0 * acting - 0.5 * rate[k - 1] + gusts[k])
+        seen[k] = rate[k] + 0.02 * rng.standard_normal(3)
+        torque[k] = 0.15 * (wish[k] - seen[k])
+    angle = np.cumsum(rate, axis=0) * step
+    height = np.cumsum(up) * step * (time < 9) + (np.cumsum(up * (time < 9)) * step) * (time >= 9)
+    thrust = -0.2 - 0.5 * up + 0.01 * rng.standard_normal(count)
+    heading = np.repeat(angle[::50, 2], 50)[:count]
+    motors = 0.5 * up[:, None] + torque @ rng.choice([-1.0, 1.0], (3, 4))
+    log = ULogWriter()
+    streams = {  # topic: fields, period [ticks], values
+        'actuator_motors': ('float[4] control', 5, motors),
+        'battery_status': ('float voltage_v;float current_a', 50, np.column_stack(
+            [16.0 - 0.5 * up, 20.0 * up + 0.1 * rng.standard_normal(count)])),
+        'cpuload': ('float load', 125, 0.3 + 0.1 * up[:, None] + 0.01 * rng.standard_normal(
+            (count, 1))),
+        'control_allocator_status': ('float[3] unallocated_thrust', 50, np.column_stack(
+            [0.0 * up, 0.0 * up, np.where(up < 0.1, thrust, 0.0)])),
+        'estimator_states': ('float[4] states', 250, np.column_stack(
+            [angle, height + 0.05 * rng.standard_normal(count)])),
+        'sensor_combined': ('float[3] gyro_rad;float[3] accelerometer_m_s2', 1, np.column_stack(
+            [seen, rng.standard_normal((count, 2)), -9.8 + rng.standard_normal(count)])),
+        'trajectory_setpoint': ('float[3] acceleration', 50, np.column_stack(
+            [rng.standard_normal((count, 2)), up * (time < 9)])),
+        'vehicle_angular_velocity': ('float[3] xyz', 2, seen),
+        'vehicle_attitude': ('float[4] q', 5, np.column_stack(
+            [np.cos(angle[:, 2] / 2), angle[:, 0] / 2, angle[:, 1] / 2,
+             np.sin(angle[:, 2] / 2)])),
+        'vehicle_attitude_setpoint': ('float yaw_body;float[3] thrust_body', 5, np.column_stack(
+            [heading, 0.0 * up, 0.0 * up, thrust])),
+        'vehicle_gps_position': ('float altitude_ellipsoid_m;float vel_d_m_s', 13,
+                                 np.column_stack([height, -np.gradient(height, step)])),
+        'vehicle_rates_setpoint': ('float roll;float pitch;float yaw', 5, wish),
+        'vehicle_torque_setpoint': ('float[3] xyz', 2, torque)}
+    for name, (fields, _, _) in streams.items():
+        log.format(name, f'uint64_t timestamp;{fields};')
+    for name, (_, period, values) in streams.items():
+        number = log.subscribe(name)
+        for k in range(0, count, period):
+            log.data(number, 1_000_000 + round(time[k] * 1e6) + rng.integers(200),
+                     np.asarray(values[k], '<f4').tobytes())
+    path.write_bytes(log.bytes())
+    return path
+
+
 def dataflash(number: int, packed: bytes) -> bytes:
     """One message of an ArduPilot log."""
     return struct.pack('<BBB', 0xA3, 0x95, number) + packed

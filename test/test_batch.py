@@ -38,6 +38,7 @@ from ctsid_ros.config.parameter_file import parse_config
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.replay.replay import Replay
+from ctsid_ros.report import interactive, static
 from ctsid_ros.report.document import Headline
 from ctsid_ros.report.tables import percent
 
@@ -257,20 +258,47 @@ def test_the_word_for_all_bags_and_the_command_go_to_the_worst():
     assert 'b1' in first('GOOD', 'GOOD', odd=('/d/b1',)).sentence
 
 
-@pytest.mark.parametrize(('apart_s', 'title'), [
-    (3 * 86400, 'days after 2020-09-13'), (3 * 3600, 'hours after the first bag'),
-    (1800, 'minutes after the first bag'), (5, 'seconds after the first bag')])
-def test_bags_of_one_day_are_drawn_over_hours_or_less(apart_s, title):
+def drawn(*recorded_s: float, poles: bool = True):
+    """The drawing of poles along time, of bags that were recorded then; the last may have none."""
     pole = dict.fromkeys(('std', 'natural_frequency_std', 'damping_std'), 0.1) | {
         're': -1.0, 'im': 2.0, 'natural_frequency': 2.2, 'damping': 0.4}
-    bags = [Flight(f'/d/b{k}', 'v', (1_600_000_000 + k * apart_s) * 10**9,
-                   dict.fromkeys(GRADES, 1), {'order': 2, 'poles': [pole]}, 'GOOD', '', '')
-            for k in range(2)]
+    bags = [Flight(f'/d/b{k}', 'v', round(at * 1e9), dict.fromkeys(GRADES, 1),
+                   {'order': 2, 'poles': [pole]} if poles or not k else {}, 'GOOD', '', '')
+            for k, at in enumerate(recorded_s)]
     section = next(s for s in sections(bags, {}) if s.title == 'Poles by vehicle and date')
-    last = section.parts[0].drawing.panels[-1]
+    return section.parts[0].drawing
+
+
+@pytest.mark.parametrize(('apart_s', 'title', 'unit'), [
+    (3 * 3600, 'hours after the first bag', 3600), (1800, 'minutes after the first bag', 60),
+    (5, 'seconds after the first bag', 1)])
+def test_bags_of_one_day_are_drawn_over_hours_or_less(apart_s, title, unit):
+    last = drawn(1.6e9, 1.6e9 + apart_s).panels[-1]
     assert last.x_label == title
-    assert last.curves[0].x.max() == pytest.approx(
-        apart_s / {'d': 86400, 'h': 3600, 'm': 60, 's': 1}[title[0]])
+    assert last.curves[0].x.max() == pytest.approx(apart_s / unit)
+    assert not last.x_dates
+
+
+@pytest.mark.parametrize('poles', [True, False])
+def test_bags_of_several_days_are_drawn_over_dates(tmp_path, poles):
+    """Also where only one of them has a model."""
+    found = drawn(1.6e9, 1.6e9 + 3 * 86400, poles=poles)
+    assert {panel.x_dates for panel in found.panels} == {True}
+    assert 'after' not in found.panels[-1].x_label
+    figure = interactive.figure(found)
+    dots = [t for t in figure['data'] if t.get('hoverinfo') == 'text']
+    assert dots[-1]['x'] == ['2020-09-13T12:26:40', '2020-09-16T12:26:40'][:1 + poles]
+    assert figure['layout']['xaxis']['type'] == figure['layout']['xaxis2']['type'] == 'date'
+    static.write_drawings(tmp_path / 'a.svg', found.panels)
+    assert '2020-Sep' in (tmp_path / 'a.svg').read_text()
+
+
+def test_logs_without_dates_are_drawn_one_beside_the_other():
+    """Their times count from when they were switched on, and tell no order."""
+    last = drawn(60.0, 40.0, 1_000_000.0).panels[-1]
+    assert last.x_label == 'number of the bag in the table (not all have dates)'
+    assert last.curves[0].x.tolist() == [1.0, 2.0, 3.0]
+    assert Flight('/d/b', 'v', 10**15, {}, {}, 'GOOD', '', '').date == ''
 
 
 def test_what_is_done_is_not_done_again(batch, fleet, tmp_path, monkeypatch):

@@ -33,7 +33,7 @@ def headers() -> list[Path]:
     spec = find_spec('nlohmann_json')
     found = [Path(spec.origin).parent / 'include'] if spec else [Path('/usr/include')]
     if CXX is None or not (found[0] / 'nlohmann/json.hpp').is_file():
-        pytest.skip("this needs a C++ compiler and nlohmann-json: pip install 'ctsid[test]'")
+        pytest.skip("this needs a C++ compiler and nlohmann-json: pip install '.[test]'")
     return found
 
 

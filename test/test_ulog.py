@@ -9,11 +9,20 @@ import sys
 from bag_fixtures import notes, numbers, refused
 import numpy as np
 import pytest
-from recording_files import ULogWriter, flight, samples_read, ulog_message, write_ulog
+from recording_files import (
+    ULogWriter,
+    flight,
+    samples_read,
+    ulog_message,
+    write_px4_log,
+    write_ulog,
+)
 
 from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.guess_ranking import rank
+from ctsid_ros.recordings.survey import survey
 
 pytest.importorskip('pyulog')
 T_U, U, T_Y, Y = flight(5.0)
@@ -198,3 +207,27 @@ def test_a_log_that_pyulog_has_written(tmp_path, log):
         np.testing.assert_array_equal(one.log_ns, other.log_ns)
     with open_bag(again) as bag:
         assert bag.notes == ()
+
+
+def first_pair(path):
+    """The most promising pair."""
+    with open_bag(path) as bag:
+        pair = rank(bag, survey(bag)).pairs[0]
+    return pair.input.key, pair.output.key
+
+
+def turned(axis: int):
+    return {(('vehicle_torque_setpoint', f'xyz[{axis}]'), (topic, f'{field}[{axis}]'))
+            for topic, field in (('vehicle_angular_velocity', 'xyz'),
+                                 ('sensor_combined', 'gyro_rad'))}
+
+
+@pytest.mark.parametrize('axis', [0, 1, 2])
+def test_an_excited_axis_is_found_in_a_px4_log(tmp_path, axis):
+    """Not what the takeoff moved as well, once, nor the setpoint of the loop around it."""
+    assert first_pair(write_px4_log(tmp_path / 'log.ulg', axis, axis=axis)) in turned(axis)
+
+
+def test_a_real_px4_log_offers_a_torque_and_what_it_turns(data_folder):
+    """A hover in PX4's simulation, without an experiment."""
+    assert first_pair(data_folder / 'ulog/sample_px4_events.ulg') in turned(2)

@@ -82,7 +82,7 @@ def test_nodes_are_told_apart():
 
 
 @pytest.mark.parametrize(('missing', 'cure'), [
-    ('rich', 'python3 -m pip install rich'), ('rclpy', "python3 -m pip install 'ctsid[ros]'")])
+    ('rich', 'pip install rich'), ('rclpy', "in the folder of ctsid: pip install '.[ros]'")])
 def test_what_is_not_installed_is_named_with_its_cure(missing, cure, monkeypatch, capsys):
     monkeypatch.setattr('importlib.util.find_spec', lambda name: None if name == missing else 1)
     assert main(['watch']) == 1

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from ctsid_core.errors import CtsidError, StorageError
 from ctsid_ros.batch.task import Task, give_up, perform
+from ctsid_ros.errors import lacks_extra
 from ctsid_ros.workers import interrupts_held_back
 
 if TYPE_CHECKING:
@@ -61,8 +62,7 @@ def cluster(jobs: int, scheduler: str = '') -> Iterator[Client]:
         import dask
         from distributed import Client, LocalCluster
     except ImportError as error:
-        raise ClusterError(f'a batch needs {error.name}, which is not installed here; pip install '
-                           "'ctsid[batch]'") from error
+        raise ClusterError(lacks_extra(error, 'for a batch', 'batch')) from error
     before = set(multiprocessing.active_children())
     with ExitStack() as stack:
         stack.enter_context(_quiet('asyncio'))  # of what was asked for when all ends

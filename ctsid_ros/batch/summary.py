@@ -33,7 +33,10 @@ _COLUMNS = ('recorded', 'window', 'verdict', 'best', 'order', 'poles', 'fits', '
 _MOST_ROWS = 300    # of a table on the page; bags.csv has all
 _MOST_NAMED = 40    # bags in a list
 _MOST_TOLD = 3      # bags in the first sentence
-_UNITS = (('days', 86_400e9), ('hours', 3600e9), ('minutes', 60e9), ('seconds', 1e9))    # [ns]
+_DAY = 86_400e9     # ns
+_MARGIN = 0.05      # of the span of dates, on either side
+_UNITS = (('hours', 3600e9), ('minutes', 60e9), ('seconds', 1e9))    # [ns]
+_DATED = 946_684_800 * 10**9    # ns, 2000-01-01: a log whose clock began at its start is before
 _APART = 5.0        # frequencies that differ by more have a logarithmic axis
 
 
@@ -78,9 +81,9 @@ class Flight:
 
     @property
     def date(self) -> str:
-        """Day of the recording, UTC."""
+        """Day of the recording, UTC; empty if its times are no dates."""
         return datetime.fromtimestamp(self.recorded_ns // 10**9, UTC).strftime('%Y-%m-%d') \
-            if self.recorded_ns else ''
+            if self.recorded_ns >= _DATED else ''
 
     @property
     def poles(self) -> list[dict[str, float | None]]:
@@ -323,29 +326,27 @@ def _figures(flights: Sequence[Flight], shown: Mapping[str, str]) -> list[Sectio
     known = [f for f in flights if f.poles]
     if not known:
         return []
-    first = min(f.recorded_ns for f in known)
-    day = next(f.date for f in known if f.recorded_ns == first)
-    span = max(f.recorded_ns for f in known) - first
-    word, unit = next(((w, u) for w, u in _UNITS if span >= 2.0 * u), _UNITS[-1])
-    day = day if word == 'days' else 'the first bag'
+    places, across, limits = _across(known, flights)
     curves: dict[str, list[Curve]] = {'natural_frequency': [], 'damping': []}
     crosses = []
     for k, name in enumerate(dict.fromkeys(f.vehicle for f in known)):
         own = [(f, p) for f in known if f.vehicle == name for p in f.poles]
         color = 1 + k % (len(COLORS) - 1)
-        days = np.array([(f.recorded_ns - first) / unit for f, _ in own])
-        texts = [f'{shown[f.bag]}, {f.date}: {_pole(p)} rad/s' for f, p in own]
+        at = np.array([places[f.bag] for f, _ in own])
+        texts = [f'{", ".join(filter(None, (shown[f.bag], f.date)))}: {_pole(p)} rad/s'
+                 for f, p in own]
         for key, found in curves.items():
-            found.append(_dots(own, key, days, name, color, texts))
+            found.append(_dots(own, key, at, name, color, texts))
         crosses.append(Curve(np.array([p['re'] for _, p in own], float),
                              np.array([p['im'] for _, p in own], float), name or '-', color,
                              'cross', texts=texts))
-    across = f'{word} after {day}'
     sizes = [p['natural_frequency'] for f in known for p in f.poles if p['natural_frequency']]
     apart = bool(sizes) and max(sizes) > _APART * min(sizes)
     along = Drawing((
-        Axes(curves['natural_frequency'], 'natural frequency [rad/s]', y_log=apart),
-        Axes(curves['damping'], 'damping ratio', across)), wide=True)
+        Axes(curves['natural_frequency'], 'natural frequency [rad/s]', y_log=apart,
+             x_dates=bool(limits), x_limits=limits),
+        Axes(curves['damping'], 'damping ratio', across, x_dates=bool(limits),
+             x_limits=limits)), wide=True)
     plane = Drawing((Axes(crosses, 'imaginary part [rad/s]', 'real part [rad/s]',
                           marks=[(0.0, '')], height=300.0),))
     return [Section('Poles by vehicle and date', (
@@ -353,13 +354,29 @@ def _figures(flights: Sequence[Flight], shown: Mapping[str, str]) -> list[Sectio
         Figure(plane, 'Right of the dashed line a pole is unstable.', 'Poles')), brief=False)]
 
 
-def _dots(own: Sequence[tuple[Flight, Mapping[str, float | None]]], key: str, days: np.ndarray,
+def _across(known: Sequence[Flight], flights: Sequence[Flight]
+            ) -> tuple[dict[str, float], str, tuple[float, float] | None]:
+    """Return where bags are along the axis of time, its label, and its limits if it has dates."""
+    if not all(f.date for f in known):
+        order = {f.bag: float(k) for k, f in enumerate(flights, 1)}
+        return order, 'number of the bag in the table (not all have dates)', None
+    times = [f.recorded_ns for f in flights if f.date]
+    first, span = min(times), max(times) - min(times)
+    if span >= _DAY:
+        return ({f.bag: f.recorded_ns / _DAY for f in known}, 'recorded (UTC)',
+                ((first - _MARGIN * span) / _DAY, (first + (1.0 + _MARGIN) * span) / _DAY))
+    word, unit = next(((w, u) for w, u in _UNITS if span >= 2.0 * u), _UNITS[-1])
+    return {f.bag: (f.recorded_ns - first) / unit for f in known}, f'{word} after the first bag', \
+        None
+
+
+def _dots(own: Sequence[tuple[Flight, Mapping[str, float | None]]], key: str, at: np.ndarray,
           name: str, color: int, texts: Sequence[str]) -> Curve:
     values = np.array([p[key] for _, p in own], float)
     std = np.array([p[f'{key}_std'] for _, p in own], float)
     # Real poles have the damping 1, or -1 if they are unstable: no news.
     values = values if key != 'damping' else np.where([p['im'] for _, p in own], values, np.nan)
-    return Curve(days, values, name or '-', color, 'dots', values - 2 * std, values + 2 * std,
+    return Curve(at, values, name or '-', color, 'dots', values - 2 * std, values + 2 * std,
                  bars=True, texts=texts)
 
 

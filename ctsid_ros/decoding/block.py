@@ -34,6 +34,9 @@ class Located(NamedTuple):
     offsets, lengths : ndarray of int, shape (N,)
         All lie within the content: the reader has checked that.
     log_ns, publish_ns : ndarray of int64, shape (N,)
+    places : ndarray of int, shape (N,), optional
+        Order among messages of equal log time, where it is not that of buffers and offsets; all
+        that a block is made of have it, or none.
     """
 
     slot: int
@@ -42,6 +45,7 @@ class Located(NamedTuple):
     lengths: Index
     log_ns: Stamps
     publish_ns: Stamps
+    places: Index | None = None
 
 
 class Decoded(NamedTuple):
@@ -146,7 +150,8 @@ class Block:
         places: list[list[Index]] = [[] for _ in topics]
         for part in found:
             base = buffers.setdefault(id(part.content), len(buffers)) << 40
-            places[part.slot].append(part.offsets + base)
+            places[part.slot].append(
+                part.offsets + base if part.places is None else part.places)
         return cls._sorted(columns, [joined(own) for own in places])
 
     @classmethod

@@ -42,8 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         from ctsid_ros.examples.demo_node import Plan, fly
     except ImportError as error:
-        print(f'live_demo: error: {error}; this needs ROS 2: source it, or pip install '
-              "'ctsid[ros]'", file=sys.stderr)
+        print(f'live_demo: error: {error}; this needs ROS 2: source it, or in the folder of '
+              "ctsid: pip install '.[ros]'", file=sys.stderr)
         return 1
     print('to watch it in another terminal, in this environment: '
           f'{" ".join(f"{name}={value}" for name, value in own.items())} ctsid watch')

@@ -71,7 +71,7 @@ def within(chunk: Chunk, part: Located) -> Located:
     """Drop messages with log times that the chunk does not have: they are damaged."""
     inside = (part.log_ns >= chunk.start_ns) & (part.log_ns <= chunk.end_ns)
     return part if inside.all() else Located(
-        part.slot, part.content, *(column[inside] for column in part[2:]))
+        part.slot, part.content, *(column[inside] for column in part[2:6]))
 
 
 def plausible(log_ns: Stamps) -> Stamps:

@@ -3,7 +3,8 @@
 rosbag2 files in SQLite (.db3), of any schema version, sound or cut off.
 
 A file left behind by a crash may have its last messages in a write-ahead log beside it, which is
-then read as well. A cut-off file is malformed for SQLite; its messages are taken out of the pages
+then read as well. The messages of a sound file are read by `sqlite_leaves.py`, those of another
+by SQLite. A cut-off file is malformed for SQLite; its messages are taken out of the pages
 that are there, by `sqlite_pages.py`, and its topics by SQLite, the file filled up with zeros to
 the size that its header states.
 """
@@ -11,7 +12,7 @@ the size that its header states.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 import io
@@ -20,7 +21,7 @@ from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.chunks import NO_CHECKSUMS, YEAR
 from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
+from ctsid_ros.recordings.sqlite_leaves import Leaves, blocks, leaves_of
 from ctsid_ros.recordings.sqlite_pages import rows
 
 MAGIC = b'SQLite format 3\0'
@@ -65,13 +67,18 @@ def scan_sqlite(path: Path, resources: ExitStack) -> Recording:
 
 def _connect(path: Path, resources: ExitStack) -> sqlite3.Connection:
     """Open a file for reading; without touching its folder unless a write-ahead log is there."""
-    log = path.with_name(path.name + '-wal')
-    mode = 'mode=ro' if log.exists() and log.stat().st_size else 'immutable=1'
+    mode = 'mode=ro' if _log_ahead(path) else 'immutable=1'
     database = sqlite3.connect(f'{path.resolve().as_uri()}?{mode}', uri=True,
                                check_same_thread=False)
     database.text_factory = _text
     resources.callback(database.close)
     return database
+
+
+def _log_ahead(path: Path) -> bool:
+    """Whether a write-ahead log is beside a file, with what is newer than the file."""
+    log = path.with_name(path.name + '-wal')
+    return log.exists() and log.stat().st_size > 0
 
 
 def _text(stored: bytes) -> str:
@@ -83,6 +90,53 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
     if not {'topics', 'messages'} <= present:
         raise BagError(f'{path} is an SQLite database, but not a bag: its tables are '
                        f'{", ".join(sorted(present)) or "none"}')
+    definitions = _definitions(database) if 'message_definitions' in present else {}
+    topics = [row for row in database.execute(f'SELECT {", ".join(TABLES["topics"])} FROM topics')
+              if all(isinstance(text, str) for text in row[1:])]
+    known = [number for number, *_ in topics]
+    content = _plain(path, database, known) or _asked(path, database, known)
+    connections = tuple(
+        Connection(number, topic, kind, encoding, *definitions.get(kind, ('', '')),
+                   content.counts.get(number, 0))
+        for number, topic, kind, encoding in topics)
+    return Recording(connections, content.start_ns, content.end_ns, content.blocks,
+                     (*notes, *content.notes))
+
+
+class _Content(NamedTuple):
+    """Number of messages by topic, first and last time, and what else a `Recording` has."""
+
+    counts: Mapping[int, int]
+    start_ns: int
+    end_ns: int
+    blocks: Callable[[Wanted, Note], Iterator[Block]]
+    notes: tuple[str, ...] = ()
+
+
+def _plain(path: Path, database: sqlite3.Connection, known: Sequence[int]) -> _Content | None:
+    """Return what pages say that are as rosbag2 has SQLite write them; None if others are."""
+    leaves = None if _log_ahead(path) else leaves_of(path, database)
+    if leaves is None or not leaves.counts.keys() <= set(known):
+        return None
+    start_ns, end_ns = int(np.min(leaves.first_ns)), int(np.max(leaves.last_ns))
+    if end_ns - start_ns > YEAR:
+        return None
+    return _Content(leaves.counts, start_ns, end_ns, partial(_plain_blocks, leaves, database))
+
+
+def _plain_blocks(leaves: Leaves, database: sqlite3.Connection, wanted: Wanted, note: Note
+                  ) -> Iterator[Block]:
+    given = 0
+    try:
+        for block in blocks(leaves, database, _BATCH, wanted):
+            yield block
+            given += len(block)
+    except (*DAMAGE, EOFError) as error:
+        note(f'{leaves.path.name}: damaged: {given} messages read, the rest is lost ({error})')
+
+
+def _asked(path: Path, database: sqlite3.Connection, known: Sequence[int]) -> _Content:
+    """Return what SQLite says of messages."""
     sound = _sound(database)
     # One pass, for SQLite would sort them: the topics of all messages as one text.
     topics, total = database.execute(
@@ -94,23 +148,15 @@ def _recording(path: Path, database: sqlite3.Connection, notes: tuple[str, ...])
         f'SELECT COUNT(*) FROM messages WHERE {_in_time(sound)}').fetchone()
     if listed < counts.total():
         raise sqlite3.DatabaseError('its index of times is damaged')
-    if counts.total() < total:
-        notes = (*notes, f'{path.name}: {total - counts.total()} messages are damaged and were '
-                 f'left out; {NO_CHECKSUMS}')
-    definitions = _definitions(database) if 'message_definitions' in present else {}
-    connections = tuple(
-        Connection(number, topic, kind, encoding, *definitions.get(kind, ('', '')),
-                   counts[str(number)])
-        for number, topic, kind, encoding in database.execute(
-            f'SELECT {", ".join(TABLES["topics"])} FROM topics')
-        if all(isinstance(text, str) for text in (topic, kind, encoding)))
-
-    known = ', '.join(str(c.id) for c in connections if c.count)
+    left_out = total - counts.total()
+    notes = (f'{path.name}: {left_out} messages are damaged and were left out; {NO_CHECKSUMS}',
+             ) if left_out else ()
+    by_topic = {number: counts[str(number)] for number in known}
+    among = ', '.join(str(number) for number, count in by_topic.items() if count)
     first, last = (database.execute(
-        f'SELECT timestamp FROM messages WHERE topic_id IN ({known}) AND {sound} '
+        f'SELECT timestamp FROM messages WHERE topic_id IN ({among}) AND {sound} '
         f'ORDER BY timestamp {order} LIMIT 1').fetchone() or (0,) for order in ('ASC', 'DESC'))
-    return Recording(connections, first[0], last[0], partial(_blocks, path, database, sound),
-                     notes)
+    return _Content(by_topic, first[0], last[0], partial(_blocks, path, database, sound), notes)
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:

@@ -103,6 +103,8 @@ class Axes:
     curves : sequence of Curve
     title, x_label, y_label : str
     x_log, y_log : bool
+    x_dates : bool
+        Whether x are days since the beginning of 1970 (UTC), and shown as dates.
     levels : sequence of float
         Dashed lines across.
     spans : sequence of Span
@@ -123,6 +125,7 @@ class Axes:
     y_label: str = ''
     x_log: bool = False
     y_log: bool = False
+    x_dates: bool = False
     levels: Sequence[float] = field(default=())
     spans: Sequence[Span] = field(default=())
     marks: Sequence[tuple[float, str]] = field(default=())

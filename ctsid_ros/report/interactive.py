@@ -29,6 +29,7 @@ _MOST_DECADES = 6   # that have a number along a logarithmic axis
 # Numbers along a logarithmic axis of fewer decades than these; plotly's own would be small.
 _TICKS = ((0.5, (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8)), (1.2, (1, 2, 3, 5, 7)),
           (2.6, (1, 2, 5)))
+_DIGITS, _DATE_DIGITS = 8, 12    # of x; days since 1970 to less than a second
 
 
 def plotly_js() -> str | None:
@@ -64,8 +65,9 @@ def figure(drawing: Drawing, points: int = POINTS) -> dict[str, Any]:
         layout[f'yaxis{number}'] = _up(panel, number, (max(1.0 - top / total, 0.0), first))
         _words(layout, panel, number, first)
         for curve in panel.curves:
-            data += [trace | {'xaxis': f'x{number}', 'yaxis': f'y{number}'}
-                     for trace in _traces(thinned(curve, points))]
+            data += [_dated(trace, panel) | {'xaxis': f'x{number}', 'yaxis': f'y{number}'}
+                     for trace in _traces(
+                         thinned(curve, points), _DATE_DIGITS if panel.x_dates else _DIGITS)]
     return {'data': data, 'layout': layout}
 
 
@@ -78,12 +80,28 @@ def _across(panel: Axes, number: str, *, last: bool) -> dict[str, Any]:
         axis['matches'] = 'x'
     if panel.x_log:
         axis |= _log(panel.x_limits, [c.x for c in panel.curves])
-    if panel.x_limits:
+    if panel.x_dates:
+        axis |= {'type': 'date', 'hoverformat': '%Y-%m-%d %H:%M'}
+        if panel.x_limits:
+            axis['range'] = [_date(x) for x in panel.x_limits]
+    elif panel.x_limits:
         low, high = panel.x_limits
         axis['range'] = [math.log10(low), math.log10(high)] if panel.x_log else [low, high]
     if panel.x_step:
         axis |= {'dtick': panel.x_step, 'tick0': 0}
     return axis
+
+
+def _dated(trace: dict[str, Any], panel: Axes) -> dict[str, Any]:
+    """Return a trace with dates as plotly takes them, where x are dates."""
+    if not panel.x_dates:
+        return trace
+    return trace | {'x': [None if x is None else _date(x) for x in trace['x']]}
+
+
+def _date(days: float) -> str:
+    """Return days since 1970 as plotly takes dates."""
+    return str(np.datetime64(round(days * 86400), 's'))
 
 
 def _log(limits: tuple[float, float] | None, values: Sequence[Array]) -> dict[str, Any]:
@@ -153,10 +171,10 @@ def _words(layout: dict[str, Any], panel: Axes, number: str, top: float) -> None
                 'yanchor': 'top', 'font': {'size': 11, 'color': '--ink'}})
 
 
-def _traces(curve: Curve) -> list[dict[str, Any]]:
-    color, traces = f'--c{curve.color}', _around(curve)
+def _traces(curve: Curve, digits: int) -> list[dict[str, Any]]:
+    color, traces = f'--c{curve.color}', _around(curve, digits)
     own: dict[str, Any] = {
-        'type': 'scatter', 'x': numbers(curve.x, 8), 'y': numbers(curve.y),
+        'type': 'scatter', 'x': numbers(curve.x, digits), 'y': numbers(curve.y),
         'name': _text(curve.label), 'meta': cell(curve.label), 'mode': 'lines',
         'opacity': curve.opacity,
         'line': {'color': color, 'width': curve.width}}
@@ -182,7 +200,7 @@ def _traces(curve: Curve) -> list[dict[str, Any]]:
     return [*traces, own] if curve.opacity > 0.0 else traces
 
 
-def _around(curve: Curve) -> list[dict[str, Any]]:
+def _around(curve: Curve, digits: int) -> list[dict[str, Any]]:
     if curve.low is None or curve.high is None:
         return []
     good = np.isfinite(curve.x) & np.isfinite(curve.low) & np.isfinite(curve.high)
@@ -191,12 +209,12 @@ def _around(curve: Curve) -> list[dict[str, Any]]:
             'meta': cell(curve.label)}
     if curve.bars or len(x) == 1:
         half = numbers(0.5 * (high - low))
-        return [base | {'x': numbers(x, 8), 'y': numbers(0.5 * (low + high)), 'mode': 'markers',
-                        'marker': {'opacity': 0, 'color': f'--c{curve.color}'},
+        return [base | {'x': numbers(x, digits), 'y': numbers(0.5 * (low + high)),
+                        'mode': 'markers', 'marker': {'opacity': 0, 'color': f'--c{curve.color}'},
                         'error_y': {'type': 'data', 'array': half,
                                     'color': f'--c{curve.color}', 'thickness': 1.2}}]
     # One closed shape: bands above each other would be filled to one another.
-    return [base | {'x': numbers(np.concatenate((x, x[::-1])), 8), 'mode': 'lines',
+    return [base | {'x': numbers(np.concatenate((x, x[::-1])), digits), 'mode': 'lines',
                     'y': numbers(np.concatenate((low, high[::-1]))), 'fill': 'toself',
                     'fillcolor': f'--c{curve.color}/0.2', 'line': {'width': 0}}]
 

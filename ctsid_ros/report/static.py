@@ -145,6 +145,7 @@ def _draw(figure: Figure, axes: Axes, box: tuple[float, float, float, float], *,
 
 
 def _scales(own: Any, axes: Axes, limits: tuple[float, float] | None) -> None:
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.ticker import LogFormatter, MultipleLocator
 
     class Plain(LogFormatter):
@@ -162,6 +163,10 @@ def _scales(own: Any, axes: Axes, limits: tuple[float, float] | None) -> None:
     for step, axis in ((axes.x_step, own.xaxis), (axes.step, own.yaxis)):
         if step:
             axis.set_major_locator(MultipleLocator(step))
+    if axes.x_dates:
+        ticks = AutoDateLocator(maxticks=8)
+        own.xaxis.set_major_locator(ticks)
+        own.xaxis.set_major_formatter(ConciseDateFormatter(ticks))
     if axes.bare:
         own.tick_params(labelleft=False, left=False)
         own.grid(visible=False, axis='y')

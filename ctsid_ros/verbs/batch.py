@@ -40,7 +40,7 @@ example: ctsid batch all.txt --params params.yaml --out fleet --scheduler tcp://
 Each bag is replayed in sliding windows, as by `ctsid replay`, and leaves a Parquet file with a row
 per window in DIR/rows; bags.csv and report.html are about all bags. What is done is not done
 again: after Ctrl-C, a crash or a full disk, run the same command. A bag that cannot be read has a
-row that says why. Needs pip install 'ctsid[batch]' (Dask, pyarrow); docs/batch.md has more."""
+row that says why. Needs `pip install distributed pyarrow`; docs/batch.md has more."""
 TABLE = 'bags.csv'
 FAILED = 1
 
@@ -105,8 +105,8 @@ def _check_packages() -> None:
 
     missing = [name for name in ('distributed', 'pyarrow') if find_spec(name) is None]
     if missing:
-        raise StorageError(f'a batch needs {" and ".join(missing)}, not installed here; install '
-                           "with: python3 -m pip install 'ctsid[batch]'")
+        raise StorageError(f'a batch needs {" and ".join(missing)}, not installed here: pip '
+                           f'install {" ".join(missing)} (the extra `batch` of ctsid)')
 
 
 def _perform(tasks: Sequence[Task], args: argparse.Namespace) -> bool:

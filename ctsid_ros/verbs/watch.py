@@ -80,10 +80,10 @@ def _check_packages() -> None:
 
     if not find_spec('rich'):
         raise LiveError('`ctsid watch` needs the Python package rich, which is not installed '
-                        'here: python3 -m pip install rich (key of rosdep: python3-rich)')
+                        'here: pip install rich (key of rosdep: python3-rich)')
     if not find_spec('rclpy'):
-        raise LiveError("`ctsid watch` needs rclpy: source ROS 2 (source /opt/ros/jazzy/setup.bash"
-                        "), or python3 -m pip install 'ctsid[ros]'")
+        raise LiveError('`ctsid watch` needs rclpy: source ROS 2 (source /opt/ros/jazzy/setup.bash'
+                        "), or in the folder of ctsid: pip install '.[ros]'")
 
 
 def _meet(watched: Watched, wait: Callable[[float], None], timeout: float) -> None:
