@@ -9,7 +9,18 @@ import importlib
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, Plant, flown, held, match, noisy, paper, random_signal, running
+from plants import (
+    PLANTS,
+    Plant,
+    flown,
+    held,
+    match,
+    noisy,
+    paper,
+    plant,
+    random_signal,
+    running,
+)
 import pytest
 from scipy.linalg import expm
 
@@ -101,6 +112,18 @@ def test_a_change_is_seen_and_said(share, factor):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
+@pytest.mark.parametrize('changes', [True, False])
+def test_a_payload_is_noticed_in_gusts(seed, changes):
+    """Gusts stay when two models take the place of one, and hide no change that matters."""
+    free = plant([[0.0, 1.0], [-64.0, -9.6]], [[0.0], [64.0]], [[1.0, 0.0]])
+    laden = plant([[0.0, 1.0], [-27.0, -4.2]], [[0.0], [27.0]], [[1.0, 0.0]])
+    record = changing(np.random.default_rng(seed), free, laden if changes else free, 0.5,
+                      snr=30.0, kick=(0.03, 0.03))
+    estimate = identify(record, CLOSED_LOOP)
+    assert (estimate.status is Status.CHANGED) is changes
+
+
 @pytest.mark.parametrize('factor', [1.3, 0.7])
 def test_what_is_accepted_is_one_of_the_plants(factor):
     p, wrong, seen = PLANTS['hd51'], 0, 0

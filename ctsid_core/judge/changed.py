@@ -8,7 +8,8 @@ hardly more parameters explain more. The states and the trim at the start of a s
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone, as far as the noise lets see.
+leaves, noise apart, has to be gone, as far as the noise lets see; most of it, if it is so much
+that the one model is wrong, for gusts stay beside a change.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5
 _FEWEST = 3           # samples of a side for each number of a model
-_LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
+_LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one ...
+_MUCH = 15.0          # ... unless one misses so many points: then gusts may be left
+_BESIDE = 0.4         # of its errors, but no more
 NOTED = 2.0           # points that one model has to miss, to be worth a word
 
 
@@ -75,8 +78,12 @@ class Change:
     two: tuple[float, float] = (float('nan'), float('nan'))
 
 
+Fitted = tuple[Samples, Fit, Free]
+
+
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
-                       simpler: ModalModel | None = None) -> Change:
+                       simpler: ModalModel | None = None,
+                       predictor: Fitted | None = None) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
 
@@ -88,6 +95,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     free : Free
     simpler : ModalModel, optional
         The best one of half its order.
+    predictor : tuple of Samples, Fit and Free, optional
+        Its errors are white where those of a simulation are not: what it says counts, too.
     """
     best = Change()
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
@@ -96,20 +105,48 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         for place in range(len(samples.records)):
             best = max(best, _of_record(samples, model, fit.model, free, place),
                        key=lambda change: change.cost)
+    if predictor is None:
+        return best
+    for place in range(len(samples.records)):
+        best = max(best, _as_predicted(samples, fit.model, free, place, predictor),
+                   key=lambda change: change.cost)
     return best
+
+
+def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
+                  predictor: Fitted) -> Change:
+    """Return what two models explain where predictions say that the plant changes."""
+    joint, fit, own = predictor
+    found = _divisions(replace(joint, records=joint.records[place:place + 1]), fit.model,
+                       fit.model, own, place)
+    if found.gain <= 0.0:
+        return found
+    one = replace(samples, records=samples.records[place:place + 1])
+    return _if_it_matters(_divided(one, model, model, free, place, found.share, certain=True))
 
 
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it."""
     one = replace(samples, records=samples.records[place:place + 1])    # states are fitted anew
+    return _if_it_matters(_divisions(one, model, whole, free, place))
+
+
+def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
+               place: int) -> Change:
+    """Return the most likely division of the only record."""
     found = max((_divided(one, model, whole, free, place, share)
                  for share in _likely(one, model, free)), key=_gain, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
         found = max(found, *(_divided(one, model, whole, free, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
-    return found if found.left < _LEFT else Change()
+    return found
+
+
+def _if_it_matters(found: Change) -> Change:
+    """Return a change if little is left beside it, or if it is large."""
+    return found if found.left < (_LEFT if found.cost < _MUCH else _BESIDE) else Change()
 
 
 def _gain(change: Change) -> float:
@@ -154,7 +191,7 @@ def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
 
 
 def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free, place: int,
-             share: float) -> Change:
+             share: float, certain: bool = False) -> Change:
     """Return what two models of a model's order miss, if they are likelier than the whole's."""
     if samples.effort.over:
         return Change()
@@ -188,7 +225,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
     price = max(2 * count - of_whole, 1)            # fewer numbers are no evidence of a change
     gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - price * float(
         np.log(max(float(np.max(n_eff)), 2.0)))
-    if gain <= 0.0:
+    if gain <= 0.0 and not certain:
         return Change()
     where = int(np.argmax(parts @ before - rest))
     sizes = np.array([[len(e) for e in side for _ in range(e.shape[1])] for side in two])

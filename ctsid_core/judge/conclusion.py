@@ -56,7 +56,8 @@ def conclude(solution: Solution) -> Estimate:
     unseen = held_out(samples, fit, solution.free, share, solution.refit)
     simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
     change = Change() if solution.refit or simulating is None else \
-        most_likely_change(*simulating, solution.simpler)
+        most_likely_change(*simulating, solution.simpler,
+                           (samples, fit, solution.free) if solution.by_prediction else None)
     names = tuple(last.whole.input_names[j] for j in last.u)
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,
