@@ -111,7 +111,6 @@ def test_a_change_is_seen_and_said(share, factor):
     assert identify(part, CLOSED_LOOP).ok
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
 @pytest.mark.parametrize('changes', [True, False])
 def test_a_payload_is_noticed_in_gusts(seed, changes):
@@ -124,6 +123,7 @@ def test_a_payload_is_noticed_in_gusts(seed, changes):
     assert (estimate.status is Status.CHANGED) is changes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('factor', [1.3, 0.7])
 def test_what_is_accepted_is_one_of_the_plants(factor):
     p, wrong, seen = PLANTS['hd51'], 0, 0

@@ -139,6 +139,8 @@ def test_all_faults_of_a_file_are_listed_at_once():
     ({'inputs': ['torque', 'window'], 'window.length': 3.0}, "'window' is that of a parameter"),
     ({'inputs': ['torque', 'a b'], 'a b': {'topic': '/x', 'field': 'y'}}, "'a b' does not"),
     ({'torque': {'field': 'effort[0]'}}, '`torque.topic` is missing'),
+    ({'torque': {'topic': '/imu', 'field': 'angular_velocity.x'}},
+     '`torque` and `rate` are one signal (/imu angular_velocity.x), as input and as output'),
     ({'torque': {'topic': '/cmd'}}, '`torque.field` is missing'),
     ({'torque': None}, '`torque` is listed but not described; add torque: {topic'),
     ({'extra': {'topic': '/x'}}, '`extra` is described but not listed'),

@@ -76,7 +76,8 @@ def test_claims_hold_in_gusts(payload):
 
 
 @pytest.mark.parametrize(('q', 'bound', 'seeds'), [
-    (0.2, (0.068, 0.082), 1), *slow((0.2, (0.068, 0.082), 40), (1.0, (0.32, 0.38), 40))])
+    (0.2, (0.068, 0.082), 1), (0.05, (0.018, 0.021), 2),
+    *slow((0.2, (0.068, 0.082), 40), (1.0, (0.32, 0.38), 40))])
 def test_unstable_plant_with_process_noise(q, bound, seeds):
     """Nothing set but that there is no feedthrough; see docs/accuracy.md for the bound."""
     errors = []

@@ -8,8 +8,8 @@ hardly more parameters explain more. The states and the trim at the start of a s
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone, as far as the noise lets see; most of it, if it is so much
-that the one model is wrong, for gusts stay beside a change.
+leaves, noise apart, has to be gone, as far as the noise lets see. Gusts stay beside a change:
+where predictions, whose errors are white, tell of a large one, more may be left.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5
 _FEWEST = 3           # samples of a side for each number of a model
-_LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one ...
-_MUCH = 15.0          # ... unless one misses so many points: then gusts may be left
-_BESIDE = 0.4         # of its errors, but no more
+_LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
+_MUCH = 15.0          # points that one has to miss, if predictions told of the change in gusts,
+_BESIDE = 0.4         # for so much to be left
 NOTED = 2.0           # points that one model has to miss, to be worth a word
 
 
@@ -122,14 +122,16 @@ def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
     if found.gain <= 0.0:
         return found
     one = replace(samples, records=samples.records[place:place + 1])
-    return _if_it_matters(_divided(one, model, model, free, place, found.share, certain=True))
+    size = _divided(one, model, model, free, place, found.share, certain=True)
+    return size if size.left < (_LEFT if size.cost < _MUCH else _BESIDE) else Change()
 
 
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it."""
     one = replace(samples, records=samples.records[place:place + 1])    # states are fitted anew
-    return _if_it_matters(_divisions(one, model, whole, free, place))
+    found = _divisions(one, model, whole, free, place)
+    return found if found.left < _LEFT else Change()
 
 
 def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
@@ -142,11 +144,6 @@ def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
     return found
-
-
-def _if_it_matters(found: Change) -> Change:
-    """Return a change if little is left beside it, or if it is large."""
-    return found if found.left < (_LEFT if found.cost < _MUCH else _BESIDE) else Change()
 
 
 def _gain(change: Change) -> float:

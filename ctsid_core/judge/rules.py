@@ -195,10 +195,12 @@ def _summary(e: Evidence) -> str:
     held = np.nanmax(e.held_out, initial=-np.inf)
     unseen = f'and the part held out to {np.floor(100 * (1 - float(held))):.0f} % ' \
         if held >= 0.0 else ''
+    untested = '' if unseen else \
+        ' Nothing was held out to test it: a test there could tell nothing, or was not asked for.'
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
             f'{np.floor(100 * (1 - float(np.nanmax(e.error)))):.0f} % {unseen}of the motion; the '
-            f'response to each input is known to {_percent(unsure)}.')
+            f'response to each input is known to {_percent(unsure)}.{untested}')
 
 
 def _listed(names: tuple[str, ...]) -> str:

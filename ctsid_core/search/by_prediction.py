@@ -44,7 +44,9 @@ HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
 _STEPS = 15
-_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried
+_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
+_HALVINGS = 2               # ... and how often closer ones are
+_AHEAD = 7e3                # work of predictions for each sample
 _FINAL = 2                  # orders that are climbed with all samples
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
@@ -129,12 +131,10 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
     for n, start in starts.items():
         delay = np.concatenate((start.delay, np.zeros(joint.ny)))
         with suppress(np.linalg.LinAlgError):
-            begun[n] = fit_at(joint, start.poles, delay, free, _near(start, joint, delay))
-    judged = {n: _judged(joint, fit, free, record, corrupt) for n, fit in begun.items()
-              if order in (0, n)}
+            if order in (0, n):
+                begun[n] = fit_at(joint, start.poles, delay, free, _near(start, joint, delay))
     found: dict[int, PredictionFit] = {}
-    known = {n: one.information for n, one in judged.items() if one is not None}
-    best = order or min(known, key=lambda n: known[n], default=1)
+    best = order or _promising(joint, begun, free, record, corrupt)
     n = order or max(best - MORE, 1)
     while n in starts and not joint.effort.over and (not found or n <= best + MORE):
         one = _climbed(joint, begun[n], free, record, corrupt) if n in begun else None
@@ -144,6 +144,17 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
                 best = n
         n += 1
     return found
+
+
+def _promising(joint: Samples, begun: dict[int, Fit], free: Free, record: Record,
+               corrupt: tuple[Mask | None, ...]) -> int:
+    """Return the order whose start predicts best, of those for which there is time."""
+    known: dict[int, float] = {}
+    for n, fit in begun.items():
+        one = None if joint.effort.over else _judged(joint, fit, free, record, corrupt)
+        if one is not None:
+            known[n] = one.information
+    return min(known, key=lambda n: known[n], default=1)
 
 
 def _climbed(joint: Samples, start: Fit, free: Free, record: Record,
@@ -159,31 +170,50 @@ def _climbed(joint: Samples, start: Fit, free: Free, record: Record,
 def _nearby(joint: Samples, start: Fit, free: Free, record: Record,
             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
-    return _judged(joint, climb(joint, start, free, steps=_STEPS, least=ROUGHLY), free, record,
-                   corrupt) or _judged(joint, start, free, record, corrupt)
+    try:
+        top = climb(joint, start, free, steps=_STEPS, least=ROUGHLY)
+    except np.linalg.LinAlgError:
+        top = start
+    return _judged(joint, top, free, record, corrupt) \
+        or (None if top is start else _judged(joint, start, free, record, corrupt))
 
 
 def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     """
     Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
 
+    The noise at each input has the same effect on the outputs, over the frequencies looked at.
     Predictors may be slower than the past of the regression, and climbs end before they are
     there. With no noise in the plant poles are its own, those that grow mirrored.
     """
     m, n = one.matrices, len(one.matrices.A)
-    C, fits = m.C / joint.size[:, np.newaxis], []
-    omega = np.geomspace(1.0 / joint.length, 1.0 / joint.interval, _NOISES)
-    B = m.B / np.maximum(np.linalg.norm(m.B, axis=0), 1e-300)
-    with suppress(np.linalg.LinAlgError):
-        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A, B)
-        for noise in (0.0, *np.linalg.norm(responses, 2, axis=(1, 2)) ** -2.0):
-            both = np.linalg.eigvals(np.block([[m.A.T, -C.T @ C], [-noise * B @ B.T, -m.A]]))
-            poles = np.sort_complex(both)[:n]
-            if poles.real.max() < free.limit:
-                fits.append(fit_at(joint, poles[poles.imag >= 0.0], one.found.fit.model.delay,
-                                   free))
-    best = min(fits, key=lambda fit: fit.cost, default=None)
-    return best if best is not None and best.cost < one.found.fit.cost else None
+    C = m.C / joint.size[:, np.newaxis]
+    omega = np.geomspace(1.0 / joint.length, 1.0 / _held_interval(joint), _NOISES)
+    try:
+        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
+                                        m.B)
+    except np.linalg.LinAlgError:
+        return None
+    size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
+    moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
+    fits: dict[float, Fit] = {}
+
+    def at(noise: float) -> float:
+        both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
+        poles = np.sort_complex(both)[:n]
+        if noise not in fits and poles.real.max() < free.limit:
+            with suppress(np.linalg.LinAlgError):
+                fits[noise] = fit_at(joint, poles[poles.imag >= 0.0],
+                                     one.found.fit.model.delay, free)
+        return fits[noise].cost if noise in fits else np.inf
+
+    noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
+    step = np.sqrt(noises[1:] / noises[:-1]).mean()
+    best = min((0.0, *noises.tolist()), key=at)
+    for _ in range(_HALVINGS):
+        best = min((best / step, best, best * step), key=at)
+        step = np.sqrt(step)
+    return fits[best] if at(best) < one.found.fit.cost else None
 
 
 def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
@@ -198,7 +228,11 @@ def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
         plant = plant_of(fit, joint, len(joint.records) - 1, unstable)
         if plant is None:
             continue
-        errors = prediction_errors(plant, delay[:nu], record, HORIZONS, corrupt)
+        joint.effort.spend(_AHEAD * max(len(s.time) for s in record.outputs))
+        try:
+            errors = prediction_errors(plant, delay[:nu], record, HORIZONS, corrupt)
+        except np.linalg.LinAlgError:
+            continue
         if np.max(errors) < _DIVERGED:
             known.append(PredictionFit(plant, joint, one, free, errors, information(
                 np.vstack((likely, errors[1:])), joint, one.parameters), {}))

@@ -143,6 +143,10 @@ class Config:
 
     def __post_init__(self) -> None:
         faults = list_faults([(channel.name, channel.role) for channel in self.channels])
+        faults += [f'`{i.name}` and `{o.name}` are one signal ({i.topic} {i.field}), as input and '
+                   'as output; give the output the signal that the input moves'
+                   for i in self.inputs for o in self.outputs
+                   if (i.topic, i.field) == (o.topic, o.field)]
         if faults:
             raise SettingsError(faults)
         object.__setattr__(self, 'channels', (*self.inputs, *self.outputs))

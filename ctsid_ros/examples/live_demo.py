@@ -24,6 +24,7 @@ from ctsid_ros.examples.demo_processes import processes
 from ctsid_ros.examples.domain import claim_domain
 
 SEED = 1
+HEAVIEST = 5.0  # payload that the simulated robot takes [kg]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,6 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0 if good else 1
 
 
+def _mass(text: str) -> float:
+    if 0.0 < (mass := float(text)) <= HEAVIEST:
+        return mass
+    raise argparse.ArgumentTypeError(f'{text} is not a mass from above 0 to {HEAVIEST:g} kg')
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='live_demo', description='A simulated robot is identified while it flies and a '
@@ -66,8 +73,8 @@ def _parser() -> argparse.ArgumentParser:
                         help='parameter file of the identifier: config/live_demo.yaml')
     parser.add_argument('--duration', type=float, default=30.0, metavar='S',
                         help='of the flight at least [s, default 30]; the payload comes half way')
-    parser.add_argument('--payload', type=float, default=0.5, metavar='KG',
-                        help='mass of the payload [kg, default 0.5]')
+    parser.add_argument('--payload', type=_mass, default=0.5, metavar='KG',
+                        help='mass of the payload [kg, up to 5, default 0.5]')
     parser.add_argument('--seed', type=int, default=SEED, metavar='N',
                         help=f'of the flight [default {SEED}; 0: another each time]')
     return parser

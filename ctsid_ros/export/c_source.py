@@ -41,7 +41,8 @@ typedef struct {{
   int now;                    /* its newest entry */
 }} {name}_state;
 
-/* Rest in the origin of the states; the inputs have been u for all time. */
+/* States at their origin, and u in all delays. This is rest only if all trims are 0:
+ * else step with a constant u until y stands still. */
 void {name}_reset({name}_state *state, const double *u);
 
 /* One step: inputs from now on until the next step in, outputs of now out. */

@@ -3,9 +3,9 @@
 Messages of a sound SQLite file, without SQLite.
 
 SQLite gives one row after another, in two to three times the time that the rest takes; here many
-pages are read at once. All is checked that SQLite checks, and more: whatever is not as rosbag2
-writes it (other columns, rows with a NULL or a text, pages that do not belong to the table) is
-left to SQLite, and messages that go on in other pages are asked of it.
+pages are read at once. Whatever is not as rosbag2 writes it (other columns, rows with a NULL or a
+text, pages that do not belong to the table) is left to SQLite, and messages that go on in other
+pages are asked of it.
 
 Messages come in the order of time and `id`: the leaves are read in the order of their first
 times, and a message waits until no leaf that is left can have an earlier one.
