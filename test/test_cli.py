@@ -246,6 +246,13 @@ def test_simulate_explains_another_bag_without_parameters(ctsid, shared, identif
     assert set(found['prediction']) == {'1', '10'}
 
 
+def test_the_recording_that_a_model_is_of_is_no_test(ctsid, shared, identified):
+    code, out, _ = ctsid('simulate', identified[0] / 'model.json', shared / 'bag', '--json')
+    assert code == 0
+    assert 'what the model was identified from: its fit there is no test' in ' '.join(
+        json.loads(out)['notes'])
+
+
 def test_trim_is_refitted_unless_told_otherwise(ctsid, identified, tmp_path):
     model = identified[0] / 'model.json'
     moved = write_flight(tmp_path / 'moved', spoilt(

@@ -30,11 +30,14 @@ from ctsid_ros.verbs.arguments import (
     tell,
 )
 
+_DATED = 10 ** 17     # ns: of a clock that is set, and did not begin with 0
+
 if TYPE_CHECKING:
     from ctsid_core.linear.types import Array
     from ctsid_core.model.estimate import Estimate
     from ctsid_core.model.statespace import StateSpace
     from ctsid_core.model.validation import Validation
+    from ctsid_core.signals.record import Record
     from ctsid_ros.recordings.bag import Bag
     from ctsid_ros.recordings.playback import Recorded
 
@@ -90,7 +93,7 @@ def command(args: argparse.Namespace) -> int:
             data = read_record(bag, config, interval_of(args), advance=advance)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
-        notes = (*bag.notes, *data.complaints, *spikes,
+        notes = (*_own_data(estimate, record), *bag.notes, *data.complaints, *spikes,
                  *(note for v in outcome.predicted.values() for note in v.notes))
     why = '' if estimate.ok else estimate.verdict.reason
     if args.out is not None:
@@ -121,6 +124,18 @@ def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> Sta
     if not rejected:
         raise StorageError(f'{why} Add --rejected to {verb} the rejected one all the same.')
     return estimate.rejected_model
+
+
+def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
+    """Return that a model was identified from these data, if their times say so."""
+    start, end = (record.epoch_ns + round(1e9 * t) for t in (record.start, record.end))
+    parts = [(one.start_ns, one.end_ns) for one in estimate.records] or \
+        [(estimate.start_ns, estimate.end_ns)]
+    shared = sum(max(min(end, last) - max(start, first), 0) for first, last in parts) * 1e-9
+    if start < _DATED or not shared:
+        return ()
+    return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the model '
+            'was identified from: its fit there is no test; give a recording that it has not seen',)
 
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
