@@ -134,8 +134,9 @@ def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
     shared = sum(max(min(end, last) - max(start, first), 0) for first, last in parts) * 1e-9
     if start < _DATED or not shared:
         return ()
-    return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the model '
-            'was identified from: its fit there is no test; give a recording that it has not seen',)
+    return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the '
+            'model was identified from: its fit there is no test; give a recording that it has '
+            'not seen',)
 
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
