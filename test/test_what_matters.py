@@ -90,7 +90,8 @@ def test_a_part_held_out_that_the_rest_cannot_tell_is_no_test(at, told):
     found = identify(stepped(at), Settings(delay=0.0))
     assert found.verdict.grade is Grade.GOOD, found.verdict.reason
     assert bool(np.isfinite(found.held_out_fit).all()) is told
-    assert ('held out' in found.verdict.reason) is told
+    assert ('the part held out to' in found.verdict.reason) is told
+    assert ('Nothing was held out to test it' in found.verdict.reason) is not told
 
 
 @pytest.mark.parametrize(('times', 'longest'), [(1.0, 0.9), (400.0, LONGEST_DELAY)])
