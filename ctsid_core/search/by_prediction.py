@@ -191,7 +191,7 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     omega = np.geomspace(1.0 / joint.length, 1.0 / _held_interval(joint), _NOISES)
     try:
         responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
-                                        m.B)
+                                        m.B[np.newaxis])
     except np.linalg.LinAlgError:
         return None
     size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
