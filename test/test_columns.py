@@ -266,7 +266,7 @@ FIELDS = {'/imu': ['angular_velocity.x', 'linear_acceleration.z'], '/cmd': ['dat
 @pytest.mark.parametrize('container', CONTAINERS)
 def test_blocks_of_a_bag_equal_its_messages(tmp_path, container, batch, monkeypatch):
     monkeypatch.setattr(chunks, 'BATCH', batch)
-    monkeypatch.setattr(sqlite_file, '_BATCH', batch)
+    monkeypatch.setattr(sqlite_file, 'BATCH', batch)
     path = CONTAINERS[container](tmp_path, shuffled())
     fields = {topic: [parse_field(text) for text in texts] for topic, texts in FIELDS.items()}
     with open_bag(path) as bag:

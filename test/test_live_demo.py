@@ -120,6 +120,13 @@ def test_promise_is_broken_by_a_wrong_model(wrong, verdict, why):
     assert lines[-1] == f'NOT as promised: {why}'
 
 
+def test_a_false_alarm_before_the_change_is_not_to_notice_it():
+    early = judge(replace(estimate(103, None), status=Status.CHANGED), TRUTHS, 'Refused: x')
+    lines, kept = summary([w for i, w in enumerate(windows()) if i != 3] + [early])
+    assert not kept
+    assert lines[-1] == 'NOT as promised: no window noticed the change'
+
+
 @pytest.mark.parametrize(('left_out', 'why'), [
     (range(3), 'no model was GOOD before the change'), ([3], 'no window noticed the change'),
     (range(4, 7), f'no model was GOOD within {AGAIN} windows after the change')])

@@ -117,21 +117,23 @@ def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
                   predictor: Fitted) -> Change:
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, own = predictor
-    found = _divisions(replace(joint, records=joint.records[place:place + 1]), fit.model,
-                       fit.model, own, place)
+    found = _divisions(_only(joint, place), fit.model, fit.model, own, place)
     if found.gain <= 0.0:
         return found
-    one = replace(samples, records=samples.records[place:place + 1])
-    size = _divided(one, model, model, free, place, found.share, certain=True)
+    size = _divided(_only(samples, place), model, model, free, place, found.share, certain=True)
     return size if size.left < (_LEFT if size.cost < _MUCH else _BESIDE) else Change()
 
 
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it."""
-    one = replace(samples, records=samples.records[place:place + 1])    # states are fitted anew
-    found = _divisions(one, model, whole, free, place)
+    found = _divisions(_only(samples, place), model, whole, free, place)
     return found if found.left < _LEFT else Change()
+
+
+def _only(samples: Samples, place: int) -> Samples:
+    """Return one record: its states are fitted anew."""
+    return replace(samples, records=samples.records[place:place + 1])
 
 
 def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,

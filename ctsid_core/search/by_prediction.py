@@ -197,15 +197,19 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
     moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
     fits: dict[float, Fit] = {}
+    costs: dict[float, float] = {}
 
     def at(noise: float) -> float:
-        both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
-        poles = np.sort_complex(both)[:n]
-        if noise not in fits and poles.real.max() < free.limit:
-            with suppress(np.linalg.LinAlgError):
-                fits[noise] = fit_at(joint, poles[poles.imag >= 0.0],
-                                     one.found.fit.model.delay, free)
-        return fits[noise].cost if noise in fits else np.inf
+        if noise not in costs:
+            both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
+            poles = np.sort_complex(both)[:n]
+            costs[noise] = np.inf
+            if poles.real.max() < free.limit:
+                with suppress(np.linalg.LinAlgError):
+                    fits[noise] = fit_at(joint, poles[poles.imag >= 0.0],
+                                         one.found.fit.model.delay, free)
+                    costs[noise] = fits[noise].cost
+        return costs[noise]
 
     noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
     step = np.sqrt(noises[1:] / noises[:-1]).mean()

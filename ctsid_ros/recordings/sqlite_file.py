@@ -30,7 +30,7 @@ from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.chunks import NO_CHECKSUMS, YEAR
 from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
 from ctsid_ros.recordings.sqlite_leaves import Leaves, blocks, leaves_of
-from ctsid_ros.recordings.sqlite_pages import rows
+from ctsid_ros.recordings.sqlite_pages import BATCH, rows
 
 MAGIC = b'SQLite format 3\0'
 TABLES = {
@@ -38,7 +38,6 @@ TABLES = {
     'messages': ('id', 'topic_id', 'timestamp', 'data'),
     'message_definitions': ('topic_type', 'encoding', 'encoded_message_definition'),
 }
-_BATCH = 4 << 20  # bytes of messages that are decoded at once: 1 and 12 MB take a tenth longer
 _ROWS = 64  # fetched at once, before it is known how large they are
 # A damaged schema may even come with an error message that is not UTF-8.
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
@@ -128,7 +127,7 @@ def _plain_blocks(leaves: Leaves, database: sqlite3.Connection, wanted: Wanted, 
                   ) -> Iterator[Block]:
     given = 0
     try:
-        for block in blocks(leaves, database, _BATCH, wanted):
+        for block in blocks(leaves, database, BATCH, wanted):
             yield block
             given += len(block)
     except (*DAMAGE, EOFError) as error:
@@ -193,7 +192,7 @@ def _blocks(path: Path, database: sqlite3.Connection, sound: str, wanted: Wanted
         while values := list(chain.from_iterable(islice(cursor, count))):
             found, size = _located(values, wanted.slots)
             given += len(values) // 3
-            count = max(_ROWS, min(_BATCH * len(values) // 3 // max(size, 1), 4 * count))
+            count = max(_ROWS, min(BATCH * len(values) // 3 // max(size, 1), 4 * count))
             yield wanted.block(found)
     except DAMAGE as error:
         note(f'{path.name}: damaged: {given} messages read, the rest is lost ({error})')

@@ -27,7 +27,7 @@ Bytes = NDArray[np.uint8]
 
 LEAF, INTERIOR = 13, 5  # kinds of pages of a table: with rows, and with the numbers of other pages
 LEAF_HEAD, INTERIOR_HEAD = 8, 12  # bytes before the list of cells
-BATCH = 4 << 20  # bytes of pages that are read at once: 1 and 12 MB take a tenth longer
+BATCH = 4 << 20  # bytes that are read and decoded at once: 1 and 12 MB take a tenth longer
 _BEYOND = 80  # bytes that the numbers at the head of a cell have at most: read before it is known
 _BLOB = 12  # least type of a blob; even ones are of (type - 12) / 2 bytes
 _WIDTHS = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0])  # bytes of a number, by its type
