@@ -39,7 +39,6 @@ _LIKELY = 2           # of these that are looked at
 _CLOSER = (0.04, 0.02, 0.01)               # steps from the best of them, one after another
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
-_STEPS = 5
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
 _MUCH = 15.0          # points that one has to miss, if predictions told of the change in gusts,
@@ -141,7 +140,7 @@ def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
     """Return the most likely division of the only record."""
     found = max((_divided(one, model, whole, free, place, share)
                  for share in _likely(one, model, free)), key=_gain, default=Change())
-    for step in _CLOSER if found.gain > 0.0 else ():
+    for step in _CLOSER if found.cost > NOTED else ():
         found = max(found, *(_divided(one, model, whole, free, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
@@ -208,7 +207,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
             starts = [fit_at(side, model.poles, model.delay, free, near)
                       for near in ((same, None) if samples.several else (None,))]
             other = climb(side, min(starts, key=lambda fit: fit.cost), free,
-                          steps=_STEPS, least=ROUGHLY)
+                          least=ROUGHLY)
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)

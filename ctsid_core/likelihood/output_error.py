@@ -33,6 +33,8 @@ _LEAST_GAIN = 1e-4    # -2 log likelihood: a hundredth of a standard deviation
 ROUGHLY = 0.3         # the same where models are only compared
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
+_SLOWEST = 0.8        # of what a step promises over what the last one did, if nothing is known
+STEPS = 15           # at most
 _DAMPING = 1e-4       # of the first step
 _LEAST_DAMPING = 1e-9
 
@@ -117,7 +119,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     return _solved(samples, start, columns, free, power)
 
 
-def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
+def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
           rival: float = np.inf, least: float = _LEAST_GAIN) -> Fit:
     """
     Take a model to the maximum of the likelihood.
@@ -130,31 +132,32 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = 100,
     steps : int
         At most.
     rival : float
-        Cost of another model: given up when neither five more steps like the last nor five times
-        what the next one promises would reach it.
+        Cost of another model: given up where what is left to gain would not beat it, if the
+        next steps promise less and less at the rate of the last two.
     least : float
         Gain of -2 log likelihood that another step has to promise, and the last one to have
         brought.
     """
-    best, damping, gain = start, _DAMPING, np.inf
-    for taken in range(steps):
+    best, damping, gain, before = start, _DAMPING, np.inf, 0.0
+    for _ in range(steps):
         gradient, curvature, scale, places = _slopes(samples, best, free)
         promise = _promise(gradient, curvature)
-        moved = None
-        hope = max(_at_most(promise, samples), gain if taken else 0.0)
-        hopeless = best.cost - 5.0 * hope > rival
-        if hopeless or min(promise, gain) < least:
+        moved, hope = None, _at_most(promise, samples)
+        ratio = min(hope / before, _SLOWEST) if before else _SLOWEST
+        before = hope
+        if best.cost - hope / (1.0 - ratio) > rival - least or min(promise, gain) < least:
             break
+        lowered = max(damping * 0.1, _LEAST_DAMPING)
         for _ in range(6):
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
                 break
-            damping = max(damping, 10.0 * _LEAST_DAMPING) * 100.0
+            lowered = damping = max(damping, 10.0 * _LEAST_DAMPING) * 100.0
         if moved is None:
             break
-        gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, _LEAST_DAMPING)
+        gain, best, damping = best.cost - moved.cost, moved, lowered
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best

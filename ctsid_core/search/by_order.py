@@ -26,6 +26,7 @@ from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     ROUNDING,
+    STEPS,
     Fit,
     Free,
     climb,
@@ -44,7 +45,6 @@ _SEARCHED = 1000      # samples of a stream that the search looks at
 _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
-_STEPS = 15           # of a climb of the search
 _LOOKED_AT = 2        # starts of each kind, exactly
 _ANOTHER = 0.01       # of a response: differences that matter if they are certain ...
 _OTHER = 0.05         # ... and if they are likely
@@ -120,7 +120,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         found = {chosen: found[chosen]}
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
-        steps=_STEPS if n == chosen else 1), free) for n, one in found.items()}
+        steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
@@ -243,7 +243,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
     for start in _different(fits, 2 if n < 3 else 1):
-        reached = climb(samples, start, free, steps=_STEPS, least=ROUGHLY,
+        reached = climb(samples, start, free, least=ROUGHLY,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
             best = reached

@@ -23,7 +23,6 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, Mask
 
 _MANY = 4             # records from which on whole ones are held out
-_STEPS = 6
 _PARTS = 3            # of each record are held out
 _SEARCHED = 2000      # samples of a stream that are looked at
 _GAP = 5.0            # sample intervals, from which on samples are not neighbours
@@ -86,7 +85,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         if np.min(early.counts) < 4 * fit.model.n + 4:
             return nothing
         own = climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
-                    steps=_STEPS, least=ROUGHLY) if refit is None else refit(early)
+                    least=ROUGHLY) if refit is None else refit(early)
         if own is None:
             return nothing
         there, everywhere = (_motion(part, fit) for part in (late, samples))
@@ -129,7 +128,7 @@ def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut
     rest = replace(samples, records=tuple(
         r for i, r in enumerate(samples.records) if i in held))
     own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free,
-                steps=_STEPS, least=ROUGHLY)
+                least=ROUGHLY)
     return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny),
                    np.zeros(samples.ny, dtype=bool))
 

@@ -27,7 +27,6 @@ from ctsid_core.search.solve import corrupt_rows, free_of, order_row
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.interface import Method, MethodModel
 
-_STEPS = 15
 _WORST = 1e10         # condition of the eigenvectors up to which a model has modes
 
 
@@ -116,8 +115,7 @@ def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
         with np.errstate(over='ignore', invalid='ignore'):
             mirrored = fit_at(samples, np.where(growing, -poles.conj(), poles), fit.model.delay,
                               free)
-            steady = climb(samples, mirrored, replace(free, limit=0.0), steps=_STEPS,
-                           least=ROUGHLY)
+            steady = climb(samples, mirrored, replace(free, limit=0.0), least=ROUGHLY)
     except np.linalg.LinAlgError:
         return True
     price = float(np.log(samples.counts.sum())) * int(np.sum(growing))
