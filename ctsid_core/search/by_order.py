@@ -45,7 +45,7 @@ _SEARCHED = 1000      # samples of a stream that the search looks at
 _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
-_LOOKED_AT = 2        # starts of each kind, exactly
+_EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _ANOTHER = 0.01       # of a response: differences that matter if they are certain ...
 _OTHER = 0.05         # ... and if they are likely
 _AKAIKE = 2.0         # price of a parameter
@@ -228,10 +228,11 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
     """Return the best model of one order."""
     starts = sorted(_starts(n, found, grid, subspace, free, known), key=lambda s: s[0])
     kinds: dict[str, int] = {}
+    each = _EACH if n < 3 else 1
     fits: list[tuple[str, Fit]] = []
     for _, kind, poles, delay in starts:
         kinds[kind] = kinds.get(kind, 0) + 1
-        if kinds[kind] > _LOOKED_AT:
+        if kinds[kind] > each:
             continue
         if fits and samples.effort.beyond(SEARCH):
             break
@@ -242,7 +243,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
     if samples.several and n - 1 in found:
         fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
-    for start in _different(fits, 2 if n < 3 else 1):
+    for start in _different(fits, each):
         reached = climb(samples, start, free, least=ROUGHLY,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
