@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.instants import after_start
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict
-from ctsid_core.search.held_out import HeldOut
+from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
@@ -33,9 +33,6 @@ _LEAKS = 0.5            # frequencies more than its sines that an input seems to
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
-_HELD_OUT = 3.0         # times its own error, that a model may err on data held out ...
-_LEAST = 0.05           # ... or this part of the motion; no test if ...
-_EXPECTED = 2.0         # ... so many deviations that the rest of the data leaves are more
 _DRIVEN = 0.5           # held-out error over the response to inputs: less, and it follows them
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
@@ -79,7 +76,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
             'that these are the right signals.')
     # What follows nothing goes by itself.
-    follows = (e.held_out < _DRIVEN * e.driven) & ~_unsure(e.expected, e.error)
+    follows = (e.held_out < _DRIVEN * e.driven) & ~unsure(e.expected, e.error)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)}), '
@@ -143,7 +140,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'Output {e.output_names[i]} is a curve of what a linear model makes of the '
             f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit, so '
             'something saturates or is clipped; take a part of the data in which it moves less.')
-    for i in _largest_first(e.held_out / _allowed(e.error), 1.0):
+    for i in _largest_first(e.held_out / allowed(e.error), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
@@ -162,22 +159,13 @@ def _growth(poles: NDArray[np.complex128]) -> str:
     return f'a mode grows as exp({np.max(poles.real):.2g} t)'
 
 
-def _allowed(error: Array) -> Array:
-    """Return the error that a model may have on a part held out, by its own error."""
-    return np.asarray(np.maximum(_HELD_OUT * error, _LEAST))
-
-
 def tested(held_out: HeldOut, error: Array) -> Array:
     """
     Return the errors on the part held out; NaN where the rest cannot tell what to expect.
 
     A model that most of the motion leaves so uncertain has too many states, and is tested.
     """
-    return np.where(held_out.unseen & _unsure(held_out.expected, error), np.nan, held_out.error)
-
-
-def _unsure(expected: Array, error: Array) -> Mask:
-    return np.asarray(_EXPECTED * expected > _allowed(error))
+    return np.where(held_out.unseen & unsure(held_out.expected, error), np.nan, held_out.error)
 
 
 def _percent(part: float) -> str:

@@ -25,6 +25,9 @@ from ctsid_core.linear.types import Array, Mask
 _MANY = 4             # records from which on whole ones are held out
 _PARTS = 3            # of each record are held out
 _SEARCHED = 2000      # samples of a stream that are looked at
+_MORE = 3.0           # times its own error, that a model may err on data held out ...
+_LEAST = 0.05         # ... or this part of the motion; no test if ...
+_EXPECTED = 2.0       # ... so many deviations that the rest of the data leaves are more
 _GAP = 5.0            # sample intervals, from which on samples are not neighbours
 _GAUGE = 1e-7         # relative singular value below which a direction changes nothing
 
@@ -93,6 +96,16 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
                        _expected(early, late, own, free), there > 0.5 * everywhere)
     except np.linalg.LinAlgError:
         return nothing
+
+
+def allowed(error: Array) -> Array:
+    """Return the error that a model may have on a part held out, by its own error."""
+    return np.asarray(np.maximum(_MORE * error, _LEAST))
+
+
+def unsure(expected: Array, error: Array) -> Mask:
+    """Return whether the rest cannot tell what to expect: what is held out tests nothing."""
+    return np.asarray(_EXPECTED * expected > allowed(error))
 
 
 def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
