@@ -39,6 +39,7 @@ _LIKELY = 2           # of these that are looked at
 _CLOSER = (0.04, 0.02, 0.01)               # steps from the best of them, one after another
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
+_STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
 _MUCH = 15.0          # points that one has to miss, if predictions told of the change in gusts,
@@ -207,7 +208,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
             starts = [fit_at(side, model.poles, model.delay, free, near)
                       for near in ((same, None) if samples.several else (None,))]
             other = climb(side, min(starts, key=lambda fit: fit.cost), free,
-                          least=ROUGHLY)
+                          steps=_STEPS, least=ROUGHLY)
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)

@@ -33,10 +33,10 @@ _LEAST_GAIN = 1e-4    # -2 log likelihood: a hundredth of a standard deviation
 ROUGHLY = 0.3         # the same where models are only compared
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
-_SLOWEST = 0.8        # of what a step promises over what the last one did, if nothing is known
-STEPS = 15           # at most
+STEPS = 25            # of a climb, at most
 _DAMPING = 1e-4       # of the first step
 _LEAST_DAMPING = 1e-9
+_AT_BOUND = 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -132,32 +132,30 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     steps : int
         At most.
     rival : float
-        Cost of another model: given up where what is left to gain would not beat it, if the
-        next steps promise less and less at the rate of the last two.
+        Cost of another model: given up when neither five more steps like the last nor five times
+        what the next one promises would reach it.
     least : float
         Gain of -2 log likelihood that another step has to promise, and the last one to have
         brought.
     """
-    best, damping, gain, before = start, _DAMPING, np.inf, 0.0
-    for _ in range(steps):
+    best, damping, gain = start, _DAMPING, np.inf
+    for taken in range(steps):
         gradient, curvature, scale, places = _slopes(samples, best, free)
         promise = _promise(gradient, curvature)
-        moved, hope = None, _at_most(promise, samples)
-        ratio = min(hope / before, _SLOWEST) if before else _SLOWEST
-        before = hope
-        if best.cost - hope / (1.0 - ratio) > rival - least or min(promise, gain) < least:
+        moved = None
+        hope = max(_at_most(promise, samples), gain if taken else 0.0)
+        if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
             break
-        lowered = max(damping * 0.1, _LEAST_DAMPING)
         for _ in range(6):
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
             trial = _moved(samples, best, step / scale, places, free)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
                 break
-            lowered = damping = max(damping, 10.0 * _LEAST_DAMPING) * 100.0
+            damping = max(damping, 10.0 * _LEAST_DAMPING) * 100.0
         if moved is None:
             break
-        gain, best, damping = best.cost - moved.cost, moved, lowered
+        gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, _LEAST_DAMPING)
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
@@ -178,9 +176,25 @@ def _slopes(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Array
     """Return gradient and curvature over the size of each direction, the sizes, and places."""
     rows, error, places = jacobian(samples, fit, free)
     gradient, curvature = rows.T @ error, rows.T @ rows
+    held = _held(samples, fit.model, free, gradient, places)
+    gradient[held] = curvature[held] = curvature[:, held] = 0.0
     scale = np.sqrt(np.diag(curvature))
     scale[~(scale > 1e-150)] = 1.0
     return gradient / scale, curvature / np.outer(scale, scale), scale, places
+
+
+def _held(samples: Samples, model: ModalModel, free: Free, gradient: Array,
+          places: Places) -> list[int]:
+    """Return the places of real poles and dead times at a bound that would go beyond it."""
+    delay = model.delay[list(free.delays)]
+    ahead = gradient[places.poles:places.poles + places.delays]
+    found = [places.poles + int(k) for k in np.flatnonzero(
+        np.where(ahead < 0.0, delay <= 0.0, delay >= free.longest))]
+    slow, fast = model.poles.real >= free.limit, np.abs(model.poles) >= free.fastest * _AT_BOUND
+    if slow.any() or fast.any():
+        around = PoleSteps.of(model.poles, 1.0 / samples.length, samples.several)
+        found += [k for k, one in around.single() if (slow if gradient[k] > 0.0 else fast)[one]]
+    return found
 
 
 def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free) -> Fit | None:

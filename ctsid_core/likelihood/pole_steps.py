@@ -59,6 +59,15 @@ class PoleSteps:
             i += 2 if joins else 1
         return cls(poles, tuple(factors), scale)
 
+    def single(self) -> list[tuple[int, int]]:
+        """Return the coordinate and the place of each real pole that moves by itself."""
+        found, at = [], 0
+        for one, other in self.factors:
+            if alone := other < 0 and self.poles[one].imag == 0.0:
+                found.append((at, one))
+            at += 1 if alone else 2
+        return found
+
     def derivatives(self) -> ComplexArray:
         """Return d poles / d coordinates, (n, m)."""
         rows = []

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     ROUNDING,
@@ -45,6 +46,7 @@ _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
+_ANOTHER = 0.01       # of a response: differences that matter if they are certain
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
 MORE = 2              # orders beyond the chosen one that are tried
@@ -149,6 +151,17 @@ def explains(smaller: Tried, larger: Tried) -> bool:
     before, after = (np.maximum(t.fit.power.mean(axis=0), ROUNDING) for t in (smaller, larger))
     return bool(np.max(before - after) > ENOUGH ** 2 or
                 np.max((before / after)[before > _LEAST ** 2], initial=0.0) > _CLEANER)
+
+
+def responds_otherwise(samples: Samples, smaller: Tried, larger: Tried) -> bool:
+    """
+    Return whether the larger one is likelier and has another response, however small its gain.
+
+    A state too few shows in the response before it shows in the fit (a dead time stands in for
+    it), and no deviation knows; one too many does no more than make the deviations larger.
+    """
+    return criterion(smaller, larger) > 0.0 and response_difference(
+        samples, smaller.fit.model, larger.fit.model) > _ANOTHER
 
 
 def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:

@@ -31,6 +31,7 @@ from ctsid_core.search.by_order import (
     explains,
     needed,
     parameters,
+    responds_otherwise,
     search_orders,
     tried,
 )
@@ -99,9 +100,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if not found or settings.order not in (0, *found):
         return None
     order = settings.order or choose(found)
-    likeliest = order
+    why = ''
     if not settings.order:
-        order = _by_held_out(samples, found, order, free, settings.held_out)
+        order, why = _neighbour(samples, found, order, free, settings.held_out)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
@@ -124,18 +125,18 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
-                    _choices(part, settings, best, free, order != likeliest), notes, whole=whole,
+                    _choices(part, settings, best, free, why), notes, whole=whole,
                     hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
-def _by_held_out(samples: Samples, found: dict[int, Tried], chosen: int, free: Free,
-                 share: float) -> int:
+def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int, free: Free,
+               share: float) -> tuple[int, str]:
     """
-    Return the chosen order, or one beside it that does better on data held out, by what matters.
+    Return the chosen order, or one beside it that tells more, and why.
 
     Errors that a disturbance or a curve of the plant leaves are hardly independent, however they
-    are counted: what is held out tells, if the rest tells what to expect there.
+    are counted: what is held out tells, by what matters, if the rest tells what to expect there.
     """
     def error(n: int) -> float:
         fit = found[n].fit
@@ -143,11 +144,16 @@ def _by_held_out(samples: Samples, found: dict[int, Tried], chosen: int, free: F
         return np.inf if unsure(unseen.expected, own).any() else \
             float(np.sqrt(np.mean(unseen.error ** 2)))
 
-    limit = error(chosen) - ENOUGH
-    if not limit < np.inf or samples.effort.beyond(SEARCH):
-        return chosen
+    why = ''
+    if chosen + 1 in found and responds_otherwise(samples, found[chosen], found[chosen + 1]):
+        chosen, why = chosen + 1, ', and one more, for its response is another one'
+    if not (limit := error(chosen) - ENOUGH) < np.inf or samples.effort.beyond(SEARCH):
+        return chosen, why
     errors = {n: error(n) for n in (chosen - 1, chosen + 1) if n in found}
-    return min((n for n in errors if errors[n] < limit), key=lambda n: errors[n], default=chosen)
+    best = min(errors, key=lambda n: errors[n], default=chosen)
+    if errors.get(best, np.inf) < limit:
+        return best, f', and one {"more" if best > chosen else "less"}, for data held out say so'
+    return chosen, why
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
@@ -243,11 +249,11 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 
 
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
-             tested: bool) -> tuple[Choice, ...]:
+             why: str) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
-        'samples' + ', or one beyond it: it does best on data held out' * tested)]
+        'samples' + why)]
     found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
                      f'of input {name}: the most likely, with the poles')
               for k, name in enumerate(_names(part)) if free.delays[k]]
