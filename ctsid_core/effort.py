@@ -46,26 +46,12 @@ class Effort:
         self._work, self._kept, self._rate = 0.0, 0.0, work_rate()
 
     def check(self) -> None:
-        """
-        Go on, if it is still wanted.
-
-        Raises
-        ------
-        Cancelled
-            If it is not.
-        """
+        """Go on, if it is still wanted; else raise `Cancelled`."""
         if self._cancelled is not None and self._cancelled():
             raise Cancelled
 
     def spend(self, work: float) -> None:
-        """
-        Count work that is about to be done, if it is still wanted.
-
-        Raises
-        ------
-        Cancelled
-            If it is not.
-        """
+        """Count work that is about to be done; raise `Cancelled` if it is not wanted any more."""
         self.check()
         self._work += work
 
@@ -110,12 +96,9 @@ def work_rate() -> float:
 
 def measured_rate(clock: Callable[[], float]) -> float:
     """
-    Return the work per second of this computer, for people: nothing is computed with it.
+    Return the work per second of this computer, by a clock of processor time [s].
 
-    Parameters
-    ----------
-    clock : callable
-        Returns processor time [s].
+    For people: nothing is computed with it.
     """
     import numpy as np
 

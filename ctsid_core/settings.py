@@ -250,19 +250,8 @@ def build_declared(cls: type[Any], values: Mapping[str, object], prefix: str = '
     """
     Build a declared dataclass from dotted names, listing unknown names and bad values at once.
 
-    Parameters
-    ----------
-    cls : type
-        A dataclass whose fields were made by `parameter`.
-    values : mapping
-        Dotted name to value, as a parameter file gives them.
-    prefix : str
-        Put before each name in messages.
-
-    Raises
-    ------
-    SettingsError
-        With one sentence per fault.
+    `values` are as a parameter file gives them; `prefix` is put before each name in messages.
+    Raises `SettingsError` with one sentence per fault.
     """
     declared = {parameter_name(f): f for f in fields(cls)}
     faults, accepted = [], {}

@@ -22,19 +22,10 @@ _FEW = 4                # vectors that are taken one after the other
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """
-    A matrix in blocks of rows.
+    """A matrix in blocks of rows."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    blocks : tuple
-        Of each block, its first row, its first column and its entries.
-    """
-
-    shape: tuple[int, int]
-    blocks: tuple[tuple[int, int, Array], ...]
+    shape: tuple[int, int]                      # rows and columns
+    blocks: tuple[tuple[int, int, Array], ...]  # of each: first row, first column, entries
 
     @classmethod
     def of(cls, matrix: Array) -> Blocks:
@@ -58,17 +49,7 @@ class Blocks:
         return found
 
     def times(self, vectors: Array) -> Array:
-        """
-        Return the products of the matrix (r, c) with vectors.
-
-        Parameters
-        ----------
-        vectors : ndarray, shape (m, c)
-
-        Returns
-        -------
-        ndarray, shape (m, r)
-        """
+        """Return the products of the matrix (r, c) with vectors (m, c): (m, r)."""
         found = np.zeros((len(vectors), self.shape[0]))
         vectors = np.ascontiguousarray(vectors)
         for row, column, entries in self.blocks:

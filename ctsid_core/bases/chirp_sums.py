@@ -22,15 +22,7 @@ _SAME = 3e-11           # phase [rad] by which stamps may be off uniform ones: t
 
 
 def uniform(x: Array, top: float) -> bool:
-    """
-    Return whether stamps are uniform to their rounding.
-
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-    top : float
-        Highest frequency that matters [rad].
-    """
+    """Return whether stamps (N,) are uniform to their rounding, for frequencies to `top` [rad]."""
     n = len(x)
     if n < _FEWEST:
         return False
@@ -45,21 +37,9 @@ def uniform(x: Array, top: float) -> bool:
 
 def chirp_sums(x: Array, weights: Array, step: float, count: int) -> Sums:
     """
-    Return the sums over the samples of weights_k exp(-i w_j x_k).
+    Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, count).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Uniform stamps.
-    weights : ndarray, shape (m, N)
-    step : float
-        Of the frequencies: w_j = j step.
-    count : int
-        Number of frequencies, from 0 on.
-
-    Returns
-    -------
-    ndarray, shape (m, count)
+    Of uniform stamps x (N,) and weights (m, N), at the frequencies w_j = j step.
     """
     n = len(x)
     before = (n - 1) // 2                              # phases are least about the middle

@@ -37,25 +37,12 @@ _BLOCK = 8192           # samples taken at a time, to stay in the cache
 
 @dataclass(frozen=True)
 class Grid:
-    """
-    Uniform instants, and the frequencies that belong to them.
+    """Uniform instants, and the frequencies that belong to them."""
 
-    Parameters
-    ----------
-    step : float
-        Between instants.
-    size : int
-        How many instants: sums repeat after all of them.
-    w : ndarray, shape (J,)
-        Frequencies from zero on, 2 pi / (size step) apart.
-    series : ndarray, shape (J, terms)
-        b_d(w_j).
-    """
-
-    step: float
-    size: int
-    w: Array
-    series: Sums
+    step: float   # between instants
+    size: int     # how many instants: sums repeat after all of them
+    w: Array      # (J,): frequencies from zero on, 2 pi / (size step) apart
+    series: Sums  # (J, terms): b_d(w_j)
 
 
 def fourier_grid(reach: float, top: float) -> Grid:
@@ -75,20 +62,11 @@ def fourier_grid(reach: float, top: float) -> Grid:
 
 def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
     """
-    Return the sums over the samples of weights_k exp(-i w_j x_k).
+    Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, J).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Stamps in any order. Their phase is rounded in proportion to them.
-    weights : ndarray, shape (m, N)
-    grid : Grid
-
-    Returns
-    -------
-    ndarray, shape (m, J)
-        Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for;
-        stamps uniform but for phases of 3e-11 are taken to be uniform.
+    Of stamps x (N,) in any order, whose phase is rounded in proportion to them, and weights (m,
+    N). Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for;
+    stamps uniform but for phases of 3e-11 are taken to be uniform.
     """
     total = np.zeros((len(weights), len(grid.w)), dtype=complex)
     moments = None

@@ -34,26 +34,13 @@ from ctsid_core.signals.record import Record, Signal
 
 @dataclass(frozen=True)
 class HermiteLines:
-    """
-    What depends on nmax alone.
+    """What depends on nmax alone."""
 
-    Parameters
-    ----------
-    w : ndarray, shape (L,)
-        Non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing.
-    even, odd : Blocks, shapes (L, ceil(nc/2)), (L, floor(nc/2))
-        From even and odd coefficients to real and imaginary parts of the lines.
-    tail : ndarray, shape (1, L)
-        The lines of e_last = [0 ... 0 1].
-    ones : ndarray, shape (1, L)
-        The lines of the constant 1 on the whole real line.
-    """
-
-    w: Array
-    even: Blocks
-    odd: Blocks
-    tail: Lines
-    ones: Lines
+    w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
+    even: Blocks  # (L, ceil(nc/2)): from even coefficients to real parts of the lines
+    odd: Blocks   # (L, floor(nc/2)): from odd ones to imaginary parts
+    tail: Lines   # (1, L): lines of e_last = [0 ... 0 1]
+    ones: Lines   # (1, L): lines of the constant 1 on the whole real line
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients, (m, nc), to lines, (m, L)."""
@@ -69,14 +56,7 @@ def _lines(f: Array, even: Blocks, odd: Blocks) -> Lines:
 
 @lru_cache(maxsize=16)
 def hermite_lines(nmax: int) -> HermiteLines:
-    """
-    Compute the diagonal form of the derivative for orders 0 .. nmax.
-
-    Parameters
-    ----------
-    nmax : int
-        At least 1.
-    """
+    """Return the diagonal form of the derivative for orders 0 .. nmax, nmax at least 1."""
     w = roots_hermite(nmax + 1)[0][(nmax + 1) // 2:]
     h = hermite_functions(nmax, w)
     q = h / np.linalg.norm(h, axis=0)
@@ -103,8 +83,8 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
     Return alpha [s].
 
     In the paper's form the turning point R = sqrt(2 nmax + 1) of h_nmax lies on the edge of the
-    window ([HD] eq. 31); in the exact form it lies inside by `edge_margin` widths R^(-1/3) of
-    the Airy tail of h_nmax, so that all functions have decayed at the edge.
+    window ([HD] eq. 31); in the exact form it lies inside by `edge_margin` widths R^(-1/3) of the
+    Airy tail of h_nmax, so that all functions have decayed at the edge.
     """
     turning = np.sqrt(2.0 * nmax + 1.0)
     if settings.edges == 'paper':
@@ -115,26 +95,11 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
 def project_record(record: Record, settings: Settings, nmax: int,
                    check: Callable[[], None] = lambda: None) -> Projection:
     """
-    Project a record on Hermite functions, each signal from its own stamps.
+    Project a record on Hermite functions, each signal from its own stamps ([HD] eq. 27, 33, 34).
 
-    Parameters
-    ----------
-    record : Record
-    settings : Settings
-        Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
-    nmax : int
-        Highest order, in each of `settings.parts` parts of equal length.
-    check : callable, optional
-        Called before each part; what it raises ends the projection.
-
-    Notes
-    -----
-    The equations hold line by line, so that lines of several windows stand beside each other as
-    those of one do; only the tail is each window's own.
-
-    References
-    ----------
-    [HD] eq. 27, 33, 34.
+    Up to order nmax in each of `settings.parts` parts of equal length, whose lines stand beside
+    each other; only the tail is each part's own. `check` is called before each part; what it
+    raises ends the projection.
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
     parts = []

@@ -29,24 +29,7 @@ _LN2_LOW = 1.42860682030941723212e-6
 
 
 def hermite_functions(nmax: int, x: Array) -> Array:
-    """
-    Evaluate h_0 .. h_nmax.
-
-    Parameters
-    ----------
-    nmax : int
-        Highest order, at least 0.
-    x : ndarray, shape (N,)
-        Arguments (dimensionless time t' of [HD] eq. 31).
-
-    Returns
-    -------
-    ndarray, shape (nmax + 1, N)
-
-    References
-    ----------
-    [HD] eq. 16 to 18.
-    """
+    """Return h_0 .. h_nmax at dimensionless times x (N,): (nmax + 1, N) ([HD] eq. 16 to 18)."""
     x = np.asarray(x, dtype=float)
     if x.size == 0 or np.abs(x).max() < _PLAIN_LIMIT:
         g = _recursion(nmax, x, np.empty((nmax + 1, x.size)))
@@ -92,17 +75,9 @@ def _recursion(nmax: int, x: Array, out: Array) -> Array:
 
 def project_directly(nmax: int, x: Array, weights: Array) -> Array:
     """
-    Return the sums over the samples of h_n(x_k) weights_k, without keeping the h_n.
+    Return the sums over the samples of h_n(x_k) weights_k, shape (m, nmax + 1).
 
-    Parameters
-    ----------
-    nmax : int
-    x : ndarray, shape (N,)
-    weights : ndarray, shape (m, N)
-
-    Returns
-    -------
-    ndarray, shape (m, nmax + 1)
+    Of x (N,) and weights (m, N), without keeping the h_n.
     """
     if x.size == 0 or np.abs(x).max() >= _PLAIN_LIMIT:
         return _project_by_parts(nmax, x, weights)

@@ -28,16 +28,7 @@ def integrated(derivatives: Array, knots: Array) -> Array:
     """
     Return the integral from the first knot of piecewise polynomials, in the same form.
 
-    Parameters
-    ----------
-    derivatives : ndarray, shape (degree + 1, K, m)
-        Just after each knot.
-    knots : ndarray, shape (K,)
-        [s]
-
-    Returns
-    -------
-    ndarray, shape (degree + 2, K, m)
+    From derivatives just after each knot, (degree + 1, K, m), at knots (K,) [s]; one degree more.
     """
     h = np.diff(knots)[:, np.newaxis]
     steps = sum((v[:-1] * h ** (j + 1) / factorial(j + 1) for j, v in enumerate(derivatives)),
@@ -52,14 +43,12 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal],
     """
     Return what interpolation of each output signal misses of the inputs' integrals.
 
+    The stamps and holds of the outputs count; all stamps are among the knots (K,) [s].
+
     Parameters
     ----------
     u : ndarray, shape (degree + 1, K, nu)
         Inputs and derivatives just after each knot.
-    knots : ndarray, shape (K,)
-        All stamps are among them [s].
-    outputs : sequence of Signal
-        Of which the stamps and holds count.
     interpolate : callable
         As `simulation.input_polynomials`.
     count : int

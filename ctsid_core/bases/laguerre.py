@@ -42,22 +42,7 @@ _FEWEST = 8           # samples of a spline
 
 
 def laguerre_functions(count: int, a: float, t: Array) -> Array:
-    """
-    Return the Laguerre functions of a pole.
-
-    Parameters
-    ----------
-    count : int
-    a : float
-        Pole [rad/s].
-    t : ndarray
-        Times >= 0 [s].
-
-    Returns
-    -------
-    ndarray, shape (count, *t.shape)
-        [s^-1/2]
-    """
+    """Return Laguerre functions of pole a [rad/s] at t >= 0 [s]: (count, *t.shape) [s^-1/2]."""
     found: Array = np.sqrt(2.0 * a) * _damped(count, 2.0 * a * np.asarray(t, dtype=float))
     return found
 
@@ -82,21 +67,7 @@ def reach(count: int) -> float:
 
 
 def shifted(count: int, a: float, h: Array) -> Array:
-    """
-    Return the matrices T(h) of shifts, l(t + h) = T(h) l(t).
-
-    Parameters
-    ----------
-    count : int
-    a : float
-        [rad/s].
-    h : ndarray
-        Shifts >= 0 [s].
-
-    Returns
-    -------
-    ndarray, shape (*h.shape, count, count)
-    """
+    """Return T(h) of shifts h >= 0 [s], l(t + h) = T(h) l(t): shape (*h.shape, count, count)."""
     column = _damped(count, 2.0 * a * h)
     column[1:] -= column[:-1].copy()
     apart = np.subtract.outer(np.arange(count), np.arange(count))
@@ -106,25 +77,17 @@ def shifted(count: int, a: float, h: Array) -> Array:
 
 @dataclass(frozen=True)
 class Pieces:
-    """
-    A signal as polynomials between nodes.
+    """A signal as polynomials between nodes."""
 
-    Parameters
-    ----------
-    nodes : ndarray, shape (N + 1,)
-        Increasing [s].
-    values : ndarray, shape (N, q, channels)
-        At q equidistant points of every interval, both ends included; q = 1: a constant.
-    """
-
-    nodes: Array
+    nodes: Array   # (N + 1,), increasing [s]
+    # (N, q, channels): at q equidistant points of each interval, both ends too; 1: constant
     values: Array
 
 
 def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
                  count: int, delays: Sequence[float], direction: Direction) -> Array:
     """
-    Return the Laguerre coefficients of signals, seen from many instants.
+    Return the Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
 
     Parameters
     ----------
@@ -141,10 +104,6 @@ def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float]
         Dead time of each signal: it is projected as f(t - delay) [s].
     direction : {'ahead', 'back'}
         Whether what follows an instant is projected, or what precedes it filtered.
-
-    Returns
-    -------
-    ndarray, shape (count, channels, M)
     """
     found, pieces = [], [_pieces(s.time + delay, s, at, span, _LONGEST / a)
                          for s, delay in zip(signals, delays, strict=True)]

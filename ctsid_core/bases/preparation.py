@@ -82,17 +82,8 @@ def usable(record: Record, settings: Settings,
     """
     Return what of a record can be used, or the status that says why nothing can.
 
-    Parameters
-    ----------
-    record : Record
-    settings : Settings
-    keep : tuple of int, tuple of int
-        Places of inputs and outputs that are kept even if they do not move.
-
-    Raises
-    ------
-    SettingsError
-        If `settings.delay` does not fit the number of inputs.
+    Places of inputs and outputs in `keep` are kept even if they do not move. Raises
+    `SettingsError` if `settings.delay` does not fit the number of inputs.
     """
     start = _known_from(record, settings)
     if start >= record.end:

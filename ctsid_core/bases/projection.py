@@ -69,14 +69,7 @@ class Projection:
 
 
 def joined(records: Sequence[Projection]) -> Projection:
-    """
-    Put the lines of several records beside each other; of one record, return it as it is.
-
-    Parameters
-    ----------
-    records : sequence of Projection
-        Each with rows `ones` of its own.
-    """
+    """Return lines of several records, each with its own `ones`, side by side; of one, itself."""
     if len(records) == 1:
         return records[0]
     unit = max(p.unit for p in records)

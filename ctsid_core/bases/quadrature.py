@@ -41,21 +41,11 @@ _STEEP = 1e-5         # the same, below which a straight line is a jump: its slo
 
 @dataclass(frozen=True)
 class Samples:
-    """
-    A signal made ready for projection: weights at nodes, and the steps to its coefficients.
+    """A signal made ready for projection: weights at nodes, and the steps to its coefficients."""
 
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Nodes, dimensionless.
-    weights : ndarray, shape (m, N)
-        What is summed with h_n at the nodes; several blocks of rows if `finish` needs them.
-    finish : callable
-        Takes the sums (m, nmax + 1) to the coefficients (channels, nmax + 1).
-    """
-
-    x: Array
-    weights: Array
+    x: Array                          # (N,): nodes, dimensionless
+    weights: Array  # (m, N): summed with h_n at the nodes; several blocks if `finish` wants them
+    # from sums (m, nmax + 1) to coefficients (channels, nmax + 1)
     finish: Callable[[Array], Array]
 
 
@@ -79,10 +69,7 @@ def coefficients(signals: Sequence[Signal], start: float, end: float, alpha: flo
     Returns
     -------
     list of ndarray, each of shape (channels, nmax + 1)
-
-    References
-    ----------
-    [HD] eq. 33, 34.
+        [HD] eq. 33, 34.
     """
     top = np.sqrt(2.0 * nmax + 1.0)                    # highest frequency of the basis, per alpha
     ready = [_PREPARE[signal.hold](*_known(signal, start, end, delay), start, end, alpha, top)
@@ -118,20 +105,7 @@ def _known(signal: Signal, start: float, end: float, delay: float) -> tuple[Arra
 
 
 def integrate(g: Array, c0: Array) -> Array:
-    """
-    Return the coefficients of a signal from those of its derivative.
-
-    Parameters
-    ----------
-    g : ndarray, shape (m, nc)
-        <h_n, df/dx>.
-    c0 : ndarray, shape (m,)
-        <h_0, f>.
-
-    Returns
-    -------
-    ndarray, shape (m, nc)
-    """
+    """Return coefficients of f (m, nc) from g = <h_n, df/dx> (m, nc) and c0 = <h_0, f> (m,)."""
     step, free = _free_motion(g.shape[1])
     c = np.empty_like(g)
     c[:, 0] = c0
@@ -226,15 +200,7 @@ def spline_degree(t: Array, values: Array) -> int:
     """
     Return the degree of the spline that predicts every second sample from the others best.
 
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-    values : ndarray, shape (m, N)
-
-    Returns
-    -------
-    int
-        1, 3 or 5; 3 where there are too few samples to tell.
+    1, 3 or 5 for stamps (N,) and values (m, N); 3 where there are too few samples to tell.
     """
     if len(t) < 32:
         return 3
@@ -268,18 +234,8 @@ def smooth_values(t: Array, values: Array, at: Array, degree: int = 3) -> Array:
     """
     Interpolate by splines between gaps, on straight lines across them, constant beyond the ends.
 
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-    values : ndarray, shape (m, N)
-    at : ndarray, shape (M,)
-        Sorted times.
-    degree : int
-        Of the splines: odd.
-
-    Returns
-    -------
-    ndarray, shape (m, M)
+    From stamps t (N,) and values (m, N) to sorted times `at` (M,): shape (m, M). The degree is
+    odd.
     """
     out = np.array([np.interp(at, t, row) for row in values]).reshape(len(values), len(at))
     step = np.diff(t)

@@ -27,52 +27,26 @@ from ctsid_core.signals.record import Record
 
 @dataclass(frozen=True)
 class Layout:
-    """
-    How records are projected.
+    """How records are projected."""
 
-    Parameters
-    ----------
-    sizes : tuple of (int, int)
-        nmax and the number of parts of each record.
-    """
-
-    sizes: tuple[tuple[int, int], ...]
+    sizes: tuple[tuple[int, int], ...]  # nmax and the number of parts of each record
 
 
 @dataclass(frozen=True)
 class Unusable:
-    """
-    Why nothing of the records can be used.
-
-    Parameters
-    ----------
-    status : Status
-    notes : tuple of str
-        On each of several records.
-    """
+    """Why nothing of the records can be used."""
 
     status: Status
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # on each of several records
 
 
 @dataclass(frozen=True)
 class Joint:
-    """
-    What can be used of the records.
+    """What can be used of the records."""
 
-    Parameters
-    ----------
-    parts : tuple of Usable
-        Not empty; the same channels of each record.
-    numbers : tuple of int
-        Which of the given records these are, counted from 1.
-    remarks : tuple of str
-        What the user should know beyond the notes of the parts.
-    """
-
-    parts: tuple[Usable, ...]
-    numbers: tuple[int, ...]
-    remarks: tuple[str, ...] = ()
+    parts: tuple[Usable, ...]      # not empty; the same channels of each record
+    numbers: tuple[int, ...]       # which of the given records these are, counted from 1
+    remarks: tuple[str, ...] = ()  # what the user should know beyond the notes of the parts
 
     @property
     def several(self) -> bool:
@@ -143,19 +117,11 @@ class Joint:
 
 def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusable:
     """
-    Return what can be used of records, or why nothing can.
+    Return what can be used of records of the same channels, or why nothing can.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of the same channels, see `check_alike`. A channel moves if it moves in any of them. A
-        record that is too short, or full of gaps, is left out and noted.
-    settings : Settings
-
-    Raises
-    ------
-    SettingsError
-        If `settings.delay` does not fit the number of inputs.
+    A channel moves if it moves in any of them. A record that is too short, or full of gaps, is
+    left out and noted. Raises `SettingsError` if `settings.delay` does not fit the number of
+    inputs.
     """
     if len(records) == 1:
         part = usable(records[0], settings)
@@ -182,12 +148,9 @@ def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusa
 
 def check_alike(records: Sequence[Record]) -> None:
     """
-    Check that records can be of one plant.
+    Raise `DataError` unless records can be of one plant.
 
-    Raises
-    ------
-    DataError
-        If there is none, one is given twice, or channels differ in number, names or units.
+    There is one at least, none is given twice, and channels agree in number, names and units.
     """
     if not records:
         raise DataError('no record was given; `identify` wants one, or a list of them')

@@ -38,25 +38,12 @@ _SAME = 1e-9          # relative distance of a pole's conjugate that is rounding
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """
-    A chain of Takenaka-Malmquist filters.
+    """A chain of Takenaka-Malmquist filters."""
 
-    Parameters
-    ----------
-    poles : ndarray, shape (N,)
-        The sequence sigma [rad/s]; the filters' poles are at -sigma. Conjugates are neighbours.
-    L : ndarray, shape (N, N)
-        Real, lower triangular but for the blocks of pairs [rad/s].
-    b : ndarray, shape (N,)
-        [sqrt(rad/s)]
-    turn : ndarray, shape (N, N)
-        Unitary: turn w are the functions F_k themselves (complex where poles are).
-    """
-
-    poles: ComplexArray
-    L: Array
-    b: Array
-    turn: ComplexArray
+    poles: ComplexArray  # (N,): sigma [rad/s]; the filters have -sigma. Conjugates are neighbours
+    L: Array             # (N, N): real, lower triangular but for the blocks of pairs [rad/s]
+    b: Array             # (N,) [sqrt(rad/s)]
+    turn: ComplexArray   # (N, N), unitary: turn w are the F_k themselves (complex where poles are)
 
     @property
     def size(self) -> int:
@@ -80,8 +67,6 @@ class Chain:
         """
         Return the Z_k for which (s - L)^-1 e_k = Z_k w(s), shape (N, N, N), k first.
 
-        Notes
-        -----
         The rows of Z_k are the coefficients of functions of the same space in an orthonormal
         basis: integrals of products, of a Lyapunov equation. They are bounded, however close the
         poles are, unlike partial fractions.
@@ -159,20 +144,10 @@ def legendre(sigma: float, size: int) -> Chain:
 
 def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
     """
-    Return the response of a chain, at rest at first, to piecewise polynomials, exactly.
+    Return the response of a chain, at rest at first, to piecewise polynomials: (K, N, m).
 
-    Parameters
-    ----------
-    found : Chain
-    derivatives : ndarray, shape (degree + 1, K, m)
-        Of m signals just after each knot, valid up to the next one
-        (`ctsid_core.model.simulation.input_polynomials`).
-    knots : ndarray, shape (K,)
-        Increasing [s].
-
-    Returns
-    -------
-    ndarray, shape (K, N, m)
+    Exactly, for m signals and their derivatives just after each of the increasing knots (K,) [s],
+    shape (degree + 1, K, m), valid up to the next one (`simulation.input_polynomials`).
     """
     step, *integrals = exponentials(found.L, np.diff(knots), len(derivatives))
     drive = sum(((f @ found.b)[:, :, np.newaxis] * v[:-1, np.newaxis]

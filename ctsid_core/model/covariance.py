@@ -38,50 +38,26 @@ _KNOWN = 1e-10        # of the largest singular value of the scaled root: below 
 
 
 class Entries(NamedTuple):
-    """
-    Rows of changes of a model's entries.
+    """Rows of changes of a model's entries."""
 
-    Parameters
-    ----------
-    A, B, C, D, delay : ndarray, shapes (r, n, n), (r, n, nu), (r, ny, n), (r, ny, nu), (r, nu)
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    delay: Array
+    A: Array      # (r, n, n)
+    B: Array      # (r, n, nu)
+    C: Array      # (r, ny, n)
+    D: Array      # (r, ny, nu)
+    delay: Array  # (r, nu)
 
 
 class ResponseDeviation(NamedTuple):
-    """
-    How well a frequency response is known.
+    """How well a frequency response is known."""
 
-    Parameters
-    ----------
-    magnitude : ndarray, shape (M, ny, nu)
-        Standard deviation of |G| over |G|; times 8.686 it is in dB.
-    phase : ndarray, shape (M, ny, nu)
-        Standard deviation of the phase [rad].
-    """
-
-    magnitude: Array
-    phase: Array
+    magnitude: Array  # (M, ny, nu): of |G| over |G|; times 8.686 it is in dB
+    phase: Array      # (M, ny, nu) [rad]
 
 
 class Rival(NamedTuple):
-    """
-    A model that might have been chosen instead.
+    """A model of the same channels that might have been chosen instead."""
 
-    Parameters
-    ----------
-    share : float
-        Its share of the Akaike weights of all that were tried, the chosen one among them.
-    model : StateSpace
-        Of the same inputs and outputs.
-    """
-
-    share: float
+    share: float  # of the Akaike weights of all that were tried, the chosen one among them
     model: StateSpace
 
 
@@ -171,12 +147,7 @@ class Covariance:
         """
         Return the covariance for rows of changes, as few rows as tell it.
 
-        Parameters
-        ----------
-        entries : Entries
-        model : StateSpace
-            That they belong to: what changes its states only is taken out.
-        rivals : tuple of Rival
+        What changes the states of the model only is taken out.
         """
         rows = np.hstack([part.reshape(len(part), -1) for part in entries])
         size = np.max(np.abs(rows), axis=0, initial=0.0)
@@ -199,14 +170,7 @@ class Covariance:
         return replace(self, root=np.hstack([part.reshape(len(self.root), -1) for part in moved]))
 
     def pole_changes(self, model: StateSpace) -> ComplexArray:
-        """
-        Return what the rows of the root change of the poles (1), (r, n).
-
-        Parameters
-        ----------
-        model : StateSpace
-            That the covariance belongs to; the order is that of its `poles`.
-        """
+        """Return what the rows of the root change of the poles of the model (1), (r, n)."""
         values, right = np.linalg.eig(model.A)
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
@@ -309,19 +273,10 @@ def delay_deviation(covariance: Covariance, model: StateSpace) -> Array:
 def response_deviation(covariance: Covariance, model: StateSpace,
                        omega: ArrayLike) -> ResponseDeviation:
     """
-    Return the standard deviations of magnitude and phase at given frequencies.
+    Return the standard deviations of magnitude and phase at frequencies omega (M,) [rad/s].
 
-    Parameters
-    ----------
-    covariance : Covariance
-    model : StateSpace
-    omega : array_like, shape (M,)
-        [rad/s]
-
-    Notes
-    -----
-    NaN where G is zero, or omega is an undamped pole. Both are of first order: where the
-    deviation of the magnitude is not small against 1, G itself is normal, not its logarithm.
+    NaN where G is zero, or omega is an undamped pole. Both are of first order: where the deviation
+    of the magnitude is not small against 1, G itself is normal, not its logarithm.
     """
     omega = np.asarray(omega, dtype=float)
     late = np.exp(1j * np.outer(omega, model.delay))[:, np.newaxis]

@@ -30,35 +30,18 @@ _STATES = 2000  # the same where they become states of full matrices
 
 @dataclass(frozen=True, eq=False)
 class Discrete:
-    """
-    A model at the ticks of a clock; made by `discretise`.
+    """A model at the ticks of a clock; made by `discretise`."""
 
-    Parameters
-    ----------
-    period : float
-        [s]
-    A : ndarray, shape (n, n)
-    now, before : ndarray, shape (n, nu)
-        Gains of u[k - lag] and of the input one tick earlier; `before` is 0 for whole dead times.
-    offset : ndarray, shape (n,)
-        Of the trim, per step.
-    C, D, y_trim : ndarray, shapes (ny, n), (ny, nu), (ny,)
-    lag : tuple of int, length nu
-        Whole periods of each dead time.
-    fraction : tuple of float, length nu
-        What remains of it, in periods.
-    """
-
-    period: float
-    A: Array
-    now: Array
-    before: Array
-    offset: Array
+    period: float                # [s]
+    A: Array                     # (n, n)
+    now: Array                   # (n, nu): gains of u[k - lag]
+    before: Array                # (n, nu): of the input one tick earlier; 0 for whole dead times
+    offset: Array                # (n,): of the trim, per step
     C: Array
     D: Array
     y_trim: Array
-    lag: tuple[int, ...]
-    fraction: tuple[float, ...]
+    lag: tuple[int, ...]         # whole periods of each dead time
+    fraction: tuple[float, ...]  # what remains of it, in periods
 
     @property
     def memory(self) -> NDArray[np.int_]:
@@ -67,16 +50,9 @@ class Discrete:
 
     def simulate(self, u: ArrayLike) -> Array:
         """
-        Return the outputs at the ticks, from the state 0; the first input was there before.
+        Return the outputs (M, ny) at the ticks for inputs (M, nu) held from tick to tick.
 
-        Parameters
-        ----------
-        u : array_like, shape (M, nu)
-            Held from its tick to the next.
-
-        Returns
-        -------
-        ndarray, shape (M, ny)
+        From the state 0; the first input was there before.
         """
         given = np.asarray(u, dtype=float)
         ticks = np.arange(len(given))[:, np.newaxis]
@@ -104,10 +80,7 @@ class Discrete:
         """
         Return A, B, C, D from u to y without dead time: past inputs are further states.
 
-        Raises
-        ------
-        DataError
-            If they are too many for matrices.
+        Raises `DataError` if they are too many for matrices.
         """
         n, nu = self.now.shape
         if self.memory.sum() > _STATES:
@@ -136,18 +109,10 @@ class Discrete:
 
 def discretise(model: StateSpace, rate: float) -> Discrete:
     """
-    Return a model at the ticks of a clock, exactly for inputs held from tick to tick.
+    Return a model at the ticks of a clock of a rate [Hz], exactly for inputs held between them.
 
-    Parameters
-    ----------
-    model : StateSpace
-    rate : float
-        Of the clock [Hz].
-
-    Raises
-    ------
-    DataError
-        If the rate is not positive, or so high that the dead times hold too many inputs.
+    Raises `DataError` if the rate is not positive, or so high that the dead times hold too many
+    inputs.
     """
     if not 0 < rate < np.inf:
         raise DataError(f'`rate` is {rate}; give the rate of the clock in Hz, more than 0')

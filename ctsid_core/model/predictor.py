@@ -36,45 +36,23 @@ LONGEST = 2.0  # a sample speaks for at most that many median intervals, gaps or
 
 @dataclass(frozen=True)
 class Stream:
-    """
-    Output channels that share their stamps.
+    """Output channels that share their stamps."""
 
-    Parameters
-    ----------
-    channels : slice
-        Which outputs of the model.
-    rows : ndarray of int, shape (N,)
-        Where their stamps stand among the merged stamps of all outputs.
-    """
-
-    channels: slice
-    rows: NDArray[np.intp]
+    channels: slice         # which outputs of the model
+    rows: NDArray[np.intp]  # where their stamps stand among the merged stamps of all outputs
 
 
 def predictor_gain(model: StateSpace, noise: Array, duration: float) -> tuple[Array | None, str]:
     """
     Return a gain K for which the predictor A - K C is stable, and a note if it is not the model's.
 
-    With the model's own K that is so for every model that was identified with its noise. With
-    K = 0 and an unstable (or integrating) A it is not: no filter forgets its start. The right
-    filter for such a model is the steady Kalman filter of the same noise model (Riccati
-    equation with Q = K R K^T, S = K R); it turns unstable poles of A - K C into their mirror
-    images. To leave the imaginary axis too, A is shifted right by `MEMORY` / duration.
+    With the model's own K that is so for every model that was identified with its noise. With K =
+    0 and an unstable (or integrating) A it is not: no filter forgets its start. The right filter
+    for such a model is the steady Kalman filter of the same noise model (Riccati equation with Q =
+    K R K^T, S = K R, R the `noise` up to a factor); it turns unstable poles of A - K C into their
+    mirror images. To leave the imaginary axis too, A is shifted right by `MEMORY` / duration.
 
-    Parameters
-    ----------
-    model : StateSpace
-    noise : ndarray, shape (ny, ny)
-        Intensity of the innovations R, up to a factor.
-    duration : float
-        Of the record [s].
-
-    Returns
-    -------
-    K : ndarray, shape (n, ny), or None
-        None if an unstable mode is seen by no output, so that nothing can stabilise it.
-    note : str
-        Empty if K is the model's.
+    None if an unstable mode is seen by no output, so that nothing can stabilise it.
     """
     A, C, K = model.A, model.C, model.K
     if _is_stable(A - K @ C):
@@ -117,18 +95,15 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
     """
     Run the predictor over all samples.
 
-    The state at the first stamp is the least-squares one for the innovations in the first
-    `START` of the record. Later states depend on samples up to their own stamp only.
+    The state at the first stamp is the least-squares one for the innovations in the first `START`
+    of the record. Later states depend on samples up to their own stamp only.
 
     Parameters
     ----------
-    model : StateSpace
-    K : ndarray, shape (n, ny)
     times : ndarray, shape (M,)
         Merged stamps of all outputs [s].
     rest : ndarray, shape (M, ny)
         r of (1); read only where a stream has a sample.
-    streams : sequence of Stream
 
     Returns
     -------

@@ -45,10 +45,7 @@ def modal(A: Array, C: Array) -> tuple[Array, Array]:
     """
     Return T to real modal states, scaled and signed as `StateSpace.modal` says, and the new A.
 
-    Raises
-    ------
-    DataError
-        If A has no usable basis of eigenvectors.
+    Raises `DataError` if A has no usable basis of eigenvectors.
     """
     found = modes(A, condition_limit=1e10)
     if found is None:
@@ -119,13 +116,8 @@ def balancing(A: Array, B: Array, C: Array) -> Array:
     """
     Return T that balances the stable part, the unstable one first; shape (n, n).
 
-    Square-root method: A. C. Antoulas, "Approximation of Large-Scale Dynamical Systems",
-    SIAM 2005, section 7.3.
-
-    Raises
-    ------
-    DataError
-        If the stable part is not minimal.
+    Square-root method: A. C. Antoulas, "Approximation of Large-Scale Dynamical Systems", SIAM
+    2005, section 7.3. Raises `DataError` if the stable part is not minimal.
     """
     if not len(A):
         return np.empty((0, 0))

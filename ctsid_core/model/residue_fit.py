@@ -45,18 +45,7 @@ class ResidueFit:
 
 @dataclass(frozen=True, eq=False)
 class _Output:
-    """
-    One output over all records, compressed by a QR factorisation.
-
-    Parameters
-    ----------
-    re, im : ndarray, shape (rows, modes, S)
-        Responses of the modes to u, to an impulse at the start of each record, and to 1 in each.
-    direct : ndarray, shape (rows, d)
-        u if the output follows it at once, and 1 in each record.
-    y : ndarray, shape (rows, 1)
-        Over the output's size.
-    """
+    """One output over all records, compressed by a QR factorisation."""
 
     re: Array
     im: Array
@@ -69,12 +58,11 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
     """
     Return the model of given A whose simulations are near the samples of the outputs.
 
-    Each output counts by its own power; initial states and trim of each record are free.
+    Each output counts by its own power; initial states and trim of each record are free. None if
+    the eigenvectors of A are dependent, or a mode grows beyond all bounds.
 
     Parameters
     ----------
-    records : sequence of Record
-    A : ndarray, shape (n, n)
     delay : tuple of float, length nu
         [s]
     trim : bool
@@ -83,11 +71,6 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
         Whether u acts on y at once.
     tolerance : float
         Directions of regressors below this fraction of the largest are left out.
-
-    Returns
-    -------
-    Driven or None
-        None if the eigenvectors of A are dependent, or a mode grows beyond all bounds.
     """
     found = modes(A, SOUND)
     length = max(r.duration for r in records)

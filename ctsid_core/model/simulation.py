@@ -35,23 +35,10 @@ Pieces = Callable[[Sequence[Signal], Sequence[float], Array], Array]
 
 def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: Array) -> Array:
     """
-    Return the inputs and their derivatives just after each knot.
+    Return the inputs and their derivatives just after each knot, (degree + 1, K, nu).
 
-    Before its first and after its last stamp an input is held. Valid up to the next knot if all
-    stamps (later by the dead time) within the knots' span are knots.
-
-    Parameters
-    ----------
-    inputs : sequence of Signal
-    delay : sequence of float, length nu
-        Dead time of each channel [s].
-    knots : ndarray, shape (K,)
-        Increasing [s].
-
-    Returns
-    -------
-    ndarray, shape (degree + 1, K, nu)
-        Entry j is the j-th derivative [unit / s^j].
+    Before its first and after its last stamp an input is held. Valid up to the next of the
+    increasing knots (K,) [s] if all stamps, later by the dead times of the channels, are knots.
     """
     parts, first = [], 0
     for signal in inputs:
@@ -245,21 +232,8 @@ def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
     """
     Return a basis of all responses C e^(A t) x0, scaled so that none overflows.
 
-    Stable modes are 1 at the first time, unstable ones 1 at the last.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (ny, n)
-    times : ndarray, shape (M,)
-        [s]
-
-    Returns
-    -------
-    basis : ndarray, shape (M, ny, n)
-        One response per column.
-    states : ndarray, shape (n, n)
-        Column i is the state at `times[0]` that gives column i of the basis.
+    Stable modes are 1 at the first time, unstable ones 1 at the last. The basis, (M, ny, n), has a
+    response per column; column i of the second matrix is the state at `times[0]` that gives it.
     """
     found = modes(A)
     first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)

@@ -54,26 +54,11 @@ def align(model: StateSpace, reference: StateSpace) -> StateSpace | None:
     """
     Return the same system with its states as near to those of the reference as they can be.
 
-    Parameters
-    ----------
-    model, reference : StateSpace
-        With the same channels.
+    Equal to the reference (to rounding) if the two are similar; changing with the model in
+    proportion, for a reference that is held. None if the orders differ, a state of either is not
+    seen in the outputs, or entries would change by several times the size of their matrix: the two
+    have too little in common. Raises `DataError` if the channels differ in number.
 
-    Returns
-    -------
-    StateSpace or None
-        Equal to the reference (to rounding) if the two are similar; changing with the model in
-        proportion, for a reference that is held. None if the orders differ, a state of either is
-        not seen in the outputs, or entries would change by several times the size of their
-        matrix: the two have too little in common.
-
-    Raises
-    ------
-    DataError
-        If the channels differ in number.
-
-    Notes
-    -----
     Inputs and outputs that are constant in either (a column of B or row of C is zero) do not
     count. K, D, trim and dead time do not count either.
     """

@@ -133,21 +133,11 @@ class Tracker:
 
     def join(self, record: Record, estimate: Estimate) -> Tracked:
         """
-        Take a window that is identified already, as by another process.
+        Take a window that another process has identified: the same bits as of `take`.
 
-        What a window is identified from does not depend on those before it, so that several can
-        be identified at a time; they have to be joined in their order. The same bits as of `take`.
-
-        Parameters
-        ----------
-        record : Record
-        estimate : Estimate
-            Of `identify` for this record and these settings.
-
-        Raises
-        ------
-        DataError
-            As of `take`.
+        What a window is identified from does not depend on those before it, so that several can be
+        identified at a time; they have to be joined in their order. `estimate` is that of
+        `identify` for this record and these settings. Raises `DataError` as `take` does.
         """
         past = self._past
         return self._joined(past, _fresh(past, record, self.settings), record, estimate)

@@ -113,23 +113,12 @@ class Counts:
 
 @dataclass(frozen=True)
 class Rows:
-    """
-    Samples of one group, a row each, in the order in which they come.
-
-    Parameters
-    ----------
-    group : str
-    stamps : ndarray of int64, shape (N,)
-        Absolute [ns].
-    values : ndarray, shape (N, m)
-    sound : ndarray of bool, shape (N,)
-        Which have values; others are counted as of a wrong width.
-    """
+    """Samples of one group, a row each, in the order in which they come."""
 
     group: str
-    stamps: NDArray[np.int64]
-    values: Array
-    sound: NDArray[np.bool_]
+    stamps: NDArray[np.int64]  # (N,), absolute [ns]
+    values: Array              # (N, m)
+    sound: NDArray[np.bool_]   # (N,): which have values; others count as of a wrong width
 
     def __getitem__(self, rows: slice) -> Rows:
         return Rows(self.group, self.stamps[rows], self.values[rows], self.sound[rows])
@@ -155,10 +144,6 @@ class Samples:
     Buffer of one group: in the order of stamps, one sample per stamp; and what was dropped.
 
     A part of `SlidingWindow`, which decides what is taken.
-
-    Parameters
-    ----------
-    group : Group
     """
 
     __slots__ = ('after', 'discarded', 'dropped', 'first', 'group', 'newest', 'stamps', 'values',
@@ -249,14 +234,8 @@ class Samples:
         """
         Return the samples of a window with their context, relative to its start.
 
-        Parameters
-        ----------
-        epoch_ns, end_ns : int
-            The window, absolute [ns].
-        lead_ns : int
-            History that an input wants before it [ns].
-        grace_ns : int
-            Samples after the window are its context to this long after it [ns].
+        An input has `lead_ns` of history before it, and samples to `grace_ns` after it are
+        context.
         """
         history = lead_ns if self.group.role == 'input' else 0
         low = max(bisect_left(self.stamps, epoch_ns - history) - BEFORE, 0)

@@ -45,24 +45,12 @@ _STILL = 0.25           # part of differences that vanish, beyond which the othe
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """
-    What judges the samples of one channel.
+    """What judges the samples of one channel."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-    weights : ndarray, shape (4, N - 4)
-        See `weights_of`.
-    sure : float
-        Robust standard deviations beyond which a sample is corrupt.
-    least : float
-        How far off a corrupt sample is at least.
-    """
-
-    time: Array
-    weights: Array
-    sure: float
-    least: float
+    time: Array     # (N,)
+    weights: Array  # (4, N - 4), see `weights_of`
+    sure: float     # robust standard deviations beyond which a sample is corrupt
+    least: float    # how far off a corrupt sample is at least
 
     def sharp(self, x: Array, without: Array, run: slice, local: float) -> bool:
         """Return whether a run stands out sharply, and nothing does any more without it."""

@@ -213,15 +213,7 @@ class SlidingWindow:
         return _Batch(self, order, rows).take(0, len(order))
 
     def append_rows(self, rows: Sequence[Rows], stamps: NDArray[np.int64]) -> bool:
-        """
-        Take samples if every one of them is ordinary, see `push`; return whether they were taken.
-
-        Parameters
-        ----------
-        rows : sequence of Rows
-        stamps : ndarray of int64, shape (N,)
-            Of all of them, in order.
-        """
+        """Take samples if every one is ordinary, see `push`; return whether they were taken."""
         newest = np.maximum.accumulate(stamps)
         before = np.concatenate(([self._newest], newest[:-1]))
         length, delay = self._length, self._max_delay

@@ -63,13 +63,7 @@ def models(part: Joint, settings: Settings, orders: Sequence[int],
     """
     Return the models of every order, pole and past left open.
 
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    orders : sequence of int
-    direction : {'ahead', 'back'}
-        Whether what follows an instant is projected, or what precedes it: Laguerre filters.
+    'ahead': what follows an instant is projected; 'back': what precedes it, by Laguerre filters.
     """
     records, found = [p.record for p in part.parts], []
     pasts = [settings.past] if settings.past else _PASTS
@@ -119,22 +113,8 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     """
     Return the Laguerre coefficients of records, compressed by one QR factorisation.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Too short ones are left out.
-    settings : Settings
-        Of which `delay` and `trim` matter here.
-    a : float
-        Laguerre pole [rad/s].
-    count : int
-        Number of functions, p + 2.
-    direction : {'ahead', 'back'}
-
-    Returns
-    -------
-    Levels
-        At index m the function of order count - 1 - m; a row for each input and output.
+    Of `count` = p + 2 functions of pole a [rad/s]; at index m that of order count - 1 - m, with a
+    row for each input and output. Too short records are left out.
     """
     blocks = [block for record in records
               if (block := _block(record, settings, a, count, direction)).shape[2]]
@@ -166,16 +146,7 @@ def _block(record: Record, settings: Settings, a: float, count: int,
 
 
 def instants(record: Record, length: float, direction: Direction) -> Array:
-    """
-    Return the instants from which a record is seen [s].
-
-    Parameters
-    ----------
-    record : Record
-    length : float
-        How far the functions reach [s].
-    direction : {'ahead', 'back'}
-    """
+    """Return the instants [s] from which a record is seen by functions that reach `length` [s]."""
     def inside(t: Array) -> Array:
         low = record.start + (length if direction == 'back' else 0.0)
         high = record.end - (length if direction == 'ahead' else 0.0)
@@ -187,21 +158,7 @@ def instants(record: Record, length: float, direction: Direction) -> Array:
 
 
 def to_continuous(m: Matrices, a: float, direction: Direction) -> Matrices:
-    """
-    Map a model back from the Laguerre domain.
-
-    Parameters
-    ----------
-    m : Matrices
-        A_o, B_o, C_o, D_o and K_o.
-    a : float
-        Laguerre pole [rad/s].
-    direction : {'ahead', 'back'}
-
-    References
-    ----------
-    [HD] eq. 4.
-    """
+    """Map A_o, B_o, C_o, D_o, K_o of Laguerre pole a [rad/s] back to a model ([HD] eq. 4)."""
     c, ones = np.sqrt(2.0 * a), np.eye(len(m.A))
     b, sign = (a, -1.0) if direction == 'ahead' else (-a, 1.0)
     try:

@@ -33,16 +33,7 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
     """
     Return models of all orders that the chain can hold, for each pole sequence that comes in.
 
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    orders : sequence of int
-
-    Raises
-    ------
-    SettingsError
-        If the pole sequence of the settings is none.
+    Raises `SettingsError` if the pole sequence of the settings is none.
     """
     records = [p.record for p in part.parts]
     delay = settings.delays(records[0].nu)

@@ -44,24 +44,12 @@ KINKS = 2             # integrals of held inputs whose kinks are worth it
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """
-    Signals through a chain, compressed by one QR factorisation.
-
-    Parameters
-    ----------
-    chain : Chain
-    inputs : ndarray, shape (N, k, columns)
-        u; an impulse at the start of each record (its initial state); the constant 1 over each
-        record (trim), if wanted; kinks.
-    y : ndarray, shape (N, ny, columns)
-    counts : tuple of int
-        How many of the inputs are u, impulses, constants, kinks.
-    """
+    """Signals through a chain, compressed by one QR factorisation."""
 
     chain: Chain
-    inputs: Array
-    y: Array
-    counts: tuple[int, int, int, int]
+    inputs: Array  # (N, k, columns): u, impulses (initial states), constants 1 (trim), kinks
+    y: Array                           # (N, ny, columns)
+    counts: tuple[int, int, int, int]  # how many of the inputs are u, impulses, constants, kinks
 
     @property
     def driving(self) -> int:
@@ -77,27 +65,13 @@ class Filtered:
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """
-    What lemma 3 of [TM] gives.
-
-    Parameters
-    ----------
-    filtered : Filtered
-    left : ndarray, shape (N ny, r)
-        Left singular vectors of L22; the outputs run fastest.
-    singular_values : ndarray, shape (r,)
-    scale : ndarray, shape (ny,)
-        What the outputs were divided by.
-    condition : float
-        Of the chain's states of the inputs, dependent directions left out.
-    rank_tolerance : float
-    """
+    """What lemma 3 of [TM] gives."""
 
     filtered: Filtered
-    left: Array
-    singular_values: Array
-    scale: Array
-    condition: float
+    left: Array             # (N ny, r): left singular vectors of L22; the outputs run fastest
+    singular_values: Array  # (r,)
+    scale: Array            # (ny,): what the outputs were divided by
+    condition: float        # of the chain's states of the inputs, dependent directions left out
     rank_tolerance: float
 
 
@@ -130,10 +104,11 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
+    Each record of the one plant has an initial state and a trim of its own.
+
     Parameters
     ----------
     records : sequence of Record
-        Of one plant; each with an initial state and a trim of its own.
     chain : Chain
     delay : tuple of float, length nu
         Dead time of the inputs [s].
@@ -205,17 +180,9 @@ def sample_times(record: Record) -> Array:
 
 def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
     """
-    Return the column space of O.
+    Return the column space of O ([TM] lemma 3).
 
-    Parameters
-    ----------
-    filtered : Filtered
-    rank_tolerance : float
-        Directions of the inputs below this fraction of the largest are left out.
-
-    References
-    ----------
-    [TM] lemma 3.
+    Directions of the inputs below `rank_tolerance` of the largest are left out.
     """
     U = filtered.inputs.reshape(-1, filtered.inputs.shape[2])
     scale = np.sqrt(np.sum(filtered.y ** 2, axis=(0, 2)))
@@ -232,21 +199,7 @@ def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
 
 
 def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
-    """
-    Realise a model of order n.
-
-    Parameters
-    ----------
-    found : Observability
-    n : int
-        Less than N ny.
-    feedthrough : bool
-        Whether u acts on y at once.
-
-    References
-    ----------
-    [TM] eq. 10 to 15, with the corrections above.
-    """
+    """Realise a model of order n < N ny ([TM] eq. 10 to 15, with the corrections above)."""
     A, C = dynamics(found.filtered.chain, found.left[:, :n])
     B, D, x0, x_trim, y_trim = _input_matrices(found, n, feedthrough)
     size = found.scale
@@ -256,17 +209,10 @@ def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
 
 def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     """
-    Return A and C of an extended observability matrix.
+    Return A and C of an extended observability matrix (N ny, n), up to a change of states.
 
-    Parameters
-    ----------
-    chain : Chain
-    theta : ndarray, shape (N ny, n)
-        Of (6), up to a change of states; the outputs run fastest.
-
-    References
-    ----------
-    [TM] eq. 11 to 14. Of N ny rows, those of the first N - 1 functions differ from the next.
+    [TM] eq. 11 to 14; the outputs run fastest. Of N ny rows, those of the first N - 1 functions
+    differ from the next.
     """
     sigma, n = chain.poles, theta.shape[1]
     seen = np.tensordot(chain.turn, theta.reshape(chain.size, -1, n), axes=1)

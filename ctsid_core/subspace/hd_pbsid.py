@@ -37,11 +37,7 @@ class Subspaces:
     """
     The regressions of one projection, computed when asked for.
 
-    Parameters
-    ----------
-    projection : Projection
-    settings : Settings
-        Values other than 0 of beta, gamma, past and future are kept as they are.
+    Settings other than 0 of beta, gamma, past and future are kept as they are.
     """
 
     def __init__(self, projection: Projection, settings: Settings) -> None:
@@ -90,15 +86,7 @@ class Subspaces:
 
 
 def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
-    """
-    Return models of all orders that the lines can hold, for every tuning left open.
-
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    orders : sequence of int
-    """
+    """Return models of all orders that the lines can hold, for every tuning left open."""
     layout, _ = part.layout(settings)
     subspaces = Subspaces(part.project(settings, layout), settings)
     found = []

@@ -16,27 +16,13 @@ from ctsid_core.settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class MethodModel:
-    """
-    A continuous-time model of the moving channels, one of those that a method offers.
+    """A continuous-time model of the moving channels, one of those that a method offers."""
 
-    Parameters
-    ----------
-    matrices : Matrices
-        A, B, C, D and K (zero if the method has none), by `plain_matrices`: what belongs to the
-        ends and the trim of the records is added by the caller.
-    settings : Settings
-        Those given, with the order and whatever the method chose filled in: with these the method
-        makes this model, and no other.
-    singular_values : ndarray
-        Whose drop shows the order.
-    condition : float
-        Condition number of the regression.
-    """
-
-    matrices: Matrices
+    matrices: Matrices      # by `plain_matrices`: K is zero if the method has none
+    # with the order and whatever the method chose filled in: they give this model
     settings: Settings
-    singular_values: Array
-    condition: float
+    singular_values: Array  # whose drop shows the order
+    condition: float        # condition number of the regression
 
 
 @dataclass(frozen=True)
