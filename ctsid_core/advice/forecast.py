@@ -94,8 +94,7 @@ def _information(model: StateSpace, covariance: Covariance, density: Callable[[A
     omega = low + (high - low) * (np.arange(_POINTS) + 0.5) / _POINTS
     changes = covariance.response_changes(model, omega)[:, :, :, j] / np.sqrt(density(omega))
     rows = changes.reshape(len(changes), -1)
-    found: Array = (rows @ rows.conj().T).real / _POINTS
-    return found
+    return (rows @ rows.conj().T).real / _POINTS
 
 
 def _white(verdict: Verdict, model: StateSpace, records: Sequence[Record],

@@ -53,8 +53,7 @@ def chirp_sums(x: Array, weights: Array, step: float, count: int) -> Sums:
     spectrum *= fft(kernel)
     middle = 0.5 * (x[0] + x[-1]) - (0.5 * (n - 1) - before) * (x[-1] - x[0]) / (n - 1)
     turn = np.exp(-1j * (step * middle) * np.arange(count)) * chirp[:count]
-    sums: Sums = ifft(spectrum, axis=1, overwrite_x=True)[:, before:before + count] * turn
-    return sums
+    return np.asarray(ifft(spectrum, axis=1, overwrite_x=True)[:, before:before + count] * turn)
 
 
 def _chirp(theta: float, count: int) -> Sums:

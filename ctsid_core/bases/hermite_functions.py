@@ -150,5 +150,4 @@ def _scaled_recursion(nmax: int, x: Array) -> Array:
 
 def integral_of_first(x: Array) -> Array:
     """Return I_0(x), the integral of h_0 from minus infinity to x."""
-    value: Array = np.pi ** 0.25 / np.sqrt(2.0) * (1.0 + erf(x / np.sqrt(2.0)))
-    return value
+    return np.asarray(np.pi ** 0.25 / np.sqrt(2.0) * (1.0 + erf(x / np.sqrt(2.0))))

@@ -93,6 +93,5 @@ def _interpolation_error(signal: Array, knots: Array, output: Signal,
 
 def _middles(derivatives: Array, knots: Array) -> Array:
     half = 0.5 * np.diff(knots)[:, np.newaxis]
-    value: Array = sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
-                       np.zeros(()))
-    return value
+    return sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
+               np.zeros(()))

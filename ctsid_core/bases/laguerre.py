@@ -43,8 +43,7 @@ _FEWEST = 8           # samples of a spline
 
 def laguerre_functions(count: int, a: float, t: Array) -> Array:
     """Return Laguerre functions of pole a [rad/s] at t >= 0 [s]: (count, *t.shape) [s^-1/2]."""
-    found: Array = np.sqrt(2.0 * a) * _damped(count, 2.0 * a * np.asarray(t, dtype=float))
-    return found
+    return np.asarray(np.sqrt(2.0 * a) * _damped(count, 2.0 * a * np.asarray(t, dtype=float)))
 
 
 def _damped(count: int, x: Array) -> Array:
@@ -176,8 +175,7 @@ def _drive(step: Array, values: Array, a: float, count: int) -> Array:
                              np.vander(x, q, increasing=True).T)     # of each point, (q, points)
     functions = laguerre_functions(count, a, own[:, np.newaxis] * x)  # (count, N, points)
     weights = (functions @ (weight * shares).T).transpose(1, 0, 2) * own[:, np.newaxis, np.newaxis]
-    drive: Array = np.matmul(weights, values)
-    return drive
+    return np.asarray(np.matmul(weights, values))
 
 
 def _chunk(step: Array, drive: Array, carry: Array, a: float) -> Array:

@@ -97,5 +97,4 @@ def _apart(blocks: list[Lines]) -> Lines:
 
 def as_real(lines: Lines) -> Array:
     """Return real and imaginary parts as columns: (m, L) complex to (m, 2 L) real."""
-    real: Array = np.ascontiguousarray(lines).view(np.float64)
-    return real
+    return np.ascontiguousarray(lines).view(np.float64)

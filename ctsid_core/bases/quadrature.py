@@ -192,8 +192,7 @@ def _divided(nodes: Array, longest: float) -> Array:
     if parts.max() == 1:
         return nodes
     place = np.concatenate(([0], np.cumsum(parts)))
-    divided: Array = np.interp(np.arange(place[-1] + 1), place, nodes)
-    return divided
+    return np.interp(np.arange(place[-1] + 1), place, nodes)
 
 
 def spline_degree(t: Array, values: Array) -> int:
@@ -301,5 +300,4 @@ def _interpolate(t: Array, values: Array, nodes: Array, inside: NDArray[np.bool_
 
 
 def _dimensionless(t: Array, start: float, end: float, alpha: float) -> Array:
-    x: Array = (t - 0.5 * (start + end)) / alpha
-    return x
+    return (t - 0.5 * (start + end)) / alpha

@@ -52,16 +52,14 @@ class Chain:
 
     def impulse_response(self, times: Array) -> Array:
         """Return the functions of time w(t), shape (len(times), N), at any t >= 0 [s]."""
-        found: Array = exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
-        return found
+        return exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
 
     def frequency_response(self, omega: Array) -> ComplexArray:
         """Return the functions at i omega, shape (len(omega), N)."""
         s = 1j * np.asarray(omega, float)[:, np.newaxis, np.newaxis]
-        found: ComplexArray = np.linalg.solve(
-            s * np.eye(self.size) - self.L,
-            self.b[np.newaxis, :, np.newaxis].astype(complex))[..., 0]
-        return found
+        return np.linalg.solve(
+s * np.eye(self.size) - self.L,
+self.b[np.newaxis, :, np.newaxis].astype(complex))[..., 0]
 
     def commuting(self) -> Array:
         """

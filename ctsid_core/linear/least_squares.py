@@ -49,5 +49,4 @@ def least_norm(regressors: Array, targets: Array, tolerance: float) -> Array:
     work = 4 * r + 1 + _BLOCK * (r + 1) + 2 * len(targets)
     _, theta, _, _, _ = dgelsy((regressors / norm[:, np.newaxis]).T, targets.T,
                                np.zeros(r, dtype=np.intc), tolerance, work)
-    found: Array = theta[:r].T / norm
-    return found
+    return np.asarray(theta[:r].T / norm)

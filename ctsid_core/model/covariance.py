@@ -175,8 +175,7 @@ class Covariance:
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
         found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
-        moved: ComplexArray = np.where(model.poles.imag == 0.0, found.real, found).astype(complex)
-        return moved
+        return np.asarray(np.where(model.poles.imag == 0.0, found.real, found).astype(complex))
 
     def response_changes(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """Return what they change of G(j omega) (2), over exp(-j omega delay): (r, M, ny, nu)."""
@@ -187,9 +186,8 @@ class Covariance:
         X = np.linalg.solve(system, model.B + 0 * s)
         dA, dB, dC, dD = (part[:, np.newaxis] for part in e[:4])
         G = model.C @ X + model.D
-        found: ComplexArray = L @ (dA @ X + dB) + dC @ X + dD \
-            - (s * G) * e.delay[:, np.newaxis, np.newaxis]
-        return found
+        return L @ (dA @ X + dB) + dC @ X + dD \
+- (s * G) * e.delay[:, np.newaxis, np.newaxis]
 
     def response_differences(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """
@@ -204,25 +202,22 @@ class Covariance:
             apart = [np.sqrt(share) * (other.frequency_response(omega) - own) * late
                      for share, other in self.rivals]
         apart = [np.where(np.isfinite(row), row, 0.0) for row in apart]
-        found: ComplexArray = np.concatenate(
-            (self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
-        return found
+        return np.concatenate(
+(self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
 
 
 def _state_changes(model: StateSpace) -> Array:
     """Return what A, B and C change by where the states do, to first order, a column for each."""
     one = np.eye(model.n)
-    columns: Array = np.vstack((np.kron(one, model.A.T) - np.kron(model.A, one),
-                                np.kron(one, model.B.T), -np.kron(model.C, one)))
-    return columns
+    return np.vstack((np.kron(one, model.A.T) - np.kron(model.A, one),
+                      np.kron(one, model.B.T), -np.kron(model.C, one)))
 
 
 def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
     """Return the covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
     change = covariance.pole_changes(model)
     parts = np.stack((change.real, change.imag), axis=-1)
-    found: Array = np.einsum('rik,ril->ikl', parts, parts)
-    return found
+    return np.asarray(np.einsum('rik,ril->ikl', parts, parts))
 
 
 def pole_deviation(covariance: Covariance, model: StateSpace) -> Array:
@@ -240,16 +235,14 @@ def damping_deviation(covariance: Covariance, model: StateSpace) -> Array:
     radial, size = _radial(covariance, model), model.natural_frequency
     across = np.abs(model.poles.imag) / np.where(size > 0.0, size, np.nan)
     # The ratio is minus the cosine of the pole's angle: it changes by the sine times that.
-    found: Array = _deviation(radial.imag) * across / np.where(size > 0.0, size, np.nan)
-    return found
+    return _deviation(radial.imag) * across / np.where(size > 0.0, size, np.nan)
 
 
 def _radial(covariance: Covariance, model: StateSpace) -> ComplexArray:
     """Return the changes of the poles along (real) and across (imaginary) their radius."""
     poles, size = model.poles, model.natural_frequency
     turn = np.where(size > 0.0, poles.conj(), 1.0) / np.where(size > 0.0, size, 1.0)
-    found: ComplexArray = covariance.pole_changes(model) * turn
-    return found
+    return covariance.pole_changes(model) * turn
 
 
 def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
@@ -292,8 +285,7 @@ def response_deviation(covariance: Covariance, model: StateSpace,
 
 
 def _deviation(changes: NDArray[np.inexact]) -> Array:
-    found: Array = np.sqrt(np.sum(np.abs(changes) ** 2, axis=0))
-    return found
+    return np.sqrt(np.sum(np.abs(changes) ** 2, axis=0))
 
 
 def spread(entries: Entries, u: Sequence[int], y: Sequence[int], nu: int, ny: int) -> Entries:

@@ -64,8 +64,7 @@ class Discrete:
         for k in range(1, len(given)):
             x[k] = self.A @ x[k - 1] + drive[k - 1]
         seen = given[np.maximum(ticks - self.memory, 0), channels]
-        outputs: Array = x @ self.C.T + seen @ self.D.T + self.y_trim
-        return outputs
+        return np.asarray(x @ self.C.T + seen @ self.D.T + self.y_trim)
 
     def frequency_response(self, omega: ArrayLike) -> ComplexArray:
         """Return G(e^(j omega period)) from u to y, shape (M, ny, nu), for omega in rad/s."""
@@ -73,8 +72,7 @@ class Discrete:
         lag = np.array(self.lag, dtype=int)
         drive = self.now * z ** -lag + self.before * z ** (-lag - 1)
         states: ComplexArray = np.linalg.solve(z * np.eye(len(self.A)) - self.A, drive)
-        response: ComplexArray = self.C @ states + self.D * z ** -self.memory
-        return response
+        return self.C @ states + self.D * z ** -self.memory
 
     def expanded(self) -> tuple[Array, Array, Array, Array]:
         """

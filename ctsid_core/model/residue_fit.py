@@ -156,8 +156,7 @@ def _fit_b(outputs: Sequence[_Output], c: ComplexArray, tolerance: float) -> Com
             -(own.re * weight.imag + own.im * weight.real).reshape(rows, -1), apart, own.y)))
     both = np.vstack(stacked)
     theta = least_norm(both[:, :-1].T, both[:, -1:].T, tolerance)[0]
-    found: ComplexArray = (theta[:width] + 1j * theta[width:2 * width]).reshape(shape)
-    return found
+    return np.asarray((theta[:width] + 1j * theta[width:2 * width]).reshape(shape))
 
 
 def _fit_c(outputs: Sequence[_Output], b: ComplexArray,

@@ -149,8 +149,7 @@ class StateSpace:
     @property
     def natural_frequency(self) -> Array:
         """Magnitude of each pole, shape (n,), in the order of `poles` [rad/s]."""
-        size: Array = np.abs(self.poles)
-        return size
+        return np.abs(self.poles)
 
     @property
     def damping(self) -> Array:
@@ -172,8 +171,7 @@ class StateSpace:
         Infinite where a pole at 0 is seen. For an unstable model it is a number all the same,
         but not the end of any step response.
         """
-        gain: Array = self.frequency_response(np.zeros(1))[0].real
-        return gain
+        return np.asarray(self.frequency_response(np.zeros(1))[0].real)
 
     def frequency_response(self, omega: ArrayLike) -> ComplexArray:
         """

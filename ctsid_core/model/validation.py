@@ -208,8 +208,7 @@ def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:
         matrix, right = matrix[rows], right[rows]
         size = np.linalg.norm(matrix, axis=0)
     size[size == 0] = 1
-    solution: Array = np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size
-    return solution
+    return np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size
 
 
 def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validation:
@@ -325,8 +324,7 @@ def residual_tests(model: StateSpace, record: Record, *,
     memory = 3 / slowest if slowest > 0 else np.inf
 
     def inputs_at(times: Array) -> Array:
-        last: Array = input_polynomials(record.inputs, model.delay, times)[0]
-        return last
+        return np.asarray(input_polynomials(record.inputs, model.delay, times)[0])
 
     white, independent = [], []
     for i in range(model.ny):

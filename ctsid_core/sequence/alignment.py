@@ -120,8 +120,7 @@ def _weights(reference: Array, model: Array) -> Array:
     # One per column: 1 / size in the reference; 0 for columns that are zero in either
     size = np.linalg.norm(reference, axis=0)
     used = (size > 0) & model.any(axis=0)
-    weights: Array = np.where(used, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    return weights
+    return np.where(used, 1.0 / np.where(size > 0, size, 1.0), 0.0)
 
 
 def _shift(reference: StateSpace, model: StateSpace) -> float:

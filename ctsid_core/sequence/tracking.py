@@ -215,8 +215,7 @@ def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Arra
     if len(estimate.pole_std) != model.n:
         return np.full(model.n, np.nan)
     away = np.abs(aligned.poles[:, np.newaxis] - model.poles)
-    std: Array = estimate.pole_std[linear_sum_assignment(away)[1]]
-    return std
+    return np.asarray(estimate.pole_std[linear_sum_assignment(away)[1]])
 
 
 def _moved(past: _Past, estimate: Estimate) -> float:

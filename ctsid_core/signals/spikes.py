@@ -110,16 +110,14 @@ def weights_of(t: Array) -> Array:
     nodes = np.array([t[:-4], t[1:-3], t[3:-1], t[4:]]) - t[2:-2]
     a, b, c, d = nodes
     ab, ac, ad, bc, bd, cd = b - a, c - a, d - a, c - b, d - b, d - c
-    weights: Array = np.array([b * c * d / (ab * ac * ad), -a * c * d / (ab * bc * bd),
-                               a * b * d / (ac * bc * cd), -a * b * c / (ad * bd * cd)])
-    return weights
+    return np.array([b * c * d / (ab * ac * ad), -a * c * d / (ab * bc * bd),
+                     a * b * d / (ac * bc * cd), -a * b * c / (ad * bd * cd)])
 
 
 def _prediction_residual(x: Array, weights: Array) -> Array:
     """Return how far samples are from what their neighbours predict; without two at each end."""
     w = weights
-    off: Array = x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:])
-    return off
+    return np.asarray(x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:]))
 
 
 def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
@@ -176,8 +174,7 @@ def followed(x: Array, inputs: Array, weights: Array) -> Array:
         rest = np.abs(off - columns @ found)
         limit = max(2.0 * _MAD * float(np.median(rest)), np.finfo(float).tiny)
         weight = limit / np.maximum(rest, limit)
-    part: Array = inputs @ found
-    return part
+    return np.asarray(inputs @ found)
 
 
 def resolution(x: Array) -> float:

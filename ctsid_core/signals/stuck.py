@@ -83,5 +83,4 @@ def _inputs_move(record: Record, start: float, end: float) -> bool:
 def _spread(signal: Signal, start: float, end: float) -> Array:
     inside = (signal.time >= start) & (signal.time <= end)
     values = signal.values[inside]
-    spread: Array = values.std(axis=0) if len(values) > 1 else np.zeros(signal.width)
-    return spread
+    return values.std(axis=0) if len(values) > 1 else np.zeros(signal.width)

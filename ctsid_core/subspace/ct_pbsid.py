@@ -150,8 +150,7 @@ def instants(record: Record, length: float, direction: Direction) -> Array:
     def inside(t: Array) -> Array:
         low = record.start + (length if direction == 'back' else 0.0)
         high = record.end - (length if direction == 'ahead' else 0.0)
-        found: Array = t[(t >= low) & (t <= high)]
-        return found
+        return t[(t >= low) & (t <= high)]
 
     at = min((inside(signal.time) for signal in record.outputs), key=len)
     return at[::-(-len(at) // _MOST) or 1]

@@ -228,8 +228,7 @@ def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
 
 def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) -> Array:
     both = np.vstack((M.real, M.imag)), np.vstack((R.real, R.imag))
-    found: Array = np.linalg.lstsq(*both, rcond=None)[0]
-    return found
+    return np.linalg.lstsq(*both, rcond=None)[0]
 
 
 def _input_matrices(found: Observability, n: int,
