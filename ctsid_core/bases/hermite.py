@@ -21,6 +21,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.blocks import Blocks
@@ -29,7 +30,7 @@ from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record, Signal, channel_slices
 
 
 @dataclass(frozen=True)
@@ -108,14 +109,10 @@ def project_record(record: Record, settings: Settings, nmax: int,
         parts.append(_project_part(record, settings, nmax, start, end))
     if len(parts) == 1:
         return parts[0]
-    lines = len(parts[0].s)
-    tail = np.zeros((sum(len(p.tail) for p in parts), lines * len(parts)), dtype=complex)
-    for i in range(len(tail)):
-        tail[i, i * lines:(i + 1) * lines] = parts[i].tail[0]
     return replace(
         parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
-        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]), tail=tail,
-        start=record.start, end=record.end)
+        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]),
+        tail=block_diag(*(p.tail for p in parts)), start=record.start, end=record.end)
 
 
 def _project_part(record: Record, settings: Settings, nmax: int, start: float,
@@ -150,15 +147,10 @@ def by_delay(record: Record,
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []
     shifts: list[float] = []
-    first = 0
-    for signal in record.inputs:
-        own = delays[first:first + signal.width]
-        first += signal.width
-        if len(set(own)) == 1:
-            signals.append(signal)
-            shifts.append(own[0])
-            continue
-        for j, delay in enumerate(own):
-            signals.append(Signal(signal.time, signal.values[:, j:j + 1], signal.hold))
-            shifts.append(delay)
+    for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
+        own = delays[channels]
+        alike = len(set(own)) == 1
+        signals += [signal] if alike else [
+            Signal(signal.time, signal.values[:, j:j + 1], signal.hold) for j in range(len(own))]
+        shifts += own[:1] if alike else own
     return signals, shifts

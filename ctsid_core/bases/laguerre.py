@@ -24,11 +24,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
 
-from ctsid_core.bases.quadrature import UNIFORM, smooth_values, spline_degree
+from ctsid_core.bases.quadrature import UNIFORM, divided, smooth_values, spline_degree
 from ctsid_core.linear.types import Array
 from ctsid_core.signals.record import Signal
 
@@ -106,35 +107,19 @@ def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float]
     """
     found, pieces = [], [_pieces(s.time + delay, s, at, span, _LONGEST / a)
                          for s, delay in zip(signals, delays, strict=True)]
-    for group in _same_nodes(pieces):
+    for _, same in groupby(pieces, lambda p: p.nodes.tobytes()):     # are swept at once
+        group = list(same)
         nodes = group[0].nodes
-        here = np.searchsorted(nodes, at)
-        seen = _swept(nodes, [p.values for p in group], a, count, direction)[here]
-        found.append(seen.transpose(1, 2, 0))
+        seen = _swept(nodes, [p.values for p in group], a, count, direction)
+        found.append(seen[np.searchsorted(nodes, at)].transpose(1, 2, 0))
     return np.concatenate(found, axis=1)
-
-
-def _same_nodes(pieces: list[Pieces]) -> list[list[Pieces]]:
-    """Return neighbours with the same nodes together, so that they are swept at once."""
-    groups = [pieces[:1]]
-    for one in pieces[1:]:
-        if np.array_equal(one.nodes, groups[-1][0].nodes):
-            groups[-1].append(one)
-        else:
-            groups.append([one])
-    return groups
 
 
 def _pieces(t: Array, signal: Signal, at: Array, span: tuple[float, float],
             longest: float) -> Pieces:
     inside = t[(t > span[0]) & (t < span[1])]
-    nodes = np.unique(np.concatenate((inside, at, span)))
+    nodes = divided(np.unique(np.concatenate((inside, at, span))), longest)
     step = np.diff(nodes)
-    if np.max(step) > longest:
-        parts = np.ceil(step / longest).astype(int)
-        place = np.concatenate(([0], np.cumsum(parts)))
-        nodes = np.interp(np.arange(place[-1] + 1), place, nodes)
-        step = np.diff(nodes)
     if signal.hold == 'zoh':
         row = np.clip(np.searchsorted(t, nodes[:-1], side='right') - 1, 0, None)
         return Pieces(nodes, signal.values[row][:, np.newaxis])

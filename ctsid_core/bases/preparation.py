@@ -11,13 +11,7 @@ from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Status
 from ctsid_core.settings import Settings
-from ctsid_core.signals.outliers import (
-    SURE_INPUT,
-    Spikes,
-    despiked,
-    no_spikes,
-    report,
-)
+from ctsid_core.signals.outliers import SURE_INPUT, Spikes, despiked, no_spikes, report
 from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
@@ -130,14 +124,9 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     part = usable(record, settings)
     if not isinstance(part, Usable):
         return {}
-    found: dict[int, Array] = {}
-    places = iter(part.y)
-    for signal, spiky in zip(part.record.outputs, part.corrupt_y, strict=True):
-        for column in range(signal.width):
-            i, bad = next(places), spiky.mask[:, column]
-            if bad.any():
-                found[i] = signal.time[bad]
-    return found
+    columns = ((signal.time, bad) for signal, spiky in zip(
+        part.record.outputs, part.corrupt_y, strict=True) for bad in spiky.mask.T)
+    return {i: time[bad] for i, (time, bad) in zip(part.y, columns, strict=True) if bad.any()}
 
 
 def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
@@ -164,12 +153,11 @@ def _held_at(record: Record, signals: list[Signal],
     """Return the held inputs, after their dead times, at the stamps of each signal."""
     if not settings.feedthrough:
         return (None,) * len(signals)
-    delays, held = iter(settings.delays(record.nu)), []
-    for signal in record.inputs:
-        own = [next(delays) for _ in range(signal.width)]
-        if signal.hold == 'zoh':
-            held += [(signal.time + delay, row)
-                     for delay, row in zip(own, signal.values.T, strict=True)]
+    delays = settings.delays(record.nu)
+    held = [(signal.time + delay, row)
+            for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True)
+            if signal.hold == 'zoh'
+            for delay, row in zip(delays[channels], signal.values.T, strict=True)]
     return tuple(np.array([row[np.maximum(np.searchsorted(t, s.time, side='right') - 1, 0)]
                            for t, row in held]).reshape(len(held), len(s.time)).T
                  for s in signals)
@@ -194,10 +182,9 @@ def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:
 
 def _known_from(record: Record, settings: Settings) -> float:
     """Return the time from which all inputs, delayed, are known [s]."""
-    delays, start, first = settings.delays(record.nu), record.start, 0
-    for signal in record.inputs:
-        delay = max(delays[first:first + signal.width])
-        first += signal.width
+    delays, start = settings.delays(record.nu), record.start
+    for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
+        delay = max(delays[channels])
         if delay > 0.0 and len(signal.time):
             start = max(start, float(signal.time[0]) + delay)
     return start
@@ -209,8 +196,7 @@ def _within(signal: Signal, record: Record) -> slice:
 
 
 def _count(signal: Signal, record: Record) -> int:
-    inside = _within(signal, record)
-    return int(inside.stop) - int(inside.start)
+    return len(signal.time[_within(signal, record)])
 
 
 def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),
@@ -219,20 +205,17 @@ def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] =
     kept_signals: list[Signal] = []
     kept: list[int] = []
     fixed: list[int] = []
-    first = 0
-    for signal in signals:
+    for signal, channels in zip(signals, channel_slices(signals), strict=True):
         inside = _within(signal, record)
         values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
+        moves, places = np.zeros(signal.width, dtype=bool), np.r_[channels]
         if len(values):
             rows = np.ascontiguousarray(values.T)      # reductions along rows are far quicker
             low, high = rows.min(axis=1), rows.max(axis=1)
             moves = high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high))
-        else:
-            moves = np.zeros(signal.width, dtype=bool)
-        moves |= np.isin(first + np.arange(signal.width), keep)
-        kept += [first + int(j) for j in np.flatnonzero(moves)]
-        fixed += [first + int(j) for j in np.flatnonzero(~moves)]
-        first += signal.width
+        moves |= np.isin(places, keep)
+        kept += places[moves].tolist()
+        fixed += places[~moves].tolist()
         if moves.all():
             kept_signals.append(signal)
         elif moves.any():

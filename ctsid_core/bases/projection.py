@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ctsid_core.linear.types import Array, Lines
 
@@ -76,23 +77,13 @@ def joined(records: Sequence[Projection]) -> Projection:
     members = tuple(_scaled(p, float(np.sqrt(p.unit / unit))) for p in records)
     return Projection(
         s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
-        y=np.hstack([p.y for p in members]), tail=_apart([p.tail for p in members]),
-        ones=_apart([p.ones for p in members]), unit=unit, start=0.0,
+        y=np.hstack([p.y for p in members]), unit=unit, start=0.0,
+        tail=block_diag(*(p.tail for p in members)), ones=block_diag(*(p.ones for p in members)),
         end=sum(p.end - p.start for p in members), members=members)
 
 
 def _scaled(p: Projection, factor: float) -> Projection:
     return replace(p, u=factor * p.u, y=factor * p.y, tail=factor * p.tail, ones=factor * p.ones)
-
-
-def _apart(blocks: list[Lines]) -> Lines:
-    """Return a block-diagonal matrix."""
-    out = np.zeros((sum(len(b) for b in blocks), sum(b.shape[1] for b in blocks)), dtype=complex)
-    row = column = 0
-    for b in blocks:
-        out[row:row + len(b), column:column + b.shape[1]] = b
-        row, column = row + len(b), column + b.shape[1]
-    return out
 
 
 def as_real(lines: Lines) -> Array:

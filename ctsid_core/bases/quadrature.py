@@ -75,24 +75,15 @@ def coefficients(signals: Sequence[Signal], start: float, end: float, alpha: flo
     ready = [_PREPARE[signal.hold](*_known(signal, start, end, delay), start, end, alpha, top)
              for signal, delay in zip(signals, delays, strict=True)]
     found: list[Array] = [np.empty(0)] * len(ready)
-    for group in _same_nodes(ready):
+    groups: dict[bytes, list[int]] = {}
+    for i, samples in enumerate(ready):
+        groups.setdefault(samples.x.tobytes(), []).append(i)
+    for group in groups.values():
         sums = project(nmax, ready[group[0]].x, np.vstack([ready[i].weights for i in group]))
         rows = np.cumsum([len(ready[i].weights) for i in group])[:-1]
         for i, part in zip(group, np.split(sums, rows), strict=True):
             found[i] = ready[i].finish(part)
     return found
-
-
-def _same_nodes(ready: Sequence[Samples]) -> list[list[int]]:
-    groups: list[list[int]] = []
-    for i, samples in enumerate(ready):
-        for group in groups:
-            if np.array_equal(ready[group[0]].x, samples.x):
-                group.append(i)
-                break
-        else:
-            groups.append([i])
-    return groups
 
 
 def _known(signal: Signal, start: float, end: float, delay: float) -> tuple[Array, Array]:
@@ -177,7 +168,7 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
     degree = spline_degree(t, values)
     if degree == 1:
         return _lines(t, values, start, end, alpha, top)
-    nodes = _divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
+    nodes = divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
     middle, half = 0.5 * (nodes[1:] + nodes[:-1]), 0.5 * np.diff(nodes)
     point, weight = np.polynomial.legendre.leggauss(2)
     at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
@@ -186,7 +177,7 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
                    smooth_values(t, values, at, degree) * weights, lambda sums: sums)
 
 
-def _divided(nodes: Array, longest: float) -> Array:
+def divided(nodes: Array, longest: float) -> Array:
     """Divide intervals into equal parts so that none is longer than a given length."""
     parts = np.maximum(np.ceil(np.diff(nodes) / longest), 1.0).astype(int)
     if parts.max() == 1:

@@ -162,19 +162,16 @@ def check_alike(records: Sequence[Record]) -> None:
         if any(_same_samples(record, other) for other in records[:number - 1]):
             raise DataError(f'record {number} was given twice, and would count as twice the data; '
                             'give each record once')
-        for what, own, wanted in (
-                ('input', record.input_names, first.input_names),
-                ('output', record.output_names, first.output_names)):
+        for what in ('input', 'output'):
+            own, wanted = (getattr(r, f'{what}_names') for r in (record, first))
             if len(own) != len(wanted):
                 raise DataError(f'record {number} has {len(own)} {what}s, record 1 has '
                                 f'{len(wanted)}; records of one plant have the same channels')
             if own != wanted:
                 raise DataError(f'record {number} has the {what}s {", ".join(own)}, record 1 has '
                                 f'{", ".join(wanted)}; give the same channels in the same order')
-        for what, own, wanted, names in (
-                ('input', record.input_units, first.input_units, first.input_names),
-                ('output', record.output_units, first.output_units, first.output_names)):
-            for name, unit, other in zip(names, own, wanted, strict=True):
+            units = (getattr(r, f'{what}_units') for r in (record, first))
+            for name, unit, other in zip(wanted, *units, strict=True):
                 if unit != other:
                     raise DataError(f'{what} {name} is in {unit!r} in record {number}, but in '
                                     f'{other!r} in record 1; convert one of them')

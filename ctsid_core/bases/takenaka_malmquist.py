@@ -54,13 +54,6 @@ class Chain:
         """Return the functions of time w(t), shape (len(times), N), at any t >= 0 [s]."""
         return exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
 
-    def frequency_response(self, omega: Array) -> ComplexArray:
-        """Return the functions at i omega, shape (len(omega), N)."""
-        s = 1j * np.asarray(omega, float)[:, np.newaxis, np.newaxis]
-        return np.linalg.solve(
-s * np.eye(self.size) - self.L,
-self.b[np.newaxis, :, np.newaxis].astype(complex))[..., 0]
-
     def commuting(self) -> Array:
         """
         Return the Z_k for which (s - L)^-1 e_k = Z_k w(s), shape (N, N, N), k first.
@@ -128,11 +121,6 @@ def _blocks(sigma: ComplexArray) -> list[tuple[int, int]]:
         found.append((k, width))
         k += width
     return found
-
-
-def laguerre(pole: float, size: int) -> Chain:
-    """Return the Laguerre basis: a constant sequence."""
-    return chain(np.full(size, pole))
 
 
 def legendre(sigma: float, size: int) -> Chain:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.least_squares import least_norm
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import SOUND, Modes, modes, phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import mode_responses
@@ -29,32 +30,18 @@ _TURNS = 2            # of fitting B and C; a third changes no digit of the fits
 
 
 @dataclass(frozen=True, eq=False)
-class ResidueFit:
-    """
-    B, C and D whose simulations are near the samples.
-
-    Parameters
-    ----------
-    B, C, D : ndarray, shapes (n, nu), (ny, n), (ny, nu)
-    """
-
-    B: Array
-    C: Array
-    D: Array
-
-
-@dataclass(frozen=True, eq=False)
 class _Output:
     """One output over all records, compressed by a QR factorisation."""
 
+    # (rows, modes, S): of the modes to u, to an impulse at the start of each record, to 1 in each
     re: Array
     im: Array
-    direct: Array
-    y: Array
+    direct: Array   # (rows, d): u if the output follows it at once, and 1 in each record
+    y: Array        # (rows, 1): over the output's size
 
 
 def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, trim: bool,
-              feedthrough: bool, tolerance: float) -> ResidueFit | None:
+              feedthrough: bool, tolerance: float) -> Matrices | None:
     """
     Return the model of given A whose simulations are near the samples of the outputs.
 
@@ -83,7 +70,8 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
         b = _fit_b(outputs, c, tolerance)
         c, direct = _fit_c(outputs, b, tolerance)
     D = direct[:, :nu] if feedthrough else np.zeros((len(outputs), nu))
-    return ResidueFit((found.right @ b[:, :nu]).real, sizes * (c @ found.left).real, sizes * D)
+    return plain_matrices(A, (found.right @ b[:, :nu]).real, sizes * (c @ found.left).real,
+                          sizes * D)
 
 
 def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], trim: bool,

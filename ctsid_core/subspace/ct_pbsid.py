@@ -38,12 +38,12 @@ from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.hermite import by_delay
 from ctsid_core.bases.laguerre import Direction, coefficients, reach
 from ctsid_core.bases.records import Joint
-from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.subspace.interface import MethodModel, plain_matrices
+from ctsid_core.subspace.interface import MethodModel
 from ctsid_core.subspace.pbsid_equations import Levels, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
@@ -53,13 +53,8 @@ _SLOW = 10.0              # least pole tried, over the length of the record
 _MOST = 20000             # instants of a record
 
 
-def by_projection(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
-    """Return the models by Laguerre projections, of every order, pole and past left open."""
-    return models(part, settings, orders, 'ahead')
-
-
-def models(part: Joint, settings: Settings, orders: Sequence[int],
-           direction: Direction) -> list[MethodModel]:
+def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
+                  direction: Direction = 'ahead') -> list[MethodModel]:
     """
     Return the models of every order, pole and past left open.
 

@@ -21,7 +21,7 @@ from ctsid_core.linear.types import ComplexArray
 from ctsid_core.model.residue_fit import simulated
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.gobf_equations import filter_records, observe, realise, sample_times
-from ctsid_core.subspace.interface import MethodModel, plain_matrices
+from ctsid_core.subspace.interface import MethodModel
 
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
 _SLOWEST = 10.0                 # times the inverse of the record's length: the least largest pole
@@ -53,10 +53,8 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
             fitted = simulated(
                 records, m.A, delay, trim=settings.trim, feedthrough=settings.feedthrough,
                 tolerance=settings.rank_tolerance)
-            best = fitted or m
-            found.append(MethodModel(
-                plain_matrices(m.A, best.B, best.C, best.D), _used(settings, own, n),
-                seen.singular_values, seen.condition))
+            found.append(MethodModel(fitted or m, _used(settings, own, n), seen.singular_values,
+                                     seen.condition))
     return found
 
 

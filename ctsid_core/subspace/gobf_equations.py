@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from ctsid_core.bases.kinks import interpolation_errors
 from ctsid_core.bases.takenaka_malmquist import Chain, respond
 from ctsid_core.linear.least_squares import solve
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
@@ -73,29 +74,6 @@ class Observability:
     scale: Array            # (ny,): what the outputs were divided by
     condition: float        # of the chain's states of the inputs, dependent directions left out
     rank_tolerance: float
-
-
-@dataclass(frozen=True)
-class Realised:
-    """
-    A model.
-
-    Parameters
-    ----------
-    A, B, C, D : ndarray
-        Shapes (n, n), (n, nu), (ny, n), (ny, nu).
-    x0 : ndarray, shape (n, records)
-        State at the start of each record.
-    x_trim, y_trim : ndarray, shapes (n, 0 or records), (ny, 0 or records)
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    x0: Array
-    x_trim: Array
-    y_trim: Array
 
 
 def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
@@ -198,13 +176,12 @@ def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
                          float(s[0] / s[rank - 1]) if rank else 1.0, rank_tolerance)
 
 
-def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
+def realise(found: Observability, n: int, *, feedthrough: bool) -> Matrices:
     """Realise a model of order n < N ny ([TM] eq. 10 to 15, with the corrections above)."""
     A, C = dynamics(found.filtered.chain, found.left[:, :n])
-    B, D, x0, x_trim, y_trim = _input_matrices(found, n, feedthrough)
-    size = found.scale
-    return Realised(A, B, size[:, np.newaxis] * C, size[:, np.newaxis] * D, x0, x_trim,
-                    size[:, np.newaxis] * y_trim)
+    B, D = _input_matrices(found, n, feedthrough)
+    size = found.scale[:, np.newaxis]
+    return plain_matrices(A, B, size * C, size * D)
 
 
 def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
@@ -231,10 +208,9 @@ def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) ->
     return np.linalg.lstsq(*both, rcond=None)[0]
 
 
-def _input_matrices(found: Observability, n: int,
-            feedthrough: bool) -> tuple[Array, Array, Array, Array, Array]:
+def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Array, Array]:
     """
-    Return B, D, initial state and trim, of states and of scaled outputs.
+    Return B and D, of scaled outputs.
 
     [TM] eq. 15: with free states, what is left of (6) beside the columns of Theta_1 is linear in
     them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
@@ -257,5 +233,5 @@ def _input_matrices(found: Observability, n: int,
     B = unknown[0, :n * inputs].reshape(n, inputs)
     D = np.zeros((ny, filtered.inputs.shape[1]))
     D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
-    nu, to = filtered.counts[0], filtered.counts[0] + filtered.counts[1]
-    return B[:, :nu], D[:, :nu], B[:, nu:to], B[:, to:], D[:, to:inputs]
+    nu = filtered.counts[0]
+    return B[:, :nu], D[:, :nu]

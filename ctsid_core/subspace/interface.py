@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from ctsid_core.bases.records import Joint
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
@@ -46,10 +44,3 @@ class Method:
     models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
     looks_for_dead_time: bool = False
     refines: bool = False
-
-
-def plain_matrices(A: Array, B: Array, C: Array, D: Array, K: Array | None = None) -> Matrices:
-    """Return a model without anything that belongs to single records."""
-    n, ny = len(A), len(C)
-    return Matrices(A=A, B=B, C=C, D=D, K=np.zeros((n, ny)) if K is None else K,
-                    tail=np.empty((n, 0)), x_trim=np.empty((n, 0)), y_trim=np.empty((ny, 0)))
