@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,10 @@ class Entries(NamedTuple):
     C: Array      # (r, ny, n)
     D: Array      # (r, ny, nu)
     delay: Array  # (r, nu)
+
+    def rows(self) -> Array:
+        """Return them as rows of a root, (r, p)."""
+        return np.hstack([part.reshape(len(part), -1) for part in self])
 
 
 class ResponseDeviation(NamedTuple):
@@ -112,15 +117,11 @@ class Covariance:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Covariance):
             return NotImplemented
-        return self._key == other._key and np.array_equal(self.root, other.root) \
-            and self.rivals == other.rivals
+        return (self.n, self.nu, self.ny, self.rivals) == (
+            other.n, other.nu, other.ny, other.rivals) and np.array_equal(self.root, other.root)
 
     def __hash__(self) -> int:
-        return hash((self._key, (self.root + 0.0).tobytes(), self.rivals))
-
-    @property
-    def _key(self) -> tuple[int, ...]:
-        return self.n, self.nu, self.ny, len(self.root)
+        return hash((self.n, self.nu, self.ny, (self.root + 0.0).tobytes(), self.rivals))
 
     @staticmethod
     def entry_count(n: int, nu: int, ny: int) -> int:
@@ -128,16 +129,11 @@ class Covariance:
         return n * n + n * nu + ny * n + ny * nu + nu
 
     @property
-    def _sizes(self) -> tuple[int, ...]:
-        n, nu, ny = self.n, self.nu, self.ny
-        return n * n, n * nu, ny * n, ny * nu, nu
-
-    @property
     def entries(self) -> Entries:
         """The rows of the root, as changes of the matrices."""
         n, nu, ny = self.n, self.nu, self.ny
-        parts = np.split(self.root, np.cumsum(self._sizes)[:-1], axis=1)
-        shapes = (n, n), (n, nu), (ny, n), (ny, nu), (nu,)
+        shapes: tuple[tuple[int, ...], ...] = (n, n), (n, nu), (ny, n), (ny, nu), (nu,)
+        parts = np.split(self.root, np.cumsum([prod(shape) for shape in shapes])[:-1], axis=1)
         return Entries(*(part.reshape(len(self.root), *shape)
                          for part, shape in zip(parts, shapes, strict=True)))
 
@@ -149,7 +145,7 @@ class Covariance:
 
         What changes the states of the model only is taken out.
         """
-        rows = np.hstack([part.reshape(len(part), -1) for part in entries])
+        rows = entries.rows()
         size = np.max(np.abs(rows), axis=0, initial=0.0)
         size[size == 0.0] = 1.0
         scaled = rows / size
@@ -167,7 +163,7 @@ class Covariance:
         T, e = np.asarray(T, dtype=float), self.entries
         inverse = np.linalg.inv(T)
         moved = e._replace(A=T @ e.A @ inverse, B=T @ e.B, C=e.C @ inverse)
-        return replace(self, root=np.hstack([part.reshape(len(self.root), -1) for part in moved]))
+        return replace(self, root=moved.rows())
 
     def pole_changes(self, model: StateSpace) -> ComplexArray:
         """Return what the rows of the root change of the poles of the model (1), (r, n)."""
@@ -257,9 +253,8 @@ def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
         return np.full((model.ny, model.nu), np.inf)
 
 
-def delay_deviation(covariance: Covariance, model: StateSpace) -> Array:
+def delay_deviation(covariance: Covariance, _: StateSpace) -> Array:
     """Return the standard deviation of each dead time of a model, (nu,) [s]."""
-    del model
     return _deviation(covariance.entries.delay)
 
 

@@ -81,12 +81,6 @@ def _split(A: Array) -> tuple[Array, int]:
     return decouple @ Z.T, int(unstable)
 
 
-def _factors(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
-    # R R^T and L L^T: the Gramians of a stable system
-    return (_root(solve_continuous_lyapunov(A, -B @ B.T)),
-            _root(solve_continuous_lyapunov(A.T, -C.T @ C)))
-
-
 def _root(gramian: Array) -> Array:
     symmetric = (gramian + gramian.T) / 2
     try:
@@ -100,8 +94,10 @@ def _stable_part(A: Array, B: Array, C: Array) -> tuple[Array, int, Array, Array
     T, unstable = _split(A)
     inverse = np.linalg.inv(T)
     stable = slice(unstable, None)
-    R, L = _factors((T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable])
-    return T, unstable, R, L
+    A, B, C = (T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable]
+    # R R^T and L L^T are the Gramians
+    return (T, unstable, _root(solve_continuous_lyapunov(A, -B @ B.T)),
+            _root(solve_continuous_lyapunov(A.T, -C.T @ C)))
 
 
 def hankel(A: Array, B: Array, C: Array) -> Array:

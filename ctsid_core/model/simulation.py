@@ -24,7 +24,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
 from ctsid_core.linear.recursion import chain
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.signals.record import Signal
+from ctsid_core.signals.record import Signal, channel_slices
 
 CHUNK = 4096  # intervals at a time where matrices are stored per interval
 _GROWTH = 5.0  # times e, that modes may grow which are simulated from their start
@@ -40,10 +40,9 @@ def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: A
     Before its first and after its last stamp an input is held. Valid up to the next of the
     increasing knots (K,) [s] if all stamps, later by the dead times of the channels, are knots.
     """
-    parts, first = [], 0
-    for signal in inputs:
-        own = np.asarray(delay[first:first + signal.width])
-        first += signal.width
+    parts = []
+    for signal, places in zip(inputs, channel_slices(inputs), strict=True):
+        own = np.asarray(delay[places])
         part = np.zeros((4, len(knots), signal.width))
         for d in np.unique(own):
             channels = own == d
@@ -134,12 +133,11 @@ def _check_times(inputs: Sequence[Signal], times: Array) -> None:
 
 def knots_between(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
     """Return `times` merged with the stamps of delayed inputs that lie between them [s]."""
-    stamps, first = [times], 0
-    for signal in inputs:
-        for d in set(delay[first:first + signal.width]):
+    stamps = [times]
+    for signal, places in zip(inputs, channel_slices(inputs), strict=True):
+        for d in set(delay[places]):
             late = signal.time + d
             stamps.append(late[(late > times[0]) & (late < times[-1])])
-        first += signal.width
     return np.unique(np.concatenate(stamps))
 
 

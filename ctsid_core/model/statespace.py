@@ -381,15 +381,12 @@ class StateSpace:
         DataError
             If there is dead time, which scipy.signal does not know.
         """
-        self._refuse_delay('to_scipy')
+        if any(self.delay):
+            raise DataError(f'the model has dead times {self.delay} s, which scipy.signal cannot '
+                            'carry; use model.pade(3).to_scipy() for an approximation, or '
+                            'model.pade(0).to_scipy() to leave them out')
         from scipy.signal import StateSpace as ScipyStateSpace  # heavy: only when wanted
         return ScipyStateSpace(self.A, self.B, self.C, self.D)
-
-    def _refuse_delay(self, verb: str) -> None:
-        if any(self.delay):
-            raise DataError(f'the model has dead times {self.delay} s, which {verb}() cannot '
-                            f'carry; use model.pade(3).{verb}() for an approximation, or '
-                            f'model.pade(0).{verb}() to leave them out')
 
 
 def control_labels(names: Sequence[str]) -> list[str]:

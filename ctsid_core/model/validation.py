@@ -7,8 +7,9 @@ Everything here compares at the outputs' own stamps; nothing is resampled.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,9 +77,8 @@ def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:
     DataError
         If the shapes differ.
     """
-    pairs = _pairs(y, y_hat)
-    return np.array([100 * (1 - _ratio(_norm(a - b), _norm(a - a.mean())))
-                     if len(a) > 1 else np.nan for a, b in pairs])
+    norm = np.linalg.norm
+    return _compared(y, y_hat, lambda a, b: (norm(a - b), norm(a - a.mean())))
 
 
 def vaf(y: ArrayLike, y_hat: ArrayLike) -> Array:
@@ -87,44 +87,28 @@ def vaf(y: ArrayLike, y_hat: ArrayLike) -> Array:
 
     Unlike `fit` it forgives a constant offset. Parameters, NaN and errors: as for `fit`.
     """
-    pairs = _pairs(y, y_hat)
-    return np.array([100 * (1 - _ratio(_variance(a - b), _variance(a)))
-                     if len(a) > 1 else np.nan for a, b in pairs])
+    return _compared(y, y_hat, lambda a, b: (
+        (a - b).var() if np.isfinite(b).all() else np.inf, a.var()))
 
 
-def _pairs(y: ArrayLike, y_hat: ArrayLike) -> list[tuple[Array, Array]]:
+def _compared(y: ArrayLike, y_hat: ArrayLike, sizes: Callable[[Array, Array], tuple[Any, Any]]
+              ) -> Array:
+    """Return 100 (1 - size of the error / size of the motion) of each output [%]."""
     a, b = np.asarray(y, dtype=float), np.asarray(y_hat, dtype=float)
     if a.shape != b.shape or a.ndim != 2:
         raise DataError(f'`y` has shape {a.shape} and `y_hat` {b.shape}; wanted are two of the '
                         'same shape (M, ny)')
-    good = ~(np.isnan(a) | np.isnan(b))
-    return [(a[rows, i], b[rows, i]) for i, rows in enumerate(good.T)]
+    found = np.full(a.shape[1], np.nan)
+    for i, known in enumerate(~(np.isnan(a) | np.isnan(b)).T):
+        with np.errstate(over='ignore'):  # a diverged simulation
+            error, motion = sizes(a[known, i], b[known, i]) if known.sum() > 1 else (0.0, 0.0)
+        if motion > 0:
+            found[i] = 100 * (1 - error / motion)
+    return found
 
 
-def _norm(x: Array) -> float:
-    with np.errstate(over='ignore'):  # a diverged simulation
-        return float(np.linalg.norm(x))
-
-
-def _variance(x: Array) -> float:
-    with np.errstate(over='ignore'):
-        return float(x.var()) if np.isfinite(x).all() else np.inf
-
-
-def _ratio(error: float, size: float) -> float:
-    return error / size if size > 0 else np.nan
-
-
-@dataclass(frozen=True)
-class _Samples:
-    """All output samples of a record, merged."""
-
-    times: Array
-    y: Array
-    streams: tuple[Stream, ...]
-
-
-def _samples(model: StateSpace, record: Record) -> _Samples:
+def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stream]]:
+    """Return the merged stamps of all outputs, their samples there, and where each has its own."""
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
     inside = [(s.time >= record.start) & (s.time <= record.end) for s in record.outputs]
@@ -135,7 +119,7 @@ def _samples(model: StateSpace, record: Record) -> _Samples:
             record.outputs, channel_slices(record.outputs), stamps, inside, strict=True):
         streams.append(Stream(places, np.searchsorted(times, own)))
         y[streams[-1].rows, places] = signal.values[rows]
-    return _Samples(times, y, tuple(streams))
+    return times, y, streams
 
 
 def _respond(model: StateSpace, record: Record, times: Array,
@@ -178,8 +162,7 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
                                ('initial_state', initial_state, ('estimate', 'zero'))):
         if value not in known:
             raise DataError(f'`{name}` is {value!r}; choose one of {known}')
-    samples = _samples(model, record)
-    times, y = samples.times, samples.y
+    times, y, _ = _samples(model, record)
     start = np.zeros(model.n) if initial_state == 'zero' else None
     y_hat, x0 = _respond(model, record, times, start)
     blocks, states = [], []
@@ -243,17 +226,16 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
     if not isinstance(horizon_steps, int | np.integer) or horizon_steps < 1:
         raise DataError(f'`horizon_steps` is {horizon_steps!r}; wanted is a whole number of '
                         'samples, at least 1')
-    samples = _samples(model, record)
-    times, y = samples.times, samples.y
+    times, y, streams = _samples(model, record)
     y_known, p0 = _respond(model, record, times, None)
     y_hat = np.full_like(y, np.nan)
     noise = _noise(model, y[:start_rows(times, model.n)])
     K, note = predictor_gain(model, noise, record.duration)
     x0 = p0
     if K is not None and len(times):
-        xi, xi_0, started = filter_states(model, K, times, y - y_known, samples.streams)
+        xi, xi_0, started = filter_states(model, K, times, y - y_known, streams)
         x0 = p0 + xi_0
-        for stream in samples.streams:
+        for stream in streams:
             goal, origin = stream.rows[horizon_steps:], stream.rows[:-horizon_steps]
             goal, origin = goal[origin >= started], origin[origin >= started]
             ahead = exponentials(model.A, times[goal] - times[origin], 0)[0]

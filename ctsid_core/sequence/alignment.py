@@ -85,19 +85,14 @@ def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
     return T if T is not None and realisation.regular(T) else None
 
 
-def reference_form(model: StateSpace) -> StateSpace:
+def referring(model: StateSpace) -> tuple[StateSpace, Array]:
     """
-    Return the same system in well-conditioned states, to align others with.
+    Return the same system in well-conditioned states z = T x, to align others with, and T.
 
     Balanced in units in which all inputs and all outputs count alike, with time weighted by
     exp(-s t) for plants that are not stable. If a state is not driven or not seen, the modal form;
     the states as they are, if poles coincide too closely for that as well.
     """
-    return referring(model)[0]
-
-
-def referring(model: StateSpace) -> tuple[StateSpace, Array]:
-    """Return `reference_form` and T of its states z = T x."""
     T = np.eye(model.n)
     if not model.n:
         return model, T

@@ -128,8 +128,8 @@ class Tracker:
             If `cancelled` said so.
         """
         past, settings = self._past, self.settings
-        test = _fresh(past, record, settings)
-        return self._joined(past, test, record, identify(record, settings, cancelled=cancelled))
+        estimate = identify(record, settings, cancelled=cancelled)
+        return self._joined(past, settings, record, estimate)
 
     def join(self, record: Record, estimate: Estimate) -> Tracked:
         """
@@ -139,10 +139,11 @@ class Tracker:
         identified at a time; they have to be joined in their order. `estimate` is that of
         `identify` for this record and these settings. Raises `DataError` as `take` does.
         """
-        past = self._past
-        return self._joined(past, _fresh(past, record, self.settings), record, estimate)
+        return self._joined(self._past, self.settings, record, estimate)
 
-    def _joined(self, past: _Past, test: _Test, record: Record, estimate: Estimate) -> Tracked:
+    def _joined(self, past: _Past, settings: Settings, record: Record,
+                estimate: Estimate) -> Tracked:
+        test = _fresh(past, record, settings)
         estimate = self._reject_straddling(estimate)
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
@@ -201,9 +202,9 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
     rows = follow(past.rows, aligned.poles, resolution, past.next_mode)
     estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned),
                        covariance=estimate.covariance and estimate.covariance.transform(T))
+    next_mode = max((past.next_mode, *(1 + mode for mode in rows.identities)))
     return estimate, _Past(realisation, reference, aligned, estimate.pole_std, estimate.end_ns,
-                           rows,
-                           max((past.next_mode, *(1 + mode for mode in rows.identities))))
+                           rows, next_mode)
 
 
 def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import isfinite
 from operator import index
 from typing import NamedTuple
@@ -32,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
-from ctsid_core.signals.record import Record, Signal, common_interval
+from ctsid_core.signals.record import Record, common_interval
 from ctsid_core.signals.samples import STAMP_MAX, Counts, Group, Rows, Samples, check_groups
 
 _GRACE = 10  # wait for the samples after a window at most this fraction of its length
@@ -260,13 +261,12 @@ class SlidingWindow:
         start = self._start()
         if start is None:
             return None
-        signals = [(track.group.role, track.cut(start, self._lead, self._newest, self._grace))
-                   for track in self._tracks.values()]
+        record = self._record(start, self._newest)
         try:
-            end = common_interval([signal for _, signal in signals])[1]
+            end = common_interval((*record.inputs, *record.outputs))[1]
         except DataError:
             return None
-        return _record(signals, start, end) if end > 0 else None
+        return replace(record, end=end) if end > 0 else None
 
     def latest(self) -> Record | None:
         """
@@ -278,8 +278,7 @@ class SlidingWindow:
         start = self._low - self._length
         if first is None or start < first:
             return None
-        return _record([(track.group.role, track.cut(start, self._lead, self._low, self._grace))
-                        for track in self._tracks.values()], start, self._length / 1e9)
+        return self._record(start, self._low)
 
     def _examine(self, track: Samples, stamp_ns: int, values: Sequence[float]) -> bool:
         """Take or drop a sample that is not ordinary."""
@@ -354,9 +353,7 @@ class SlidingWindow:
             if any((stamp := track.stamp_from(start)) is not None and stamp <= end
                    for track in self._tracks.values()):
                 self._windows += 1
-                record = _record([(track.group.role,
-                                   track.cut(start, self._lead, end, self._grace))
-                                  for track in self._tracks.values()], start, self._length / 1e9)
+                record = self._record(start, end)
                 self._discard(passed)
                 return record
             self._skip(end, passed)
@@ -388,11 +385,12 @@ class SlidingWindow:
         for track in self._tracks.values():
             track.discard(needed)
 
-
-def _record(signals: Sequence[tuple[str, Signal]], epoch_ns: int, end: float) -> Record:
-    return Record(tuple(signal for role, signal in signals if role == 'input'),
-                  tuple(signal for role, signal in signals if role == 'output'),
-                  0.0, end, epoch_ns)
+    def _record(self, start: int, end: int) -> Record:
+        """Return the record of the samples in [start, end] [ns]."""
+        inputs, outputs = (tuple(track.cut(start, self._lead, end, self._grace)
+                                 for track in self._tracks.values() if track.group.role == role)
+                           for role in ('input', 'output'))
+        return Record(inputs, outputs, 0.0, (end - start) / 1e9, start)
 
 
 def _nanoseconds(name: str, seconds: float, least: int) -> int:
