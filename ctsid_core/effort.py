@@ -28,17 +28,9 @@ class Effort:
     """
     The effort of one identification.
 
-    Parameters
-    ----------
-    budget : float
-        Processor time that it may take [s], as far as `RATE` knows; 0: no limit.
-    cancelled : callable, optional
-        Returns whether nobody wants the result any more.
-
-    Raises
-    ------
-    SettingsError
-        If the environment variable CTSID_WORK_RATE is not a positive number.
+    It may take a budget of processor time [s], as far as `RATE` knows; 0: no limit. `cancelled`
+    returns whether nobody wants the result any more. Raises `SettingsError` if the environment
+    variable CTSID_WORK_RATE is not a positive number.
     """
 
     def __init__(self, budget: float = 0.0, cancelled: Callable[[], bool] | None = None) -> None:

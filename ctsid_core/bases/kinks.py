@@ -43,23 +43,11 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal],
     """
     Return what interpolation of each output signal misses of the inputs' integrals.
 
-    The stamps and holds of the outputs count; all stamps are among the knots (K,) [s].
-
-    Parameters
-    ----------
-    u : ndarray, shape (degree + 1, K, nu)
-        Inputs and derivatives just after each knot.
-    interpolate : callable
-        As `simulation.input_polynomials`.
-    count : int
-        Number of integrals; 0: nothing at all.
-    first : int
-        0: also of the inputs themselves, which outputs follow at once.
-
-    Returns
-    -------
-    ndarray, shape (degree + 1 + count or less, K, (count + 1 - first) * nu * signals)
-        Zero where it is no more than rounding.
+    Inputs u (degree + 1, K, nu) are given with derivatives just after each knot; all stamps are
+    among the knots (K,) [s]. Of the outputs, stamps and holds count; `interpolate` is as
+    `simulation.input_polynomials`. `count` integrals are looked at, none at all for 0, and with
+    `first` = 0 the inputs themselves, which outputs follow at once. Shape (degree + 1 + count or
+    less, K, (count + 1 - first) * nu * signals), zero where it is no more than rounding.
     """
     found: list[Array] = []
     integral = u

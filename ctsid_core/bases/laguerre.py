@@ -87,19 +87,16 @@ class Pieces:
 def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
                  count: int, delays: Sequence[float], direction: Direction) -> Array:
     """
-    Return the Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
+    Return `count` Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
 
     Parameters
     ----------
-    signals : sequence of Signal
     at : ndarray, shape (M,)
         Instants, increasing, within the span [s].
     span : (float, float)
         Interval outside of which the signals are taken as zero [s].
     a : float
         Pole [rad/s].
-    count : int
-        Number of Laguerre functions.
     delays : sequence of float
         Dead time of each signal: it is projected as f(t - delay) [s].
     direction : {'ahead', 'back'}

@@ -22,34 +22,18 @@ _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 @dataclass(frozen=True)
 class Usable:
-    """
-    A record with the channels that move, and where they belong among all channels.
+    """A record with the channels that move, and where they belong among all channels."""
 
-    Parameters
-    ----------
-    record : Record
-        Of the moving channels, from where their inputs are known.
-    whole : Record
-        The record as it was given.
-    u, y : tuple of int
-        Places of the moving inputs and outputs among all.
-    u_level, y_level : ndarray, shapes (number of u,), (number of y,)
-        Taken off the samples so that large offsets do not cost digits; zero without trim. The
-        trim is estimated all the same: these only shift its origin.
-    notes : tuple of str
-        What the user should know.
-    corrupt_u, corrupt_y : tuple of Spikes
-        Corrupt samples of the inputs and outputs of `record`.
-    """
-
-    record: Record
-    whole: Record
-    u: tuple[int, ...]
+    record: Record                 # of the moving channels, from where their inputs are known
+    whole: Record                  # as it was given
+    u: tuple[int, ...]             # places of the moving inputs among all
     y: tuple[int, ...]
+    # Taken off the samples so that large offsets do not cost digits; zero without trim. The trim
+    # is estimated all the same: these only shift its origin.
     u_level: Array
     y_level: Array
     notes: tuple[str, ...]
-    corrupt_u: tuple[Spikes, ...]
+    corrupt_u: tuple[Spikes, ...]  # of the signals of `record`
     corrupt_y: tuple[Spikes, ...]
 
     def corrupt(self) -> tuple[list[str], dict[str, float]]:
@@ -93,14 +77,12 @@ def usable(record: Record, settings: Settings,
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
                   for j in fixed]
-    if min((_count(s, shorter) for s in shorter.outputs), default=0) < _FEWEST:
+    if min((len(s.time[_within(s, shorter)]) for s in shorter.outputs), default=0) < _FEWEST:
         return Status.TOO_SHORT
     if not outputs:
         return Status.NO_RESPONSE
     if not inputs:
         return Status.NO_EXCITATION
-    if min(_count(signal, shorter) for signal in outputs) < _FEWEST:
-        return Status.TOO_SHORT
     for signal in (*inputs, *outputs):
         share = gap_time(signal, shorter.start, shorter.end) / shorter.duration
         if share > _GAP_SHARE:
@@ -193,10 +175,6 @@ def _known_from(record: Record, settings: Settings) -> float:
 def _within(signal: Signal, record: Record) -> slice:
     return slice(int(np.searchsorted(signal.time, record.start, side='left')),
                  int(np.searchsorted(signal.time, record.end, side='right')))
-
-
-def _count(signal: Signal, record: Record) -> int:
-    return len(signal.time[_within(signal, record)])
 
 
 def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),

@@ -19,38 +19,24 @@ class Projection:
     A record in a basis in which the derivative is diagonal.
 
     All rows are spectral lines f_k, one complex number per line with frequency >= 0. Real and
-    imaginary parts of all lines together are an orthonormal image of the basis coefficients
-    (lines of positive frequency carry the factor sqrt(2) of their conjugates), so that sums of
-    squares over them are those over the coefficients.
-
-    Parameters
-    ----------
-    s : ndarray, shape (L,)
-        The derivative, line by line [rad/s]: purely imaginary.
-    u : ndarray, shape (nu, L)
-    y : ndarray, shape (ny, L)
-    tail : ndarray, shape (0 or parts, L)
-        The virtual inputs that stand for the truncated part of the state's derivative, one for
-        each part of a divided record, one record after the other.
-    ones : ndarray, shape (0 or records, L)
-        The constant 1 over each record: trim of states and outputs.
-    unit : float
-        Time that a coordinate unit stands for [s]: white noise of intensity R has variance
-        R / unit in every real and imaginary part.
-    start, end : float
-        The interval of the record [s]; of several, from 0 to the sum of their durations.
-    members : tuple of Projection
-        The records that were joined, if they are several: their lines as they are here.
+    imaginary parts of all lines together are an orthonormal image of the basis coefficients (lines
+    of positive frequency carry the factor sqrt(2) of their conjugates), so that sums of squares
+    over them are those over the coefficients.
     """
 
-    s: Lines
-    u: Lines
-    y: Lines
+    s: Lines  # (L,): the derivative, line by line [rad/s]: purely imaginary
+    u: Lines                              # (nu, L)
+    y: Lines                              # (ny, L)
+    # (0 or parts, L): virtual inputs that stand for the truncated part of the state's derivative,
+    # one for each part of a divided record, one record after the other
     tail: Lines
-    ones: Lines
+    ones: Lines  # (0 or records, L): the constant 1 over each record: trim of states and outputs
+    # Time that a coordinate unit stands for [s]: white noise of intensity R has variance R / unit
+    # in every real and imaginary part
     unit: float
-    start: float
+    start: float  # the interval [s]; of several records, from 0 to the sum of their durations
     end: float
+    # the records that were joined, if they are several: their lines as they are here
     members: tuple[Projection, ...] = ()
 
     @property

@@ -52,24 +52,18 @@ class Samples:
 def coefficients(signals: Sequence[Signal], start: float, end: float, alpha: float, nmax: int,
                  delays: Sequence[float]) -> list[Array]:
     """
-    Project signals on h_0 .. h_nmax; nodes that signals share are evaluated once.
+    Project signals on h_0 .. h_nmax, [HD] eq. 33, 34: each of shape (channels, nmax + 1).
+
+    Nodes that signals share are evaluated once.
 
     Parameters
     ----------
-    signals : sequence of Signal
     start, end : float
         Interval outside of which the signals are taken as zero [s].
     alpha : float
         Time scale [s]; the interval's centre is x = 0.
-    nmax : int
-        Highest order.
     delays : sequence of float
         Dead time of each signal: it is projected as f(t - delay) [s].
-
-    Returns
-    -------
-    list of ndarray, each of shape (channels, nmax + 1)
-        [HD] eq. 33, 34.
     """
     top = np.sqrt(2.0 * nmax + 1.0)                    # highest frequency of the basis, per alpha
     ready = [_PREPARE[signal.hold](*_known(signal, start, end, delay), start, end, alpha, top)

@@ -68,18 +68,10 @@ class Chain:
 
 def chain(poles: Sequence[complex] | ComplexArray | Array) -> Chain:
     """
-    Return the chain of a sequence of poles.
+    Return the chain of a sequence of poles sigma with positive real parts [rad/s].
 
-    Parameters
-    ----------
-    poles : sequence of complex
-        sigma_0, sigma_1, ... with positive real parts [rad/s]; each complex one directly followed
-        by its conjugate.
-
-    Raises
-    ------
-    SettingsError
-        If there is none, one is not in the right half plane, or a conjugate is missing.
+    Each complex one is directly followed by its conjugate. Raises `SettingsError` if there is
+    none, one is not in the right half plane, or a conjugate is missing.
     """
     sigma = np.asarray(poles, dtype=complex).reshape(-1)
     blocks = _blocks(sigma)

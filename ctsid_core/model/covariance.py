@@ -149,11 +149,11 @@ class Covariance:
         size = np.max(np.abs(rows), axis=0, initial=0.0)
         size[size == 0.0] = 1.0
         scaled = rows / size
-        free, count = _state_changes(model), model.n ** 2
+        free = np.vstack(realisation.state_changes(model.A, model.B, model.C))
         basis = np.linalg.qr(free / size[:len(free), np.newaxis])[0]
         scaled[:, :len(free)] -= (scaled[:, :len(free)] @ basis) @ basis.T
         _, s, right = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
-        kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - count, 0))
+        kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - model.n ** 2, 0))
         root = s[kept, np.newaxis] * right[kept] * size
         root[:, ~np.any(rows, axis=0) & (np.max(np.abs(root), axis=0, initial=0.0) < _KNOWN)] = 0.0
         return cls(root, model.n, model.nu, model.ny, rivals)
@@ -200,13 +200,6 @@ class Covariance:
         apart = [np.where(np.isfinite(row), row, 0.0) for row in apart]
         return np.concatenate(
 (self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
-
-
-def _state_changes(model: StateSpace) -> Array:
-    """Return what A, B and C change by where the states do, to first order, a column for each."""
-    one = np.eye(model.n)
-    return np.vstack((np.kron(one, model.A.T) - np.kron(model.A, one),
-                      np.kron(one, model.B.T), -np.kron(model.C, one)))
 
 
 def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:

@@ -93,26 +93,14 @@ def spread(y: Array) -> Array:
 def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
                   streams: Sequence[Stream]) -> tuple[Array, Array, int]:
     """
-    Run the predictor over all samples.
+    Run the predictor over all samples, at the merged stamps (M,) of all outputs [s].
 
     The state at the first stamp is the least-squares one for the innovations in the first `START`
-    of the record. Later states depend on samples up to their own stamp only.
+    of the record. Later states depend on samples up to their own stamp only. `rest`, (M, ny), is r
+    of (1), read only where a stream has a sample.
 
-    Parameters
-    ----------
-    times : ndarray, shape (M,)
-        Merged stamps of all outputs [s].
-    rest : ndarray, shape (M, ny)
-        r of (1); read only where a stream has a sample.
-
-    Returns
-    -------
-    xi : ndarray, shape (M, n)
-        State after the samples of each stamp; NaN during the start.
-    xi_0 : ndarray, shape (n,)
-        State at the first stamp, before its samples.
-    started : int
-        First row whose state is causal.
+    Returns xi, (M, n), the state after the samples of each stamp, NaN during the start; the state
+    (n,) at the first stamp before its samples; and the first row whose state is causal.
     """
     steps = exponentials(model.A, np.diff(times, prepend=times[:1]), 0)[0]
     events = _events(model, K, times, streams)

@@ -35,6 +35,13 @@ def pole_order(values: ComplexArray) -> NDArray[np.intp]:
     return np.lexsort((values.imag, values.real, np.abs(values.imag), np.abs(values)))
 
 
+def state_changes(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Return the slopes of A + X A - A X, B + X B and C - C X, a column for each entry of X."""
+    one = np.eye(len(A))
+    A_slope: Array = np.kron(one, A.T) - np.kron(A, one)
+    return A_slope, np.asarray(np.kron(one, B.T)), np.asarray(-np.kron(C, one))
+
+
 def _signs(c: ComplexArray) -> complex:
     # c1 + c2/sqrt(2) + ...: unlike the largest entry it does not switch between outputs, and
     # unlike the plain sum it is not zero for antisymmetric modes of symmetric sensors.

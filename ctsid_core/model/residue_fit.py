@@ -46,18 +46,8 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
     Return the model of given A whose simulations are near the samples of the outputs.
 
     Each output counts by its own power; initial states and trim of each record are free. None if
-    the eigenvectors of A are dependent, or a mode grows beyond all bounds.
-
-    Parameters
-    ----------
-    delay : tuple of float, length nu
-        [s]
-    trim : bool
-        Whether constants drive states and outputs.
-    feedthrough : bool
-        Whether u acts on y at once.
-    tolerance : float
-        Directions of regressors below this fraction of the largest are left out.
+    the eigenvectors of A are dependent, or a mode grows beyond all bounds. Dead times are in s,
+    and directions of regressors below the tolerance times the largest are left out.
     """
     found = modes(A, SOUND)
     length = max(r.duration for r in records)

@@ -73,13 +73,10 @@ def _pieces(stamps: Array, values: Array, hold: str, knots: Array) -> Array:
 def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: Sequence[float],
             times: Array, x0: Array | None) -> tuple[Array, Array]:
     """
-    Return a solution of dx/dt = A x + B u(t - delay) + offset, exactly.
+    Return a solution x of dx/dt = A x + B u(t - delay) + offset, exactly, and its inputs.
 
     Parameters
     ----------
-    A : ndarray, shape (n, n)
-    B : ndarray, shape (n, nu)
-    offset : ndarray, shape (n,)
     inputs : sequence of Signal
         Together nu channels.
     delay : sequence of float, length nu
@@ -94,9 +91,8 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
 
     Returns
     -------
-    x : ndarray, shape (M, n)
-    u : ndarray, shape (M, nu)
-        Inputs at `times` after their dead time; at a jump the new value.
+    x, u : ndarray, shapes (M, n), (M, nu)
+        Inputs at `times` are after their dead time; at a jump the new value.
 
     Raises
     ------

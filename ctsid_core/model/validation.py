@@ -26,34 +26,17 @@ from ctsid_core.signals.record import Record, channel_slices
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """
-    Measured and computed outputs, and how well they agree.
+    """Measured and computed outputs, and how well they agree."""
 
-    Parameters
-    ----------
-    times : ndarray, shape (M,)
-        Merged stamps of all outputs within the record [s].
-    y : ndarray, shape (M, ny)
-        Measured; NaN where an output has no sample at that stamp.
-    y_hat : ndarray, shape (M, ny)
-        Computed. Of a prediction: NaN where an output has no sample, or cannot be predicted yet.
-    fit : ndarray, shape (ny,)
-        NRMSE fit of each output [%], see `fit`.
-    vaf : ndarray, shape (ny,)
-        Variance accounted for, of each output [%], see `vaf`.
-    x0 : ndarray, shape (n,)
-        State at `times[0]`.
-    notes : tuple of str
-        What else the reader should know.
-    """
-
-    times: Array
-    y: Array
+    times: Array                 # (M,): merged stamps of all outputs within the record [s]
+    y: Array  # (M, ny): measured; NaN where an output has no sample at that stamp
+    # (M, ny): computed. Of a prediction: NaN where an output has no sample, or cannot be predicted
+    # yet
     y_hat: Array
-    fit: Array
-    vaf: Array
-    x0: Array
-    notes: tuple[str, ...] = ()
+    fit: Array                   # (ny,): NRMSE fit of each output [%], see `fit`
+    vaf: Array                   # (ny,): variance accounted for, of each output [%], see `vaf`
+    x0: Array                    # (n,): state at `times[0]`
+    notes: tuple[str, ...] = ()  # what else the reader should know
 
 
 def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:

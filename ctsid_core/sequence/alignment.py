@@ -155,13 +155,10 @@ def _moved(system: _System, T: Array) -> _System:
 
 def _step(system: _System, target: _System, sizes: tuple[float, ...]) -> Array:
     """Return X of a damped Gauss-Newton step on (2)."""
-    A, B, C = system
-    one = np.eye(len(A))
-    # To first order A becomes A + X A - A X, B becomes B + X B, C becomes C - C X.
-    slopes = (np.kron(one, A.T) - np.kron(A, one), np.kron(one, B.T), -np.kron(C, one))
+    slopes = realisation.state_changes(*system)
     M = np.vstack([slope / size for slope, size in zip(slopes, sizes, strict=True)])
     wanted = np.concatenate([(r - m).ravel() / size for m, r, size in zip(
         system, target, sizes, strict=True)])
     # Thanks to the damping the normal equations are as good as any, and they are the fastest.
-    X = np.linalg.solve(M.T @ M + _DAMPING ** 2 * np.eye(one.size), M.T @ wanted)
-    return np.asarray(X.reshape(A.shape))
+    X = np.linalg.solve(M.T @ M + _DAMPING ** 2 * np.eye(M.shape[1]), M.T @ wanted)
+    return np.asarray(X.reshape(system[0].shape))

@@ -37,39 +37,24 @@ _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """
-    The estimate of one window, in sequence with the windows before it.
+    """The estimate of one window, in sequence with the windows before it."""
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Its model, if accepted, in the states of this realisation.
-    realisation : int
-        Matrices with the same number have the same states. Counts up from 1 whenever the states
-        start anew (another order, or a plant too unlike); 0 before the first model.
-    modes : tuple of int, length n
-        The identity of each row of the eigenvalues: the same number is the same mode, in all
-        realisations. Empty if there is no accepted model.
-    eigenvalues : ndarray, shape (n,)
-        Complex [rad/s]. A mode keeps its row as long as the modes above it are there.
-    eigenvalue_std : ndarray, shape (n,)
-        As `Estimate.pole_std`, in the order of `eigenvalues` [rad/s].
-    fresh_fit : ndarray, shape (ny,)
-        How well the last accepted model, from an earlier window, simulates that part of this
-        window which it has not seen [%]: 100 (1 - rms(error there) / rms(y - mean y)), with the
-        mean and rms of y over the whole window, and the model's own trim. NaN if there is no
-        earlier model, or fewer than 10 samples are new.
-    fresh_start_ns, fresh_end_ns : int
-        The part tested, absolute [ns]; 0 if none was.
-    """
-
-    estimate: Estimate
+    estimate: Estimate           # its model, if accepted, in the states of this realisation
+    # Matrices with the same number have the same states. Counts up from 1 whenever the states
+    # start anew (another order, or a plant too unlike); 0 before the first model.
     realisation: int = 0
+    # Length n: the identity of each row of the eigenvalues: the same number is the same mode, in
+    # all realisations. Empty if there is no accepted model.
     modes: tuple[int, ...] = ()
+    # (n,) [rad/s]: a mode keeps its row as long as the modes above it are there
     eigenvalues: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=complex))
+    # As `Estimate.pole_std`, in the order of `eigenvalues`
     eigenvalue_std: Array = field(default_factory=lambda: np.empty(0))
+    # (ny,): how well the last accepted model, from an earlier window, simulates that part of this
+    # one which it has not seen [%]: 100 (1 - rms(error there) / rms(y - mean y)), with mean and
+    # rms of y over the whole window. NaN without such a model, or for fewer than 10 new samples.
     fresh_fit: Array = field(default_factory=lambda: np.empty(0))
-    fresh_start_ns: int = 0
+    fresh_start_ns: int = 0      # the part tested, absolute [ns]; 0 if none was
     fresh_end_ns: int = 0
 
 
@@ -253,28 +238,23 @@ def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    pairs = list(zip(found.y.T, found.y_hat.T, strict=True))
-    fit = np.array([_fit(y, y_hat, new) for y, y_hat in pairs])
+    fit, ratio = np.array([_compared(y, y_hat, new) for y, y_hat in zip(
+        found.y.T, found.y_hat.T, strict=True)]).T
     if np.isnan(fit).all():
         return none
-    ratio = np.array([_rms(y - y_hat, new) / _rms(y - y_hat, ~new) for y, y_hat in pairs])
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _fit(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> float:
-    """Return the fit of one output on its new samples [%]; rows where y is NaN do not count."""
-    known = ~np.isnan(y)
-    error = (y - y_hat)[known & new]
-    spread = float(y[known].std()) if known.any() else 0.0
-    if len(error) < _FEWEST or not spread > 0:
-        return np.nan
-    with np.errstate(over='ignore'):  # a model that explodes
-        return 100 * (1 - float(np.sqrt(np.mean(error ** 2))) / spread)
+def _compared(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the fit of one output on its new samples [%], and the error there over the rest's."""
+    spread = float(y[~np.isnan(y)].std()) if not np.isnan(y).all() else 0.0
+    error, before = (_rms(y - y_hat, rows) for rows in (new, ~new))
+    return (100 * (1 - error / spread) if spread > 0 else np.nan,
+            error / before if error > 0 and before > 0 else np.nan)
 
 
 def _rms(error: Array, rows: NDArray[np.bool_]) -> float:
-    """Return the root mean square of errors on some rows; NaN for too few or a perfect model."""
+    """Return the root mean square of errors on some rows, where known; NaN for too few."""
     found = error[rows & ~np.isnan(error)]
-    with np.errstate(over='ignore'):
-        rms = float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan
-    return rms if rms > 0.0 else np.nan
+    with np.errstate(over='ignore'):  # a model that explodes
+        return float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan

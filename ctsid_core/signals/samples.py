@@ -24,31 +24,13 @@ AFTER: Mapping[Hold, int] = {'zoh': 0, 'linear': 1, 'smooth': 3}  # a held value
 
 @dataclass(frozen=True)
 class Group:
-    """
-    Channels of one role that always come together, under one stamp.
+    """Channels of one role that always come together, under one stamp."""
 
-    Parameters
-    ----------
-    name : str
-        What `SlidingWindow.push` calls it.
-    width : int
-        Number of channels m.
-    role : {'input', 'output'}
-    hold : {'zoh', 'linear', 'smooth'}
-        What is known between the samples.
-    names, units : tuple of str, length m or empty
-
-    Raises
-    ------
-    DataError
-        If any of these cannot be.
-    """
-
-    name: str
-    width: int
+    name: str                    # what `SlidingWindow.push` calls it
+    width: int                   # number of channels m
     role: Literal['input', 'output']
-    hold: Hold
-    names: tuple[str, ...] = ()
+    hold: Hold                   # what is known between the samples
+    names: tuple[str, ...] = ()  # m of them, or none
     units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -91,24 +73,12 @@ class GroupCounts:
 
 @dataclass(frozen=True)
 class Counts:
-    """
-    What became of the samples, and of the windows, since the beginning.
-
-    Parameters
-    ----------
-    groups : mapping of str to GroupCounts
-    windows : int
-        Windows handed out.
-    empty : int
-        Windows skipped because no group had any sample in them.
-    resets : int
-        How often the stamps jumped back for good.
-    """
+    """What became of the samples, and of the windows, since the beginning."""
 
     groups: Mapping[str, GroupCounts]
-    windows: int
-    empty: int
-    resets: int
+    windows: int  # handed out
+    empty: int    # skipped because no group had any sample in them
+    resets: int   # how often the stamps jumped back for good
 
 
 @dataclass(frozen=True)
@@ -168,14 +138,6 @@ class Samples:
         self.first: int | None = None
         self.newest = STAMP_MAX  # so that the first sample is not taken for an ordinary one
 
-    def append(self, stamp_ns: int, values: Sequence[float]) -> None:
-        """Take a sample that is newer than all others."""
-        self.stamps.append(stamp_ns)
-        self.values.extend(values)
-        self.newest = stamp_ns
-        if self.first is None:
-            self.first = stamp_ns
-
     def in_order(self, rows: Rows) -> bool:
         """Whether all rows are whole and finite, and each is newer than all before it."""
         return bool(self.newest < rows.stamps[0] and (rows.stamps[1:] > rows.stamps[:-1]).all()
@@ -191,13 +153,11 @@ class Samples:
     def insert(self, stamp_ns: int, values: Sequence[float]) -> bool:
         """Put a sample at its place; return False if its stamp is taken."""
         index = bisect_left(self.stamps, stamp_ns)
-        if index == len(self.stamps):
-            self.append(stamp_ns, values)
-            return True
-        if self.stamps[index] == stamp_ns:
+        if index < len(self.stamps) and self.stamps[index] == stamp_ns:
             return False
         self.stamps.insert(index, stamp_ns)
         self.values[index * self.width:index * self.width] = array('d', values)
+        self.newest = self.stamps[-1]
         self.first = min(stamp_ns, self.first or stamp_ns)
         return True
 

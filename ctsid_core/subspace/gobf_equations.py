@@ -82,16 +82,12 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
-    Each record of the one plant has an initial state and a trim of its own.
+    Each record of the one plant has an initial state and, with `trim`, a constant of its own.
 
     Parameters
     ----------
-    records : sequence of Record
-    chain : Chain
     delay : tuple of float, length nu
         Dead time of the inputs [s].
-    trim : bool
-        Whether a constant drives states and outputs, too.
     feedthrough : bool
         Whether u acts on y at once, so that y is as uneven as u.
     pieces : callable

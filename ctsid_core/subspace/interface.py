@@ -25,22 +25,14 @@ class MethodModel:
 
 @dataclass(frozen=True)
 class Method:
-    """
-    A row of the table of methods.
+    """A row of the table of methods."""
 
-    Parameters
-    ----------
-    models : callable
-        From the records, the settings and the orders that are wanted to all models that the
-        method has to offer: of every order and every tuning that the settings leave open. Orders
-        that the data are too short for are left out.
-    looks_for_dead_time : bool
-        Whether dead times that are not given are looked for; else they count as 0.
-    refines : bool
-        Whether its models are taken to the maximum of the likelihood; else they stay as they are
-        made, and the likeliest is taken.
-    """
-
+    # From the records, the settings and the orders that are wanted to all models that the method
+    # has to offer: of every order and every tuning that the settings leave open. Orders that the
+    # data are too short for are left out.
     models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
+    # whether dead times that are not given are looked for; else they count as 0
     looks_for_dead_time: bool = False
+    # Whether its models are taken to the maximum of the likelihood; else they stay as they are
+    # made, and the likeliest is taken.
     refines: bool = False
