@@ -97,10 +97,9 @@ def _information(model: StateSpace, covariance: Covariance, density: Callable[[A
     return (rows @ rows.conj().T).real / _POINTS
 
 
-def _white(verdict: Verdict, model: StateSpace, records: Sequence[Record],
+def _white(verdict: Verdict, _: StateSpace, records: Sequence[Record],
            omega: Array) -> Array:
     """Return the density of what is not explained, as deviations count it: (M, ny) [unit^2 s]."""
-    del model
     found = []
     for signals in zip(*(record.outputs for record in records), strict=True):
         size = np.std(np.concatenate([s.values for s in signals]), axis=0)
@@ -109,10 +108,9 @@ def _white(verdict: Verdict, model: StateSpace, records: Sequence[Record],
     return np.tile(_told(density), (len(omega), 1))
 
 
-def _innovations(verdict: Verdict, model: StateSpace, records: Sequence[Record],
+def _innovations(verdict: Verdict, model: StateSpace, _: Sequence[Record],
                  omega: Array) -> Array:
     """Return the same of a model that predicts: innovations, seen through the plant."""
-    del records
     system = 1j * omega[:, np.newaxis, np.newaxis] * np.eye(model.n) - model.A
     colour = np.eye(model.ny) + model.C @ np.linalg.solve(
         system, np.broadcast_to(model.K, (len(omega), *model.K.shape)))

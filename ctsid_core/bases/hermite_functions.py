@@ -32,9 +32,7 @@ def hermite_functions(nmax: int, x: Array) -> Array:
     """Return h_0 .. h_nmax at dimensionless times x (N,): (nmax + 1, N) ([HD] eq. 16 to 18)."""
     x = np.asarray(x, dtype=float)
     if x.size == 0 or np.abs(x).max() < _PLAIN_LIMIT:
-        g = _recursion(nmax, x, np.empty((nmax + 1, x.size)))
-        g /= _balanced_coefficients(nmax)[1][:, np.newaxis]
-        return g
+        return _recursion(nmax, x) / _balanced_coefficients(nmax)[1][:, np.newaxis]
     # Outside of |x| = R + 40 every h_n is below 1e-300: moving x there changes nothing.
     edge = np.sqrt(2.0 * nmax + 1.0) + 40.0
     return _scaled_recursion(nmax, np.clip(x, -edge, edge))
@@ -59,9 +57,9 @@ def _balanced_coefficients(nmax: int) -> tuple[Array, Array]:
     return a * s[1:] / s[:-1], s
 
 
-def _recursion(nmax: int, x: Array, out: Array) -> Array:
-    """Fill `out` (nmax + 1, N) with g_n(x) = s_n h_n(x); |x| must stay below the plain limit."""
-    r, _ = _balanced_coefficients(nmax)
+def _recursion(nmax: int, x: Array) -> Array:
+    """Return g_n(x) = s_n h_n(x), (nmax + 1, N); |x| must stay below the plain limit."""
+    r, out = _balanced_coefficients(nmax)[0], np.empty((nmax + 1, x.size))
     out[0] = np.pi ** -0.25 * np.exp(-0.5 * x * x)
     if nmax > 0:
         np.multiply(x, np.sqrt(2.0) * out[0], out=out[1])

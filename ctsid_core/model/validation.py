@@ -105,19 +105,20 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
     return times, y, streams
 
 
-def _respond(model: StateSpace, record: Record, times: Array,
-             x0: Array | None) -> tuple[Array, Array]:
-    # Outputs of the model, and its state at times[0]
-    x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, x0)
+def _respond(model: StateSpace, record: Record, times: Array) -> tuple[Array, Array]:
+    # Outputs of a bounded solution of the model, and its state at times[0]
+    x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, None)
     with np.errstate(over='ignore', invalid='ignore'):
         y = x @ model.C.T + u @ model.D.T + model.y_trim
     return np.where(np.isnan(y), np.inf, y), x[0] if len(x) else np.zeros(model.n)
 
 
-def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'refit'] = 'model',
-               initial_state: Literal['estimate', 'zero'] = 'estimate') -> Validation:
+def simulation(model: StateSpace, record: Record, *,
+               trim: Literal['model', 'refit'] = 'model') -> Validation:
     """
-    Compare a record with the simulation of a model from its inputs alone.
+    Compare a record with the simulation of a model from its inputs and the best initial state.
+
+    That is the least-squares one, outputs weighted by their spread.
 
     Parameters
     ----------
@@ -127,8 +128,6 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
     trim : {'model', 'refit'}
         Offsets of the outputs: the model's, or fitted to this record on top of them (if the
         robot may have been trimmed otherwise).
-    initial_state : {'estimate', 'zero'}
-        State at the first output sample: least squares, outputs weighted by their spread, or 0.
 
     Returns
     -------
@@ -141,27 +140,20 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
     DataError
         If the record's channels do not fit the model, or an option is unknown.
     """
-    for name, value, known in (('trim', trim, ('model', 'refit')),
-                               ('initial_state', initial_state, ('estimate', 'zero'))):
-        if value not in known:
-            raise DataError(f'`{name}` is {value!r}; choose one of {known}')
+    if trim not in ('model', 'refit'):
+        raise DataError(f'`trim` is {trim!r}; choose model or refit')
     times, y, _ = _samples(model, record)
-    start = np.zeros(model.n) if initial_state == 'zero' else None
-    y_hat, x0 = _respond(model, record, times, start)
-    blocks, states = [], []
-    if initial_state == 'estimate':
-        with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
-            basis, state = free_response(model.A, model.C, times)
-        blocks.append(basis)
-        states.append(state)
+    y_hat, x0 = _respond(model, record, times)
+    with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
+        columns, states = free_response(model.A, model.C, times)
     if trim == 'refit':
-        blocks.append(np.broadcast_to(np.eye(model.ny), (len(times), model.ny, model.ny)))
-        states.append(np.zeros((model.n, model.ny)))
-    if blocks and len(times):
-        columns = np.concatenate(blocks, axis=2)
+        offsets = np.broadcast_to(np.eye(model.ny), (len(times), model.ny, model.ny))
+        columns = np.concatenate((columns, offsets), axis=2)
+        states = np.hstack((states, np.zeros((model.n, model.ny))))
+    if len(times):
         found = _least_squares(columns, y - y_hat, spread(y))
         with np.errstate(over='ignore', invalid='ignore'):
-            y_hat, x0 = y_hat + columns @ found, x0 + np.hstack(states) @ found
+            y_hat, x0 = y_hat + columns @ found, x0 + states @ found
         y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
     return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat))
 
@@ -210,7 +202,7 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
         raise DataError(f'`horizon_steps` is {horizon_steps!r}; wanted is a whole number of '
                         'samples, at least 1')
     times, y, streams = _samples(model, record)
-    y_known, p0 = _respond(model, record, times, None)
+    y_known, p0 = _respond(model, record, times)
     y_hat = np.full_like(y, np.nan)
     noise = _noise(model, y[:start_rows(times, model.n)])
     K, note = predictor_gain(model, noise, record.duration)
