@@ -26,13 +26,13 @@ from scipy.sparse import csc_array
 from scipy.special import jv
 
 from ctsid_core.bases.chirp_sums import chirp_sums, uniform
+from ctsid_core.bases.hermite_functions import BLOCK
 from ctsid_core.linear.types import Array
 
 Sums = NDArray[np.complex128]
 
 _TERMS = 12             # of the series
 _FINENESS = 2           # highest frequency of the grid over that of the sums
-_BLOCK = 8192           # samples taken at a time, to stay in the cache
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
     """
     total = np.zeros((len(weights), len(grid.w)), dtype=complex)
     moments = None
-    for first in range(0, len(x), _BLOCK):
-        part = slice(first, first + _BLOCK)
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         if uniform(x[part], float(grid.w[-1])):
             total += chirp_sums(x[part], weights[:, part], float(grid.w[1]), len(grid.w))
             continue

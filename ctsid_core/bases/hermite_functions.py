@@ -21,7 +21,7 @@ from ctsid_core.linear.types import Array
 
 _PLAIN_LIMIT = 37.0     # exp(-37^2/2) = 1e-297 is still a normal number
 _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 2^512
-_BLOCK = 8192           # samples and
+BLOCK = 8192           # samples and
 _ORDERS = 32            # orders evaluated at a time, to stay in the cache
 _CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
 _LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
@@ -80,8 +80,8 @@ def project_directly(nmax: int, x: Array, weights: Array) -> Array:
     if x.size == 0 or np.abs(x).max() >= _PLAIN_LIMIT:
         return _project_by_parts(nmax, x, weights)
     total = np.zeros((nmax + 1, len(weights)))
-    for first in range(0, len(x), _BLOCK):
-        part = slice(first, first + _BLOCK)
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         _add_products(x[part], weights[:, part].T, total)
     return (total / _balanced_coefficients(nmax)[1][:, np.newaxis]).T
 
@@ -107,8 +107,8 @@ def _add_products(x: Array, weights: Array, total: Array) -> None:
 
 def _project_by_parts(nmax: int, x: Array, weights: Array) -> Array:
     total = np.zeros((len(weights), nmax + 1))
-    for first in range(0, len(x), _BLOCK):
-        part = slice(first, first + _BLOCK)
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         total += weights[:, part] @ hermite_functions(nmax, x[part]).T
     return total
 

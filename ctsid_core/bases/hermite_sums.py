@@ -36,15 +36,10 @@ def project(nmax: int, x: Array, weights: Array) -> Array:
     Of x (N,) in any order and weights (m, N). Which of the two ways is taken depends on nmax and N
     only; they agree to 1e-12.
     """
-    if nmax < _LEAST_ORDER or len(x) < _fewest(nmax):
+    fewest = len(frequency_grid(nmax).w) * (_FEWEST if _kept(nmax) else 1.0)
+    if nmax < _LEAST_ORDER or len(x) < fewest:
         return project_directly(nmax, x, weights)
     return _project_by_frequencies(nmax, x, weights)
-
-
-def _fewest(nmax: int) -> float:
-    """Return the number of samples from which on the way by frequencies is quicker."""
-    frequencies = len(frequency_grid(nmax).w)
-    return frequencies * (_FEWEST if _kept(nmax) else 1.0)
 
 
 def _kept(nmax: int) -> bool:

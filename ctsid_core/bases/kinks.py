@@ -56,9 +56,13 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal],
         if power >= first:
             found += [x for signal in outputs
                       for x in _interpolation_error(integral, knots, signal, interpolate)]
-    degree = max(map(len, found), default=1)
-    columns = [np.concatenate((x, np.zeros((degree - len(x), len(knots))))) for x in found]
-    return np.stack(columns, axis=2) if columns else np.zeros((1, len(knots), 0))
+    return np.stack(of_one_degree(found), axis=2) if found else np.zeros((1, len(knots), 0))
+
+
+def of_one_degree(parts: Sequence[Array]) -> list[Array]:
+    """Return derivatives (degree + 1, ...) with zeros up to the highest degree among them."""
+    degree = max(map(len, parts))
+    return [np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:])))) for p in parts]
 
 
 def _interpolation_error(signal: Array, knots: Array, output: Signal,
@@ -70,10 +74,8 @@ def _interpolation_error(signal: Array, knots: Array, output: Signal,
     sampled = replace(output, time=output.time[inside], values=signal[0, places], names=(),
                       units=())
     curve = interpolate((sampled,), (0.0,) * m, knots)
-    degree = max(len(signal), len(curve))
-    error = np.zeros((degree, len(knots), m))
-    error[:len(signal)] += signal
-    error[:len(curve)] -= curve
+    whole, smooth = of_one_degree((signal, curve))
+    error = whole - smooth
     size = np.abs(signal[0]).max(axis=0) + 1e-300
     error[:, :, np.abs(_middles(error, knots)).max(axis=0) <= _NOTHING * size] = 0.0
     return [error[:, :, j] for j in range(m)]

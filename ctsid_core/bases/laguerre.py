@@ -29,17 +29,16 @@ from typing import Literal
 
 import numpy as np
 
-from ctsid_core.bases.quadrature import UNIFORM, divided, smooth_values, spline_degree
+from ctsid_core.bases.quadrature import SPLINED, UNIFORM, divided, smooth_values, spline_degree
 from ctsid_core.linear.types import Array
+from ctsid_core.model.simulation import CHUNK
 from ctsid_core.signals.record import Signal
 
 Direction = Literal['ahead', 'back']
 
-_CHUNK = 4096         # intervals swept at a time
 _LONGEST = 4.0        # pole times interval: longer ones are divided
 _EXTRA = 8            # Gauss-Legendre points beyond those that polynomials need
 _DECAYED = 1e-10      # of a function: what counts as zero
-_FEWEST = 8           # samples of a spline
 
 
 def laguerre_functions(count: int, a: float, t: Array) -> Array:
@@ -121,7 +120,7 @@ def _pieces(t: Array, signal: Signal, at: Array, span: tuple[float, float],
         row = np.clip(np.searchsorted(t, nodes[:-1], side='right') - 1, 0, None)
         return Pieces(nodes, signal.values[row][:, np.newaxis])
     values, degree = signal.values.T, 1
-    if signal.hold == 'smooth' and len(t) >= _FEWEST:
+    if signal.hold == 'smooth' and len(t) >= SPLINED:
         degree = max(spline_degree(t, values), 3)
     x = np.arange(degree) / degree
     points = np.append((nodes[:-1, np.newaxis] + step[:, np.newaxis] * x).ravel(), nodes[-1])
@@ -140,8 +139,8 @@ def _swept(nodes: Array, values: list[Array], a: float, count: int,
         step, values = step[::-1], [v[::-1, ::-1] for v in values]
     width = sum(v.shape[2] for v in values)
     found = np.zeros((len(step) + 1, count, width))
-    for last in range(len(step), 0, -_CHUNK):
-        part = slice(max(last - _CHUNK, 0), last)
+    for last in range(len(step), 0, -CHUNK):
+        part = slice(max(last - CHUNK, 0), last)
         drive = np.concatenate([_drive(step[part], v[part], a, count) for v in values], axis=2)
         found[part] = _chunk(step[part], drive, found[last], a)
     return found[::-1] if direction == 'back' else found

@@ -34,6 +34,7 @@ from ctsid_core.signals.record import Signal
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
 PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
+SPLINED = 8           # samples from which on there is a spline
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
 _STEEP = 1e-5         # the same, below which a straight line is a jump: its slope is all rounding
@@ -127,7 +128,8 @@ def _held(t: Array, values: Array, start: float, end: float, alpha: float,
 def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
            top: float) -> Samples:
     nodes, inside = _with_ends(t, start, end)
-    level = _interpolate(t, values, nodes, inside)
+    level = values[:, inside] if len(nodes) == np.count_nonzero(inside) else \
+        np.array([np.interp(nodes, t, row) for row in values])
     x = _dimensionless(nodes, start, end, alpha)
     step, rise = np.diff(x), np.diff(level, axis=1)
     steep = step * top < _STEEP
@@ -155,7 +157,7 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
 def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
             top: float) -> Samples:
     step = np.diff(t)
-    if len(t) < 8:
+    if len(t) < SPLINED:
         return _lines(t, values, start, end, alpha, top)
     if np.ptp(step) <= UNIFORM * step.mean():
         return _trapezoid(t, values, start, end, alpha)
@@ -276,12 +278,6 @@ def _with_ends(t: Array, start: float, end: float) -> tuple[Array, NDArray[np.bo
     before = [start] if len(kept) == 0 or kept[0] > start else []
     after = [end] if len(kept) == 0 or kept[-1] < end else []
     return np.concatenate((before, kept, after)), inside
-
-
-def _interpolate(t: Array, values: Array, nodes: Array, inside: NDArray[np.bool_]) -> Array:
-    if len(nodes) == np.count_nonzero(inside):
-        return values[:, inside]
-    return np.array([np.interp(nodes, t, row) for row in values])
 
 
 def _dimensionless(t: Array, start: float, end: float, alpha: float) -> Array:

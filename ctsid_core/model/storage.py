@@ -171,12 +171,6 @@ def load_series(path: str | os.PathLike[str]) -> tuple[Estimate, ...]:
         raise StorageError(f'{path}: {error}') from error
 
 
-def _named(estimates: Sequence[Estimate], ny: int) -> list[str]:
-    names = next((m.output_names for m in (e.model or e.rejected_model for e in estimates) if m),
-                 ())
-    return [name or f'y{i + 1}' for i, name in enumerate((*names, *('',) * ny)[:ny])]
-
-
 def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
     orders = [e.model.n if e.model else 0 for e in estimates]
     ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
@@ -185,7 +179,9 @@ def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) 
         head += [f'pole{k}_re [rad/s]', f'pole{k}_im [rad/s]', f'pole{k}_std [rad/s]',
                  f'pole{k}_natural_frequency [rad/s]', f'pole{k}_natural_frequency_std [rad/s]',
                  f'pole{k}_damping', f'pole{k}_damping_std']
-    names = _named(estimates, ny)
+    models = (e.model or e.rejected_model for e in estimates)
+    given = next((m.output_names for m in models if m), ())
+    names = [name or f'y{i + 1}' for i, name in enumerate((*given, *('',) * ny)[:ny])]
     head += [f'fit_{name} [%]' for name in names] + [f'held_out_fit_{name} [%]' for name in names]
     head += columns
     stream = io.StringIO(newline='')

@@ -154,7 +154,7 @@ class Tracker:
         A change near the ends of a window hardly shows in it, and its model may be wrong all the
         same; but it stood in the middle of a window before.
         """
-        straddles = _straddled(estimate, self._changed_ns)
+        straddles = _time(estimate, _EDGE) < self._changed_ns < estimate.end_ns
         if estimate.status is Status.CHANGED:
             # The first window to show it dates it best: later ones take it for later.
             found_ns = _time(estimate, estimate.statistics['change_share'])
@@ -167,11 +167,6 @@ class Tracker:
 
 def _time(estimate: Estimate, share: float) -> int:
     return estimate.start_ns + round(share * (estimate.end_ns - estimate.start_ns))
-
-
-def _straddled(estimate: Estimate, at_ns: int) -> bool:
-    """Whether data from both sides of an instant made an estimate."""
-    return _time(estimate, _EDGE) < at_ns < estimate.end_ns
 
 
 def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: float

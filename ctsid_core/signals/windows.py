@@ -339,7 +339,8 @@ class SlidingWindow:
         """Cut the next window that is due now that stamps to `passed` are complete."""
         while (start := self._start()) is not None and start + self._length <= passed:
             end = start + self._length
-            if not (final or self._complete(end, passed)):
+            if not (final or passed >= end + self._grace or all(
+                    track.has_after(end, passed) for track in self._tracks.values())):
                 break
             self._next = start + self._stride
             if any((stamp := track.stamp_from(start)) is not None and stamp <= end
@@ -356,10 +357,6 @@ class SlidingWindow:
         if start is not None:
             self._check = max(start + self._length - 1, passed + self._grace // 512)
         return None
-
-    def _complete(self, end: int, passed: int) -> bool:
-        return passed >= end + self._grace or all(
-            track.has_after(end, passed) for track in self._tracks.values())
 
     def _skip(self, end: int, passed: int) -> None:
         """Count the empty window that ends at `end` and all the empty ones that follow it."""
@@ -387,6 +384,6 @@ class SlidingWindow:
 
 def _nanoseconds(name: str, seconds: float, least: int) -> int:
     if not (isfinite(seconds) and least <= round(seconds * 1e9) < STAMP_MAX):
-        raise DataError(f'`{name}` is {seconds!r} s; give a {"positive" if least else "number"} '
-                        f'of seconds{"" if least else ", zero or more"}')
+        raise DataError(f'`{name}` is {seconds!r} s; give a number of seconds, '
+                        f'{"more than zero" if least else "zero or more"}')
     return round(seconds * 1e9)

@@ -62,13 +62,17 @@ def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
     """
     records, found = [p.record for p in part.parts], []
     pasts = [settings.past] if settings.past else _PASTS
+    longest = max(r.duration for r in records)
     for a in _poles(records, settings, min(pasts)):
-        most = max((p for p in pasts if _fits(records, a, p)), default=0)
-        if most == 0:
+        # Functions have to decay within the records, with as much time to spare.
+        fitting = [p for p in pasts if longest > 2.0 * reach(p + 2) / a]
+        if not fitting:
             continue
-        levels = laguerre_levels(records, settings, a, most + 2, direction)
-        for p in (p for p in pasts if p <= most):
-            found += _realised(_first(levels, p), settings.replace(
+        levels = laguerre_levels(records, settings, a, max(fitting) + 2, direction)
+        nz = len(levels.scale)
+        for p in fitting:
+            first = replace(levels, rows=levels.rows[-(p + 2):, :, :(p + 2) * nz])
+            found += _realised(first, settings.replace(
                 laguerre_pole=a, past=p, future=settings.future or p), orders, direction)
     return found
 
@@ -98,11 +102,6 @@ def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[flo
     return [float(a) for a in np.geomspace(low, high, _POLES)]
 
 
-def _fits(records: Sequence[Record], a: float, past: int) -> bool:
-    """Return whether the functions decay within the records, with as much time to spare."""
-    return max(r.duration for r in records) > 2.0 * reach(past + 2) / a
-
-
 def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, count: int,
                     direction: Direction) -> Levels:
     """
@@ -120,12 +119,6 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     compressed = triangle(z.reshape(-1, z.shape[2]).T).T
     nu, ny = records[0].nu, records[0].ny
     return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
-
-
-def _first(levels: Levels, past: int) -> Levels:
-    """Return the levels of the first functions only: the oldest rows and columns."""
-    nz = len(levels.scale)
-    return replace(levels, rows=levels.rows[-(past + 2):, :, :(past + 2) * nz])
 
 
 def _block(record: Record, settings: Settings, a: float, count: int,

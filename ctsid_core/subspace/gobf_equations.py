@@ -28,9 +28,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.bases.kinks import interpolation_errors
+from ctsid_core.bases.kinks import interpolation_errors, of_one_degree
 from ctsid_core.bases.takenaka_malmquist import Chain, respond
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrices import Matrices, plain_matrices
@@ -127,15 +126,10 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     missed = interpolation_errors(u[:, :, uneven], knots, record.outputs, pieces, kinks,
                             0 if feedthrough else 1)
     ones = np.ones((1, len(knots), 1))
-    w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
+    signals = np.concatenate(of_one_degree((u, ones, missed, y)), axis=2)
+    w = respond(chain, signals, knots)[np.searchsorted(knots, times)]
     impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
     return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
-
-
-def _side_by_side(parts: tuple[Array, ...]) -> Array:
-    degree = max(map(len, parts))
-    return np.concatenate([np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:]))))
-                           for p in parts], axis=2)
 
 
 def _compressed(chain: Chain, rows: Array, counts: tuple[int, int, int, int]) -> Filtered:
@@ -193,15 +187,10 @@ def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     pole = sigma[:, np.newaxis, np.newaxis]
     M = (seen / root)[:-1] - (seen / root)[1:]
     R = (pole.conj() * seen / root)[:-1] + (pole * seen / root)[1:]
-    A = _real_least_squares(np.asarray(M.reshape(-1, n), complex),
-                            np.asarray(R.reshape(-1, n), complex))
+    left, right = (np.vstack((x.real.reshape(-1, n), x.imag.reshape(-1, n))) for x in (M, R))
+    A: Array = np.linalg.lstsq(left, right, rcond=None)[0]
     C = seen[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
     return A, np.asarray(C.real)
-
-
-def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) -> Array:
-    both = np.vstack((M.real, M.imag)), np.vstack((R.real, R.imag))
-    return np.linalg.lstsq(*both, rcond=None)[0]
 
 
 def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Array, Array]:
