@@ -21,7 +21,6 @@ from ctsid_core.errors import Cancelled, SettingsError
 # node and replay then need the same value.
 RATE = 5e9
 VARIABLE = 'CTSID_WORK_RATE'
-_ROWS, _COLUMNS, _TIMES = 1000, 40, 101  # of the matrix that the rate is measured with
 
 
 class Effort:
@@ -94,10 +93,11 @@ def measured_rate(clock: Callable[[], float]) -> float:
     """
     import numpy as np
 
-    matrix = np.random.default_rng(0).standard_normal((_ROWS, _COLUMNS))
+    rows, columns = 1000, 40
+    matrix = np.random.default_rng(0).standard_normal((rows, columns))
     times = []
-    for _ in range(_TIMES):
+    for _ in range(101):
         start = clock()
         np.linalg.qr(matrix, mode='r')
         times.append(clock() - start)
-    return 2.0 * _ROWS * _COLUMNS ** 2 / max(float(np.median(times)), 1e-9)
+    return 2.0 * rows * columns ** 2 / max(float(np.median(times)), 1e-9)

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from ctsid_core.errors import DataError
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.sequence.alignment import align, referring
+from ctsid_core.sequence.alignment import aligning, referring
 from ctsid_core.signals.record import Signal
 
 RNG = np.random.default_rng
@@ -25,6 +25,11 @@ FLYING = StateSpace([[0.1, 1, 0], [0.5, 0.2, 300], [0, 0, -20]], [[0], [0], [20]
 
 def reference_form(system):
     return referring(system)[0]
+
+
+def align(system, reference):
+    T = aligning(system, reference)
+    return None if T is None else system.transform(T)
 
 
 def model(plant) -> StateSpace:

@@ -40,14 +40,6 @@ class Blocks:
                     part[:, there[0]:there[-1] + 1])))
         return cls((matrix.shape[0], matrix.shape[1]), tuple(found))
 
-    def dense(self) -> Array:
-        """Return the matrix, but for what was negligible."""
-        found = np.zeros(self.shape)
-        for row, column, entries in self.blocks:
-            rows, columns = entries.shape
-            found[row:row + rows, column:column + columns] = entries
-        return found
-
     def times(self, vectors: Array) -> Array:
         """Return the products of the matrix (r, c) with vectors (m, c): (m, r)."""
         found = np.zeros((len(vectors), self.shape[0]))

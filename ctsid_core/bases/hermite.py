@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -40,19 +40,29 @@ class HermiteLines:
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
     even: Blocks  # (L, ceil(nc/2)): from even coefficients to real parts of the lines
     odd: Blocks   # (L, floor(nc/2)): from odd ones to imaginary parts
-    tail: Lines   # (1, L): lines of e_last = [0 ... 0 1]
-    ones: Lines   # (1, L): lines of the constant 1 on the whole real line
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients, (m, nc), to lines, (m, L)."""
-        return _lines(f, self.even, self.odd)
+        out = np.empty((len(f), self.even.shape[0]), dtype=np.complex128)
+        out.real = self.even.times(f[:, 0::2])
+        out.imag = self.odd.times(f[:, 1::2])
+        return out
 
+    @cached_property
+    def tail(self) -> Lines:
+        """The lines of e_last = [0 ... 0 1], (1, L)."""
+        nmax = self.even.shape[1] + self.odd.shape[1] - 1
+        return self.lines(np.eye(1, nmax + 1, nmax))
 
-def _lines(f: Array, even: Blocks, odd: Blocks) -> Lines:
-    out = np.empty((len(f), even.shape[0]), dtype=np.complex128)
-    out.real = even.times(f[:, 0::2])
-    out.imag = odd.times(f[:, 1::2])
-    return out
+    @cached_property
+    def ones(self) -> Lines:
+        """The lines of the constant 1 on the whole real line, (1, L)."""
+        # <h_n, 1>: odd ones vanish, c_(n+2) = c_n ratio
+        nmax = self.even.shape[1] + self.odd.shape[1] - 1
+        c, n = np.zeros((1, nmax + 1)), np.arange(2, nmax + 1, 2)
+        c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
+            np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
+        return self.lines(c)
 
 
 @lru_cache(maxsize=16)
@@ -63,20 +73,7 @@ def hermite_lines(nmax: int) -> HermiteLines:
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
     sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
-    even, odd = Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2])
-    last = np.zeros((1, nmax + 1))
-    last[0, -1] = 1.0
-    return HermiteLines(w, even, odd, _lines(last, even, odd),
-                        _lines(_constant(nmax), even, odd))
-
-
-def _constant(nmax: int) -> Array:
-    """Return <h_n, 1> over the real line (1, nmax + 1): odd ones vanish, c_(n+2) = c_n ratio."""
-    c = np.zeros((1, nmax + 1))
-    n = np.arange(2, nmax + 1, 2)
-    c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
-        np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
-    return c
+    return HermiteLines(w, Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2]))
 
 
 def time_scale(nmax: int, tau: float, settings: Settings) -> float:

@@ -11,7 +11,7 @@ from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Status
 from ctsid_core.settings import Settings
-from ctsid_core.signals.outliers import SURE_INPUT, Spikes, despiked, no_spikes, report
+from ctsid_core.signals.outliers import SURE_INPUT, Spikes, report, spikes
 from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
@@ -148,9 +148,11 @@ def _held_at(record: Record, signals: list[Signal],
 def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
               inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
-    pairs = [despiked(s, sure, direct) if s.hold in holds else (s, no_spikes(s))
-             for s, direct in zip(signals, inputs, strict=True)]
-    return [signal for signal, _ in pairs], tuple(found for _, found in pairs)
+    found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
+                  Spikes(np.zeros(s.values.shape, dtype=bool), s.values)
+                  for s, direct in zip(signals, inputs, strict=True))
+    return [replace(s, values=own.instead) if own.any else s
+            for s, own in zip(signals, found, strict=True)], found
 
 
 def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:

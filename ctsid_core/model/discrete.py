@@ -16,11 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array
 from ctsid_core.model.statespace import StateSpace
 
 _SAME = 1e-9  # of a period: dead times that differ by less from a whole number of them are one
@@ -47,32 +47,6 @@ class Discrete:
     def memory(self) -> NDArray[np.int_]:
         """How many past inputs each channel needs, shape (nu,)."""
         return np.array(self.lag, dtype=int) + (np.array(self.fraction) > 0)
-
-    def simulate(self, u: ArrayLike) -> Array:
-        """
-        Return the outputs (M, ny) at the ticks for inputs (M, nu) held from tick to tick.
-
-        From the state 0; the first input was there before.
-        """
-        given = np.asarray(u, dtype=float)
-        ticks = np.arange(len(given))[:, np.newaxis]
-        channels = np.arange(given.shape[1])
-        late = given[np.maximum(ticks - np.array(self.lag, dtype=int), 0), channels]
-        later = given[np.maximum(ticks - np.array(self.lag, dtype=int) - 1, 0), channels]
-        drive = late @ self.now.T + later @ self.before.T + self.offset
-        x = np.zeros((len(given), len(self.A)))
-        for k in range(1, len(given)):
-            x[k] = self.A @ x[k - 1] + drive[k - 1]
-        seen = given[np.maximum(ticks - self.memory, 0), channels]
-        return np.asarray(x @ self.C.T + seen @ self.D.T + self.y_trim)
-
-    def frequency_response(self, omega: ArrayLike) -> ComplexArray:
-        """Return G(e^(j omega period)) from u to y, shape (M, ny, nu), for omega in rad/s."""
-        z = np.exp(1j * np.asarray(omega, dtype=float) * self.period)[:, np.newaxis, np.newaxis]
-        lag = np.array(self.lag, dtype=int)
-        drive = self.now * z ** -lag + self.before * z ** (-lag - 1)
-        states: ComplexArray = np.linalg.solve(z * np.eye(len(self.A)) - self.A, drive)
-        return self.C @ states + self.D * z ** -self.memory
 
     def expanded(self) -> tuple[Array, Array, Array, Array]:
         """

@@ -50,24 +50,18 @@ _STEPS = 10         # at most
 _SETTLED = 1e-12    # |X|: no further step
 
 
-def align(model: StateSpace, reference: StateSpace) -> StateSpace | None:
+def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
     """
-    Return the same system with its states as near to those of the reference as they can be.
+    Return T such that the states z = T x are as near to those of the reference as they can be.
 
-    Equal to the reference (to rounding) if the two are similar; changing with the model in
-    proportion, for a reference that is held. None if the orders differ, a state of either is not
-    seen in the outputs, or entries would change by several times the size of their matrix: the two
-    have too little in common. Raises `DataError` if the channels differ in number.
+    With it the model is equal to the reference (to rounding) if the two are similar, and changes
+    in proportion to the model, for a reference that is held. None if the orders differ, a state of
+    either is not seen in the outputs, or entries would change by several times the size of their
+    matrix: the two have too little in common. Raises `DataError` if the channels differ in number.
 
     Inputs and outputs that are constant in either (a column of B or row of C is zero) do not
     count. K, D, trim and dead time do not count either.
     """
-    T = aligning(model, reference)
-    return None if T is None else model.transform(T)
-
-
-def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
-    """Return T of the states z = T x of `align`; the same arguments, None and errors."""
     reference.check_width('input', model.nu, reference.nu)
     reference.check_width('output', model.ny, reference.ny)
     if model.n != reference.n:

@@ -9,7 +9,7 @@ samples are interpolated and weighted as they would be without.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -79,18 +79,6 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
             mask[:, j] = found
             instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
     return Spikes(mask, instead, tuple(too_many))
-
-
-def despiked(signal: Signal, sure: float = SURE, inputs: Array | None = None
-             ) -> tuple[Signal, Spikes]:
-    """Return a signal with its spikes bridged (itself if there are none), and the spikes."""
-    found = spikes(signal.time, signal.values, sure, inputs=inputs)
-    return (replace(signal, values=found.instead) if found.any else signal), found
-
-
-def no_spikes(signal: Signal) -> Spikes:
-    """Return that a signal has no spikes."""
-    return Spikes(np.zeros(signal.values.shape, dtype=bool), signal.values)
 
 
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
