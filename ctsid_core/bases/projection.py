@@ -60,16 +60,14 @@ def joined(records: Sequence[Projection]) -> Projection:
     if len(records) == 1:
         return records[0]
     unit = max(p.unit for p in records)
-    members = tuple(_scaled(p, float(np.sqrt(p.unit / unit))) for p in records)
+    sizes = [float(np.sqrt(p.unit / unit)) for p in records]
+    members = tuple(replace(p, u=size * p.u, y=size * p.y, tail=size * p.tail, ones=size * p.ones)
+                    for p, size in zip(records, sizes, strict=True))
     return Projection(
         s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
         y=np.hstack([p.y for p in members]), unit=unit, start=0.0,
         tail=block_diag(*(p.tail for p in members)), ones=block_diag(*(p.ones for p in members)),
         end=sum(p.end - p.start for p in members), members=members)
-
-
-def _scaled(p: Projection, factor: float) -> Projection:
-    return replace(p, u=factor * p.u, y=factor * p.y, tail=factor * p.tail, ones=factor * p.ones)
 
 
 def as_real(lines: Lines) -> Array:

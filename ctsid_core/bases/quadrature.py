@@ -246,23 +246,18 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
     t = signal.time
     if signal.hold == 'zoh' or len(t) < 3:
         return max(min(float(t[0]), end) - start, 0.0) if len(t) else end - start
-    step = np.diff(t)
-    if t[0] <= start and end <= t[-1] and np.max(step) <= GAP_PERIODS * np.min(step):
-        return 0.0                                     # the common case, without a median
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
-    limit = GAP_PERIODS * signal.period
     pauses = pauses_between_bursts(signal, start, end)
-    if len(pauses):
-        limit = GAP_PERIODS * float(np.median(pauses))
-    return float(covered[np.diff(bounds) > limit].sum())
+    usual = float(np.median(pauses)) if len(pauses) else signal.period
+    return float(covered[np.diff(bounds) > GAP_PERIODS * usual].sum())
 
 
 def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
     """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
     t = signal.time[(signal.time >= start) & (signal.time <= end)]
     step = np.diff(t)
-    if len(step) < PAUSES or np.max(step) <= GAP_PERIODS * np.min(step):
+    if len(step) < PAUSES:
         return np.empty(0)
     pauses = step[step > GAP_PERIODS * np.median(step)]
     return pauses if len(pauses) >= PAUSES else np.empty(0)
