@@ -10,12 +10,9 @@ on Audio and Electroacoustics 18).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import fft, ifft, next_fast_len
 
-from ctsid_core.linear.types import Array
-
-Sums = NDArray[np.complex128]
+from ctsid_core.linear.types import Array, ComplexArray
 
 _FEWEST = 256           # samples: below, sums by other means are as quick
 _SAME = 3e-11           # phase [rad] by which stamps may be off uniform ones: their rounding
@@ -35,7 +32,7 @@ def uniform(x: Array, top: float) -> bool:
     return bool(step > 0.0)
 
 
-def chirp_sums(x: Array, weights: Array, step: float, count: int) -> Sums:
+def chirp_sums(x: Array, weights: Array, step: float, count: int) -> ComplexArray:
     """
     Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, count).
 
@@ -56,7 +53,7 @@ def chirp_sums(x: Array, weights: Array, step: float, count: int) -> Sums:
     return np.asarray(ifft(spectrum, axis=1, overwrite_x=True)[:, before:before + count] * turn)
 
 
-def _chirp(theta: float, count: int) -> Sums:
+def _chirp(theta: float, count: int) -> ComplexArray:
     """
     Return exp(-i theta m^2 / 2) for m = 0 .. count - 1.
 

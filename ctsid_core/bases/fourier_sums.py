@@ -20,16 +20,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csc_array
 from scipy.special import jv
 
 from ctsid_core.bases.chirp_sums import chirp_sums, uniform
 from ctsid_core.bases.hermite_functions import BLOCK
-from ctsid_core.linear.types import Array
-
-Sums = NDArray[np.complex128]
+from ctsid_core.linear.types import Array, ComplexArray
 
 _TERMS = 12             # of the series
 _FINENESS = 2           # highest frequency of the grid over that of the sums
@@ -42,14 +39,14 @@ class Grid:
     step: float   # between instants
     size: int     # how many instants: sums repeat after all of them
     w: Array      # (J,): frequencies from zero on, 2 pi / (size step) apart
-    series: Sums  # (J, terms): b_d(w_j)
+    series: ComplexArray  # (J, terms): b_d(w_j)
 
 
 def fourier_grid(reach: float, top: float) -> Grid:
     """
     Return the coarsest grid for stamps |x| <= reach and frequencies from 0 to `top` [rad].
 
-    Sums are then periodic in x with 2 `reach`.
+    ComplexArray are then periodic in x with 2 `reach`.
     """
     count = int(np.ceil(top * reach / np.pi)) + 1
     size = int(next_fast_len(2 * _FINENESS * (count - 1), real=True))
@@ -60,7 +57,7 @@ def fourier_grid(reach: float, top: float) -> Grid:
     return Grid(step, size, w, np.where(d == 0, 1.0, 2.0) * (-1j) ** d * bessel)
 
 
-def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
+def fourier_sums(x: Array, weights: Array, grid: Grid) -> ComplexArray:
     """
     Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, J).
 
@@ -80,7 +77,7 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
     if moments is None:
         return total
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
-    sums: Sums = (spectra.reshape(len(grid.w), _TERMS, -1)
+    sums: ComplexArray = (spectra.reshape(len(grid.w), _TERMS, -1)
                   * grid.series[:, :, np.newaxis]).sum(axis=1).T
     return total + sums
 

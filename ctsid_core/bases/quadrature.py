@@ -23,12 +23,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ctsid_core.bases.hermite_functions import integral_of_first
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.record import Signal
 
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
@@ -266,7 +265,7 @@ def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
 
 
-def _with_ends(t: Array, start: float, end: float) -> tuple[Array, NDArray[np.bool_]]:
+def _with_ends(t: Array, start: float, end: float) -> tuple[Array, Mask]:
     """Return the stamps inside of [start, end] joined by its two ends, and which they are."""
     inside = (t >= start) & (t <= end)
     kept = t[inside]

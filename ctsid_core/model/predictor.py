@@ -22,11 +22,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Places
 from ctsid_core.model.statespace import StateSpace
 
 MEMORY = 5.0  # substitute predictors forget at least this many times within the record
@@ -39,7 +38,7 @@ class Stream:
     """Output channels that share their stamps."""
 
     channels: slice         # which outputs of the model
-    rows: NDArray[np.intp]  # where their stamps stand among the merged stamps of all outputs
+    rows: Places  # where their stamps stand among the merged stamps of all outputs
 
 
 def predictor_gain(model: StateSpace, noise: Array, duration: float) -> tuple[Array | None, str]:

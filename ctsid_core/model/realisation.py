@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cholesky, schur, solve_continuous_lyapunov, solve_sylvester
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import modes
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Places
 
 # Poles this close to the imaginary axis, over |A|, have no Gramian worth the name; it is also how
 # far rounding moves a double pole.
@@ -30,7 +29,7 @@ def regular(T: Array) -> bool:
     return bool(np.linalg.cond(both) < 1 / np.finfo(float).eps)
 
 
-def pole_order(values: ComplexArray) -> NDArray[np.intp]:
+def pole_order(values: ComplexArray) -> Places:
     """Return the order of poles: by magnitude, |imag|, real part, imag."""
     return np.lexsort((values.imag, values.real, np.abs(values.imag), np.abs(values)))
 

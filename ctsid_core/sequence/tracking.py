@@ -15,13 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.identify import identify
 from ctsid_core.judge.rules import in_sequence, rejected_over_change
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
@@ -240,7 +239,7 @@ def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _compared(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> tuple[float, float]:
+def _compared(y: Array, y_hat: Array, new: Mask) -> tuple[float, float]:
     """Return the fit of one output on its new samples [%], and the error there over the rest's."""
     spread = float(y[~np.isnan(y)].std()) if not np.isnan(y).all() else 0.0
     error, before = (_rms(y - y_hat, rows) for rows in (new, ~new))
@@ -248,7 +247,7 @@ def _compared(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> tuple[float, fl
             error / before if error > 0 and before > 0 else np.nan)
 
 
-def _rms(error: Array, rows: NDArray[np.bool_]) -> float:
+def _rms(error: Array, rows: Mask) -> float:
     """Return the root mean square of errors on some rows, where known; NaN for too few."""
     found = error[rows & ~np.isnan(error)]
     with np.errstate(over='ignore'):  # a model that explodes

@@ -20,9 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array, Mask, Places
 
 MOST = 0.05             # part of a channel's samples beyond which they are not 'a few'
 SURE = 6.0              # robust standard deviations off the curve beyond which samples are bad
@@ -234,7 +233,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     return _Verdict(run, far, without[run], float(np.max(spread)))
 
 
-def _curve(t: Array, x: Array, side: NDArray[np.intp], run: slice, degree: int,
+def _curve(t: Array, x: Array, side: Places, run: slice, degree: int,
            least: float) -> tuple[Array, Array]:
     """Return the curve through good samples at those of a run, and the deviation from it."""
     centre, width = 0.5 * (t[side[0]] + t[side[-1]]), 0.5 * (t[side[-1]] - t[side[0]])

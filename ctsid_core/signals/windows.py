@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import count
 from math import isfinite
 from operator import index
 from typing import NamedTuple
@@ -33,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
+from ctsid_core.linear.types import Places
 from ctsid_core.signals.record import Record, common_interval
 from ctsid_core.signals.samples import STAMP_MAX, Counts, Group, Rows, Samples, check_groups
 
@@ -49,36 +51,6 @@ class _Stray(NamedTuple):
     stamp_ns: int
     values: tuple[float, ...]
     offset_ns: int
-
-
-class _Batch:
-    """Samples of several groups, of which most are ordinary: those are taken all at once."""
-
-    def __init__(self, window: SlidingWindow, order: NDArray[np.intp], rows: Sequence[Rows]
-                 ) -> None:
-        self.window, self.order, self.rows = window, order, rows
-        self.places = [np.flatnonzero(order == number) for number in range(len(rows))]
-        self.stamps = np.empty(len(order), np.int64)
-        for places, part in zip(self.places, rows, strict=True):
-            self.stamps[places] = part.stamps
-
-    def take(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Take the samples of a range, in halves if not all are ordinary; return the dropped."""
-        if first == last:
-            return []
-        spans = [np.searchsorted(places, (first, last)).tolist() for places in self.places]
-        parts = [part[low:high] for part, (low, high) in zip(self.rows, spans, strict=True)]
-        if self.window.append_rows([part for part in parts if len(part.stamps)],
-                                   self.stamps[first:last]):
-            return []
-        if last - first > _FEW:
-            middle = (first + last) // 2
-            return self.take(first, middle) + self.take(middle, last)
-        samples = [part.samples() for part in parts]
-        rows = [iter(range(*span)) for span in spans]
-        pushed = ((number, next(rows[number]), self.window.push(*next(samples[number])))
-                  for number in self.order[first:last].tolist())
-        return [(number, row) for number, row, taken in pushed if not taken]
 
 
 class SlidingWindow:
@@ -195,7 +167,7 @@ class SlidingWindow:
                             f'be a sample ({error}); give int nanoseconds and a sequence of '
                             'floats') from error
 
-    def push_rows(self, order: NDArray[np.intp], rows: Sequence[Rows]
+    def push_rows(self, order: Places, rows: Sequence[Rows]
                   ) -> list[tuple[int, int]]:
         """
         Take many samples: the same as `push` of one after another.
@@ -203,9 +175,30 @@ class SlidingWindow:
         `order`, (N,), says which of the `rows` each sample is of: it is the next one there.
         Returns which were dropped: which of the `rows`, and which row of it.
         """
-        return _Batch(self, order, rows).take(0, len(order))
+        stamps = np.empty(len(order), np.int64)
+        for number, part in enumerate(rows):
+            stamps[order == number] = part.stamps
+        return self._take_rows(order, rows, stamps, [0] * len(rows)) if len(order) else []
 
-    def append_rows(self, rows: Sequence[Rows], stamps: NDArray[np.int64]) -> bool:
+    def _take_rows(self, order: Places, rows: Sequence[Rows], stamps: NDArray[np.int64],
+                   first: Sequence[int]) -> list[tuple[int, int]]:
+        """Take samples, in halves if not all are ordinary; `first` is the number of each row."""
+        if self._append_rows([part for part in rows if len(part.stamps)], stamps):
+            return []
+        if len(order) > _FEW:
+            half = len(order) // 2
+            counts = np.bincount(order[:half], minlength=len(rows)).tolist()
+            early = [part[:n] for part, n in zip(rows, counts, strict=True)]
+            late = [part[n:] for part, n in zip(rows, counts, strict=True)]
+            later = [a + n for a, n in zip(first, counts, strict=True)]
+            return self._take_rows(order[:half], early, stamps[:half], first) + self._take_rows(
+                order[half:], late, stamps[half:], later)
+        samples, numbers = [part.samples() for part in rows], [count(a) for a in first]
+        pushed = ((number, next(numbers[number]), self.push(*next(samples[number])))
+                  for number in order.tolist())
+        return [(number, row) for number, row, taken in pushed if not taken]
+
+    def _append_rows(self, rows: Sequence[Rows], stamps: NDArray[np.int64]) -> bool:
         """Take samples if every one is ordinary, see `push`; return whether they were taken."""
         newest = np.maximum.accumulate(stamps)
         before = np.concatenate(([self._newest], newest[:-1]))
@@ -362,9 +355,9 @@ class SlidingWindow:
         """Count the empty window that ends at `end` and all the empty ones that follow it."""
         stamps = (track.stamp_from(end + 1) for track in self._tracks.values())
         target = min([passed, *(stamp for stamp in stamps if stamp is not None)])
-        count = max(-((end - target) // self._stride), 1)
-        self._empty += count
-        self._next = end - self._length + count * self._stride
+        skipped = max(-((end - target) // self._stride), 1)
+        self._empty += skipped
+        self._next = end - self._length + skipped * self._stride
 
     def _discard(self, passed: int) -> None:
         """Forget what neither a window nor the search for duplicates needs any more."""

@@ -20,7 +20,13 @@ from ctsid_core.errors import SettingsError
 from ctsid_core.linear.types import ComplexArray
 from ctsid_core.model.residue_fit import simulated
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.gobf_equations import filter_records, observe, realise, sample_times
+from ctsid_core.subspace.gobf_equations import (
+    dynamics,
+    filter_records,
+    observe,
+    realise,
+    sample_times,
+)
 from ctsid_core.subspace.interface import MethodModel
 
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
@@ -49,12 +55,12 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
         for n in orders:
             if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
                 continue
-            m = realise(seen, n, feedthrough=settings.feedthrough)
-            fitted = simulated(
-                records, m.A, delay, trim=settings.trim, feedthrough=settings.feedthrough,
-                tolerance=settings.rank_tolerance)
-            found.append(MethodModel(fitted or m, _used(settings, own, n), seen.singular_values,
-                                     seen.condition))
+            A, _ = dynamics(own, seen.left[:, :n])
+            fitted = simulated(records, A, delay, trim=settings.trim,
+                               feedthrough=settings.feedthrough, tolerance=settings.rank_tolerance)
+            found.append(MethodModel(
+                fitted or realise(seen, n, feedthrough=settings.feedthrough),
+                _used(settings, own, n), seen.singular_values, seen.condition))
     return found
 
 
