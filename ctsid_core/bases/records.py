@@ -179,8 +179,6 @@ def check_alike(records: Sequence[Record]) -> None:
 
 def _same_samples(one: Record, other: Record) -> bool:
     """Return whether two records are of the same samples."""
-    if one is other:
-        return True
-    return one.epoch_ns == other.epoch_ns and all(
+    return one is other or one.epoch_ns == other.epoch_ns and all(
         np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
         for a, b in zip(one.outputs, other.outputs, strict=False))

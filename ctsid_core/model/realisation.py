@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, schur, solve_continuous_lyapunov, solve_sylvester
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.matrix_functions import modes
+from ctsid_core.linear.matrix_functions import SOUND, modes
 from ctsid_core.linear.types import Array, ComplexArray, Places
 
 # Poles this close to the imaginary axis, over |A|, have no Gramian worth the name; it is also how
@@ -53,7 +53,7 @@ def modal(A: Array, C: Array) -> tuple[Array, Array]:
 
     Raises `DataError` if A has no usable basis of eigenvectors.
     """
-    found = modes(A, condition_limit=1e10)
+    found = modes(A, SOUND)
     if found is None:
         raise DataError('poles coincide too closely for a modal form (the eigenvectors of A are '
                         'dependent); use balanced() instead')

@@ -47,28 +47,18 @@ class Group:
 
 @dataclass(frozen=True)
 class GroupCounts:
-    """
-    Counts of the samples of one group since the beginning.
-
-    Parameters
-    ----------
-    accepted, late, duplicate, astray, bad_stamp, non_finite, wrong_width : int
-        Numbers of samples: all but the accepted ones were dropped. Of samples with equal stamps
-        the first is kept. A bad stamp is zero, negative, or beyond the year 2116.
-    worst_late, worst_astray : float
-        How far behind (negative) or ahead of (positive) the newest stamp of all groups the worst
-        late sample and the worst stray one were [s].
-    """
+    """Counts of the samples of one group since the beginning: all but accepted were dropped."""
 
     accepted: int = 0
     late: int = 0
-    duplicate: int = 0
+    duplicate: int = 0         # of equal stamps the first is kept
     astray: int = 0
-    bad_stamp: int = 0
+    bad_stamp: int = 0         # zero, negative, or beyond the year 2116
     non_finite: int = 0
     wrong_width: int = 0
+    # how far behind (negative) the newest stamp of all groups the worst was [s]
     worst_late: float = 0.0
-    worst_astray: float = 0.0
+    worst_astray: float = 0.0  # likewise, or ahead (positive) [s]
 
 
 @dataclass(frozen=True)

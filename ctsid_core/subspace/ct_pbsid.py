@@ -43,13 +43,12 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.subspace.interface import MethodModel
+from ctsid_core.subspace.interface import SLOWEST, MethodModel
 from ctsid_core.subspace.pbsid_equations import Levels, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried
 _LONGEST = 0.4            # of the record that functions may reach at most, if the pole is chosen
-_SLOW = 10.0              # least pole tried, over the length of the record
 _MOST = 20000             # instants of a record
 
 
@@ -97,7 +96,7 @@ def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[flo
     if settings.laguerre_pole:
         return [settings.laguerre_pole]
     length = max(r.duration for r in records)
-    low = max(reach(past + 2) / _LONGEST, _SLOW) / length
+    low = max(reach(past + 2) / _LONGEST, SLOWEST) / length
     high = max(max(output_band(r) for r in records), 4.0 * low)
     return [float(a) for a in np.geomspace(low, high, _POLES)]
 

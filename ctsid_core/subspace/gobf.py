@@ -27,10 +27,9 @@ from ctsid_core.subspace.gobf_equations import (
     realise,
     sample_times,
 )
-from ctsid_core.subspace.interface import MethodModel
+from ctsid_core.subspace.interface import SLOWEST, MethodModel
 
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
-_SLOWEST = 10.0                 # times the inverse of the record's length: the least largest pole
 _FUNCTIONS = 8
 _SHARE = 0.8                    # of the fewest samples, that rows of the equations may be
 
@@ -79,7 +78,7 @@ def _chains(part: Joint, settings: Settings, order: int) -> list[Chain]:
     size = settings.tm_functions or max(
         _FUNCTIONS, 2 * -(-(settings.order or min(order, 6)) // records[0].ny))
     band = max(output_band(record) for record in records)
-    least = _SLOWEST / part.length
+    least = SLOWEST / part.length
     tops = sorted({max(band * fraction, least) for fraction in _FRACTIONS}, reverse=True)
     return [legendre(top / (size - 0.5), size) for top in tops]
 

@@ -17,7 +17,7 @@ from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.records import Joint
 from ctsid_core.linear.matrices import plain_matrices
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.interface import MethodModel
+from ctsid_core.subspace.interface import SLOWEST, MethodModel
 from ctsid_core.subspace.pbsid_equations import Subspace, Tuning, realise, regress, stack_levels
 
 _PASTS = (2, 3, 4, 6, 8, 12)
@@ -42,7 +42,7 @@ class Subspaces:
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
         top, settings = max(float(np.abs(p.s[-1])) for p in self.projection.records), self.settings
-        slow = 10.0 / self.projection.length
+        slow = SLOWEST / self.projection.length
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
         pasts = [settings.past] if settings.past else \

@@ -11,6 +11,8 @@ from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 
+SLOWEST = 10.0      # least pole to look for, times the length of the record
+
 
 @dataclass(frozen=True, eq=False)
 class MethodModel:
