@@ -32,7 +32,9 @@ def hermite_functions(nmax: int, x: Array) -> Array:
     """Return h_0 .. h_nmax at dimensionless times x (N,): (nmax + 1, N) ([HD] eq. 16 to 18)."""
     x = np.asarray(x, dtype=float)
     if x.size == 0 or np.abs(x).max() < _PLAIN_LIMIT:
-        return _recursion(nmax, x) / _balanced_coefficients(nmax)[1][:, np.newaxis]
+        g = _recursion(nmax, x)
+        g /= _balanced_coefficients(nmax)[1][:, np.newaxis]
+        return g
     # Outside of |x| = R + 40 every h_n is below 1e-300: moving x there changes nothing.
     edge = np.sqrt(2.0 * nmax + 1.0) + 40.0
     return _scaled_recursion(nmax, np.clip(x, -edge, edge))

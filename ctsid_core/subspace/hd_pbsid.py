@@ -65,7 +65,7 @@ class Subspaces:
         ny = len(self.projection.y)
         rows = (p + 1) * (ny + len(self.projection.u) + len(self.projection.tail)
                           + max(len(self.projection.ones), 1))
-        return p * ny > n and 2 * len(self.projection.s) >= 2 * rows
+        return p * ny > n and len(self.projection.s) >= rows
 
     def _regress(self, tuning: Tuning) -> Subspace:
         # One factorisation serves the past windows up to 6, which most searches stay within.
