@@ -80,11 +80,7 @@ class Tracker:
     Parameters
     ----------
     settings : Settings, optional
-
-    Attributes
-    ----------
-    settings : Settings
-        May be replaced between windows.
+        The attribute of that name may be replaced between windows.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
