@@ -12,16 +12,8 @@ from numpy.typing import ArrayLike
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array
-from ctsid_core.model.covariance import (
-    Covariance,
-    ResponseDeviation,
-    damping_deviation,
-    delay_deviation,
-    gain_deviation,
-    natural_frequency_deviation,
-    pole_covariance,
-    response_deviation,
-)
+from ctsid_core.model import covariance as known
+from ctsid_core.model.covariance import Covariance, ResponseDeviation
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
@@ -176,27 +168,27 @@ class Estimate:
     @property
     def pole_covariance(self) -> Array:
         """Covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
-        return self._derived(pole_covariance, 'n', 2, 2)
+        return self._derived(known.pole_covariance, 'n', 2, 2)
 
     @property
     def natural_frequency_std(self) -> Array:
         """Standard deviation of each natural frequency, (n,) [rad/s]."""
-        return self._derived(natural_frequency_deviation, 'n')
+        return self._derived(known.natural_frequency_deviation, 'n')
 
     @property
     def damping_std(self) -> Array:
         """Standard deviation of each damping ratio, (n,); 0 for real poles."""
-        return self._derived(damping_deviation, 'n')
+        return self._derived(known.damping_deviation, 'n')
 
     @property
     def dc_gain_std(self) -> Array:
         """Standard deviation of the DC gain, (ny, nu)."""
-        return self._derived(gain_deviation, 'ny', 'nu')
+        return self._derived(known.gain_deviation, 'ny', 'nu')
 
     @property
     def delay_std(self) -> Array:
         """Standard deviation of each dead time, (nu,) [s]; 0 where it was given."""
-        return self._derived(delay_deviation, 'nu')
+        return self._derived(known.delay_deviation, 'nu')
 
     def frequency_response_std(self, omega: ArrayLike) -> ResponseDeviation:
         """
@@ -209,7 +201,7 @@ class Estimate:
             nothing = np.full((np.size(omega), *((model.ny, model.nu) if model else (0, 0))),
                               np.nan)
             return ResponseDeviation(nothing, nothing)
-        return response_deviation(self.covariance, model, omega)
+        return known.response_deviation(self.covariance, model, omega)
 
     def _derived(self, what: Callable[[Covariance, StateSpace], Array],
                  *shape: str | int) -> Array:

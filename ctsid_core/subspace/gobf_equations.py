@@ -51,17 +51,6 @@ class Filtered:
     y: Array                           # (N, ny, columns)
     counts: tuple[int, int, int, int]  # how many of the inputs are u, impulses, constants, kinks
 
-    @property
-    def driving(self) -> int:
-        """How many inputs drive the states: all but the kinks."""
-        return sum(self.counts[:3])
-
-    def direct(self, feedthrough: bool) -> list[int]:
-        """Return which inputs act on the outputs at once."""
-        nu, impulses, ones, kinks = self.counts
-        first = nu + impulses
-        return [*range(nu * feedthrough), *range(first, first + ones + kinks)]
-
 
 @dataclass(frozen=True, eq=False)
 class Observability:
@@ -201,11 +190,12 @@ def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Ar
     them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
     """
     filtered, chain = found.filtered, found.filtered.chain
-    theta, ny, inputs = found.left[:, :n], len(found.scale), filtered.driving
-    other = found.left[:, n:]
+    theta, other, ny = found.left[:, :n], found.left[:, n:], len(found.scale)
+    nu, impulses, ones, kinks = filtered.counts
+    inputs = nu + impulses + ones                  # drive the states
+    direct = [*range(nu * feedthrough), *range(nu + impulses, inputs + kinks)]  # act at once
     # Z_k w: what the k-th block row of O B - b D is multiplied with
     moved = np.einsum('kij,jml->kiml', chain.commuting(), filtered.inputs)
-    direct = filtered.direct(feedthrough)
     rows = other.reshape(chain.size, ny, -1)
     state = -np.einsum('kpn,ipr,kiml->nmrl', theta.reshape(chain.size, ny, n), rows,
                        moved[:, :, :inputs], optimize=True)
@@ -218,5 +208,4 @@ def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Ar
     B = unknown[0, :n * inputs].reshape(n, inputs)
     D = np.zeros((ny, filtered.inputs.shape[1]))
     D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
-    nu = filtered.counts[0]
     return B[:, :nu], D[:, :nu]
