@@ -39,10 +39,10 @@ class Band:
     """Further excitation of one input in one band."""
 
     input: str
-    low: float          # [rad/s]
-    high: float         # [rad/s]
-    rms: float  # what the input has now, all frequencies together: the size of the excitation
-    share: float        # part of its power now that lies in this band
+    low: float    # [rad/s]
+    high: float   # [rad/s]
+    rms: float    # what the input has now, all frequencies together: the size of the excitation
+    share: float  # part of its power now that lies in this band
     ratio: float = 1.0  # standard deviation of the pole with it, over that without
 
 

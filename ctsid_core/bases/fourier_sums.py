@@ -36,9 +36,9 @@ _FINENESS = 2           # highest frequency of the grid over that of the sums
 class Grid:
     """Uniform instants, and the frequencies that belong to them."""
 
-    step: float   # between instants
-    size: int     # how many instants: sums repeat after all of them
-    w: Array      # (J,): frequencies from zero on, 2 pi / (size step) apart
+    step: float           # between instants
+    size: int             # how many instants: sums repeat after all of them
+    w: Array              # (J,): frequencies from zero on, 2 pi / (size step) apart
     series: ComplexArray  # (J, terms): b_d(w_j)
 
 

@@ -78,7 +78,7 @@ def shifted(count: int, a: float, h: Array) -> Array:
 class Pieces:
     """A signal as polynomials between nodes."""
 
-    nodes: Array   # (N + 1,), increasing [s]
+    nodes: Array  # (N + 1,), increasing [s]
     # (N, q, channels): at q equidistant points of each interval, both ends too; 1: constant
     values: Array
 

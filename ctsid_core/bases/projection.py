@@ -24,13 +24,13 @@ class Projection:
     over them are those over the coefficients.
     """
 
-    s: Lines  # (L,): the derivative, line by line [rad/s]: purely imaginary
-    u: Lines                              # (nu, L)
-    y: Lines                              # (ny, L)
+    s: Lines      # (L,): the derivative, line by line [rad/s]: purely imaginary
+    u: Lines      # (nu, L)
+    y: Lines      # (ny, L)
     # (0 or parts, L): virtual inputs that stand for the truncated part of the state's derivative,
     # one for each part of a divided record, one record after the other
     tail: Lines
-    ones: Lines  # (0 or records, L): the constant 1 over each record: trim of states and outputs
+    ones: Lines   # (0 or records, L): the constant 1 over each record: trim of states and outputs
     # Time that a coordinate unit stands for [s]: white noise of intensity R has variance R / unit
     # in every real and imaginary part
     unit: float

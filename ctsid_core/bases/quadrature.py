@@ -43,7 +43,7 @@ _STEEP = 1e-5         # the same, below which a straight line is a jump: its slo
 class Samples:
     """A signal made ready for projection: weights at nodes, and the steps to its coefficients."""
 
-    x: Array                          # (N,): nodes, dimensionless
+    x: Array        # (N,): nodes, dimensionless
     weights: Array  # (m, N): summed with h_n at the nodes; several blocks if `finish` wants them
     # from sums (m, nmax + 1) to coefficients (channels, nmax + 1)
     finish: Callable[[Array], Array]

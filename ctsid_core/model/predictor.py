@@ -37,8 +37,8 @@ LONGEST = 2.0  # a sample speaks for at most that many median intervals, gaps or
 class Stream:
     """Output channels that share their stamps."""
 
-    channels: slice         # which outputs of the model
-    rows: Places  # where their stamps stand among the merged stamps of all outputs
+    channels: slice  # which outputs of the model
+    rows: Places     # where their stamps stand among the merged stamps of all outputs
 
 
 def predictor_gain(model: StateSpace, noise: Array, duration: float) -> tuple[Array | None, str]:

@@ -35,8 +35,8 @@ class _Output:
 
     # (rows, modes, S): of the modes to u, to an impulse at the start of each record, to 1 in each
     states: ComplexArray
-    direct: Array   # (rows, d): u if the output follows it at once, and 1 in each record
-    y: Array        # (rows, 1): over the output's size
+    direct: Array  # (rows, d): u if the output follows it at once, and 1 in each record
+    y: Array       # (rows, 1): over the output's size
 
     def fitted(self, states: ComplexArray, tolerance: float) -> tuple[ComplexArray, Array]:
         """Return the coefficients of states, (rows, k), and of what acts at once."""

@@ -28,14 +28,14 @@ from ctsid_core.signals.record import Record, channel_slices
 class Validation:
     """Measured and computed outputs, and how well they agree."""
 
-    times: Array                 # (M,): merged stamps of all outputs within the record [s]
-    y: Array  # (M, ny): measured; NaN where an output has no sample at that stamp
+    times: Array  # (M,): merged stamps of all outputs within the record [s]
+    y: Array      # (M, ny): measured; NaN where an output has no sample at that stamp
     # (M, ny): computed. Of a prediction: NaN where an output has no sample, or cannot be predicted
     # yet
     y_hat: Array
-    fit: Array                   # (ny,): NRMSE fit of each output [%], see `fit`
-    vaf: Array                   # (ny,): variance accounted for, of each output [%], see `vaf`
-    x0: Array                    # (n,): state at `times[0]`
+    fit: Array    # (ny,): NRMSE fit of each output [%], see `fit`
+    vaf: Array    # (ny,): variance accounted for, of each output [%], see `vaf`
+    x0: Array     # (n,): state at `times[0]`
     notes: tuple[str, ...] = ()  # what else the reader should know
 
 

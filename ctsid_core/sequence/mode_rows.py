@@ -41,7 +41,7 @@ class Rows:
     # of two models' rows, those with the same identity are the same mode
     identities: tuple[int, ...] = ()
     eigenvalues: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=complex))
-    order: tuple[int, ...] = ()       # which of the model's `poles` stands in each row
+    order: tuple[int, ...] = ()  # which of the model's `poles` stands in each row
 
 
 def follow(rows: Rows, poles: ComplexArray, floor: float, first: int) -> Rows:

@@ -38,7 +38,7 @@ _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 class Tracked:
     """The estimate of one window, in sequence with the windows before it."""
 
-    estimate: Estimate           # its model, if accepted, in the states of this realisation
+    estimate: Estimate       # its model, if accepted, in the states of this realisation
     # Matrices with the same number have the same states. Counts up from 1 whenever the states
     # start anew (another order, or a plant too unlike); 0 before the first model.
     realisation: int = 0
@@ -53,7 +53,7 @@ class Tracked:
     # one which it has not seen [%]: 100 (1 - rms(error there) / rms(y - mean y)), with mean and
     # rms of y over the whole window. NaN without such a model, or for fewer than 10 new samples.
     fresh_fit: Array = field(default_factory=lambda: np.empty(0))
-    fresh_start_ns: int = 0      # the part tested, absolute [ns]; 0 if none was
+    fresh_start_ns: int = 0  # the part tested, absolute [ns]; 0 if none was
     fresh_end_ns: int = 0
 
 

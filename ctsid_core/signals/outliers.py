@@ -35,7 +35,7 @@ SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whethe
 class Spikes:
     """Corrupt samples of one signal."""
 
-    mask: Mask                      # (N, m): which samples are corrupt
+    mask: Mask      # (N, m): which samples are corrupt
     instead: Array  # (N, m): the values, with corrupt samples bridged from their neighbours
     # channels with so many far samples that none was taken for corrupt
     too_many: tuple[int, ...] = ()

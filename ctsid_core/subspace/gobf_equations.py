@@ -48,7 +48,7 @@ class Filtered:
 
     chain: Chain
     inputs: Array  # (N, k, columns): u, impulses (initial states), constants 1 (trim), kinks
-    y: Array                           # (N, ny, columns)
+    y: Array       # (N, ny, columns)
     counts: tuple[int, int, int, int]  # how many of the inputs are u, impulses, constants, kinks
 
 
