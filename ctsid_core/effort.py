@@ -21,24 +21,15 @@ from ctsid_core.errors import Cancelled, SettingsError
 # node and replay then need the same value.
 RATE = 5e9
 VARIABLE = 'CTSID_WORK_RATE'
-_ROWS, _COLUMNS, _TIMES = 1000, 40, 101  # of the matrix that the rate is measured with
 
 
 class Effort:
     """
     The effort of one identification.
 
-    Parameters
-    ----------
-    budget : float
-        Processor time that it may take [s], as far as `RATE` knows; 0: no limit.
-    cancelled : callable, optional
-        Returns whether nobody wants the result any more.
-
-    Raises
-    ------
-    SettingsError
-        If the environment variable CTSID_WORK_RATE is not a positive number.
+    It may take a budget of processor time [s], as far as `RATE` knows; 0: no limit. `cancelled`
+    returns whether nobody wants the result any more. Raises `SettingsError` if the environment
+    variable CTSID_WORK_RATE is not a positive number.
     """
 
     def __init__(self, budget: float = 0.0, cancelled: Callable[[], bool] | None = None) -> None:
@@ -46,26 +37,12 @@ class Effort:
         self._work, self._kept, self._rate = 0.0, 0.0, work_rate()
 
     def check(self) -> None:
-        """
-        Go on, if it is still wanted.
-
-        Raises
-        ------
-        Cancelled
-            If it is not.
-        """
+        """Go on, if it is still wanted; else raise `Cancelled`."""
         if self._cancelled is not None and self._cancelled():
             raise Cancelled
 
     def spend(self, work: float) -> None:
-        """
-        Count work that is about to be done, if it is still wanted.
-
-        Raises
-        ------
-        Cancelled
-            If it is not.
-        """
+        """Count work that is about to be done; raise `Cancelled` if it is not wanted any more."""
         self.check()
         self._work += work
 
@@ -110,19 +87,17 @@ def work_rate() -> float:
 
 def measured_rate(clock: Callable[[], float]) -> float:
     """
-    Return the work per second of this computer, for people: nothing is computed with it.
+    Return the work per second of this computer, by a clock of processor time [s].
 
-    Parameters
-    ----------
-    clock : callable
-        Returns processor time [s].
+    For people: nothing is computed with it.
     """
     import numpy as np
 
-    matrix = np.random.default_rng(0).standard_normal((_ROWS, _COLUMNS))
+    rows, columns = 1000, 40
+    matrix = np.random.default_rng(0).standard_normal((rows, columns))
     times = []
-    for _ in range(_TIMES):
+    for _ in range(101):
         start = clock()
         np.linalg.qr(matrix, mode='r')
         times.append(clock() - start)
-    return 2.0 * _ROWS * _COLUMNS ** 2 / max(float(np.median(times)), 1e-9)
+    return 2.0 * rows * columns ** 2 / max(float(np.median(times)), 1e-9)

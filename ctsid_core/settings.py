@@ -30,30 +30,12 @@ def parameter(
     auto: str = '', structural: bool = False, when: str = '',
 ) -> Any:
     """
-    Declare one parameter as a dataclass field.
+    Declare one parameter as a dataclass field; its type is that of its default.
 
-    Parameters
-    ----------
-    default
-        Its default; the type of the parameter is the type of the default.
-    doc : str
-        One sentence: what it means.
-    name : str
-        Dotted name; the field's own name where empty.
-    unit : str
-        Unit, for people.
-    low, high : float, optional
-        Inclusive range.
-    choices : tuple of str
-        Allowed words.
-    words : tuple of str
-        Words that a number may be replaced by.
-    auto : str
-        What the value 0 means where 0 stands for 'automatic'.
-    structural : bool
-        True if it can only change while the node is not active.
-    when : str
-        When to change it.
+    `doc` says in a sentence what it means, `when` when to change it. `name` is dotted, the field's
+    own where empty; the range `low` to `high` is inclusive; `choices` are the allowed words,
+    `words` may replace a number, `auto` is what the value 0 means where it stands for 'automatic'.
+    A structural one can only change while the node is not active.
     """
     return field(default=default, metadata={
         'doc': doc, 'name': name, 'unit': unit, 'low': low, 'high': high, 'choices': choices,
@@ -250,19 +232,8 @@ def build_declared(cls: type[Any], values: Mapping[str, object], prefix: str = '
     """
     Build a declared dataclass from dotted names, listing unknown names and bad values at once.
 
-    Parameters
-    ----------
-    cls : type
-        A dataclass whose fields were made by `parameter`.
-    values : mapping
-        Dotted name to value, as a parameter file gives them.
-    prefix : str
-        Put before each name in messages.
-
-    Raises
-    ------
-    SettingsError
-        With one sentence per fault.
+    `values` are as a parameter file gives them; `prefix` is put before each name in messages.
+    Raises `SettingsError` with one sentence per fault.
     """
     declared = {parameter_name(f): f for f in fields(cls)}
     faults, accepted = [], {}

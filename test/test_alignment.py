@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from ctsid_core.errors import DataError
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.sequence.alignment import align, reference_form
+from ctsid_core.sequence.alignment import aligning, referring
 from ctsid_core.signals.record import Signal
 
 RNG = np.random.default_rng
@@ -21,6 +21,15 @@ INTEGRATORS = StateSpace([[0, 1, 0], [0, 0, 1], [0, 0, -5]], [[0], [0], [5]], [[
 # A quadrotor's axis: twice unstable, with a motor lag and three sensors in mixed units
 FLYING = StateSpace([[0.1, 1, 0], [0.5, 0.2, 300], [0, 0, -20]], [[0], [0], [20]],
                     [[57, 0, 0], [0, 1, 0], [0, 0.0002, 0.05]])
+
+
+def reference_form(system):
+    return referring(system)[0]
+
+
+def align(system, reference):
+    T = aligning(system, reference)
+    return None if T is None else system.transform(T)
 
 
 def model(plant) -> StateSpace:

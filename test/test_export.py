@@ -13,6 +13,8 @@ import subprocess
 import numpy as np
 import pytest
 import scipy.io
+from ticks import response as ticked_response
+from ticks import simulated
 import yaml
 
 from ctsid_core import Settings, StateSpace
@@ -199,7 +201,7 @@ def test_the_c_code_computes_what_the_model_simulates(folder, model, rate):
     u = np.random.default_rng(0).standard_normal((500, model.nu))
     out = run('./main', input='\n'.join(' '.join(map(repr, row)) for row in u.tolist()))
     got = np.array([line.split() for line in out.splitlines()], dtype=float)
-    same(got, discretise(model, rate).simulate(u))
+    same(got, simulated(discretise(model, rate), u))
 
 
 @pytest.mark.skipif(shutil.which('c++') is None, reason='there is no C++ compiler c++')
@@ -240,7 +242,7 @@ def test_python_control_has_the_discrete_model(folder):
     found = executed(export(model, 'python-control', '--rate', 100))['sys']
     assert found.dt == 0.01
     same(np.moveaxis(found(np.exp(1j * OMEGA / 100)), 2, 0),
-         discretise(model, 100).frequency_response(OMEGA))
+         ticked_response(discretise(model, 100), OMEGA))
 
 
 @pytest.mark.parametrize('model', [model_of(), model_of(names=True), model_of(2, 0)])

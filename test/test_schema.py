@@ -13,7 +13,13 @@ pytest.importorskip('jsonschema', reason='jsonschema is not installed')
 from schema import faults, faults_of_file, validator  # noqa: E402
 
 from ctsid_core.model import model_json  # noqa: E402
-from ctsid_core.model.estimate import Estimate, Status  # noqa: E402
+from ctsid_core.model.cross_check_result import Agreement  # noqa: E402
+from ctsid_core.model.estimate import (  # noqa: E402
+    Estimate,
+    OrderTried,
+    RecordShare,
+    Status,
+)
 from ctsid_core.model.storage import to_json  # noqa: E402
 from ctsid_core.model.verdict import Excitation, Grade, Verdict  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402
@@ -36,19 +42,23 @@ def test_the_schema_names_what_the_code_writes():
     schema = validator().schema
     model, verdict = schema['$defs']['model'], schema['$defs']['verdict']
     top = schema['properties']
-    assert set(top) == {*model_json.TOP_KEYS, 'records', 'orders'}
-    assert set(model['properties']) == set(model_json.MODEL_KEYS)
+    assert set(top) == set(model_json.TOP)
+    assert set(model['properties']) == {
+        *model_json.SIZES, *model_json.WORDS, *model_json.MATRICES, 'noise', 'poles'}
     assert set(verdict['properties']) == {f.name for f in fields(Verdict)}
     assert set(verdict['properties']['excitation']['items']['properties']) == {
         'input', *(f.name for f in fields(Excitation))} - {'name'}
-    assert set(verdict['properties']['agreement']['properties']) == set(
-        model_json.AGREEMENT_KEYS)
-    assert set(top['records']['items']['properties']) == set(model_json.RECORD_KEYS)
-    assert set(top['orders']['items']['properties']) == set(model_json.ORDER_KEYS)
+    assert set(verdict['properties']['agreement']['properties']) == {
+        f.name for f in fields(Agreement)}
+    assert set(top['records']['items']['properties']) == {
+        f.name for f in fields(RecordShare)}
+    assert set(top['orders']['items']['properties']) == {
+        f.name for f in fields(OrderTried)}
     assert set(top['deviations']['properties']) == set(model_json.DEVIATIONS)
     assert set(top['covariance']['anyOf'][0]['properties']) == {
-        *model_json.COVARIANCE_KEYS, 'rivals'}
-    assert set(model['properties']['poles']['items']['properties']) == set(model_json.POLE_KEYS)
+        *model_json.SIZES, 'root', 'rivals'}
+    assert set(model['properties']['poles']['items']['properties']) == {
+        're', 'im', 'natural_frequency', 'damping'}
     assert top['status']['enum'] == list(Status.__members__)
     assert verdict['properties']['grade']['enum'] == list(Grade.__members__)
     assert (top['format']['const'], top['version']['const']) == (

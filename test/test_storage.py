@@ -284,7 +284,7 @@ def put(value, *where):
     (put([], 'model', 'poles'), '`model.poles` are not the eigenvalues'),
     (put([3], 'model', 'poles'), '`model.poles` is not a list of poles'),
     (put(4, 'model', 'n'), '`model.A` has 3 entries, but 4 by 4'),
-    (put(-1, 'model', 'n'), 'negative dimensions'), (put(1.5, 'model', 'n'), '`n` is 1.5'),
+    (put(-1, 'model', 'n'), 'negative dimensions'), (put(1.5, 'model', 'n'), '`model.n` is 1.5'),
     (put([-1, 0], 'model', 'delay'), 'none negative'),
     (put(['a'], 'model', 'input_names'), 'wanted are 2'),
     (put([1, 2], 'model', 'input_names'), r'`model.input_names\[0\]` is 1, but a word'),

@@ -87,13 +87,6 @@ def test_simulation_of_the_truth_is_perfect_and_finds_the_initial_state(split):
     assert not np.isnan(found.y_hat).any()
 
 
-def test_without_its_initial_state_the_simulation_is_worse():
-    record = record_of(STABLE, 0, x0=np.array([3.0, -2.0, 1.0]))
-    found = simulation(STABLE, record, initial_state='zero')
-    assert (found.fit < 99).all()
-    assert not found.x0.any()
-
-
 def test_estimated_initial_state_is_the_least_squares_one():
     record = record_of(STABLE, 1, noise=0.3)
     found = simulation(STABLE, record)
@@ -116,9 +109,6 @@ def test_trim_can_be_refitted():
     assert simulation(STABLE, moved).fit[0] < 50
     found = simulation(STABLE, moved, trim='refit')
     assert (found.fit > 100 - 1e-9).all()
-    zero = simulation(STABLE, record_of(STABLE, 2, x0=np.zeros(3)), trim='refit',
-                      initial_state='zero')
-    assert (zero.fit > 100 - 1e-9).all()
 
 
 def test_an_unstable_model_is_simulated_over_any_length():
@@ -134,15 +124,16 @@ def test_an_unstable_model_is_simulated_over_any_length():
     found = simulation(UNSTABLE, record)
     assert found.fit[0] > 99
     assert found.x0 == pytest.approx([0.5, 0.0], abs=2e-3)
-    assert simulation(UNSTABLE, record, initial_state='zero').fit[0] < -1e20
+    assert fit(found.y, UNSTABLE.simulate(record.inputs, found.times))[0] < -1e20
 
 
 def test_a_simulation_that_leaves_floating_point_has_no_fit():
     wild = StateSpace([[150, 50], [-50, 150]], [[1], [1]], [[1, 1]])
     record = record_of(LAG_1, 0)
-    found = simulation(wild, record, initial_state='zero')
-    assert found.fit[0] == -np.inf
+    found = simulation(wild, record)
     assert not np.isnan(found.y_hat).any()
+    diverged = np.nan_to_num(wild.simulate(record.inputs, found.times), nan=np.inf)
+    assert fit(found.y, diverged)[0] == -np.inf
 
 
 def test_stiff_models_and_unobservable_states_do_no_harm():
@@ -167,8 +158,6 @@ def test_an_unknown_option_and_other_channels_are_refused():
     record = record_of(STABLE, 0)
     with pytest.raises(DataError, match="`trim` is 'free'"):
         simulation(STABLE, record, trim='free')
-    with pytest.raises(DataError, match='`initial_state`'):
-        simulation(STABLE, record, initial_state='guess')
     with pytest.raises(DataError, match='2 input channels given, but the model has 1'):
         simulation(UNSTABLE, record)
     with pytest.raises(DataError, match='`residuals`'):

@@ -27,33 +27,19 @@ _SMALL = 0.97         # of the deviation: a band that leaves more than this does
 
 @dataclass(frozen=True)
 class PoleAdvice:
-    """
-    What it takes to know one pole, or pair, as well as wanted.
+    """What it takes to know one pole, or pair, as well as wanted."""
 
-    Parameters
-    ----------
-    pole : complex
-        [rad/s]; of a pair the upper one.
-    std, wanted : float
-        Standard deviation now, and wanted [rad/s].
-    longer : float
-        How many times as long the data have to be, with the same excitation; 1 if they are long
-        enough. Reckoned as if in separate windows: one long record is at least as good.
-    larger : float
-        How many times as large the excitation has to be over the same time, if the plant stays
-        linear; 1 if it is large enough.
-    bands : tuple of Band
-        What further excitation in one band would do, the most helpful first.
-    enough : float
-        How long it has to last in the most helpful one [s]; infinite if that is not the way.
-    """
-
-    pole: complex
-    std: float
-    wanted: float
+    pole: complex            # [rad/s]; of a pair the upper one
+    std: float               # standard deviation now [rad/s]
+    wanted: float            # [rad/s]
+    # how many times as long the data have to be, with the same excitation; 1 if they are long
+    # enough. Reckoned as if in separate windows: one long record is at least as good
     longer: float
+    # how many times as large the excitation has to be over the same time, if the plant stays
+    # linear; 1 if it is large enough
     larger: float
-    bands: tuple[Band, ...]
+    bands: tuple[Band, ...]  # what further excitation in one band would do, the most helpful first
+    # how long it has to last in the most helpful one [s]; infinite if that is not the way
     enough: float
 
     @property
@@ -64,22 +50,11 @@ class PoleAdvice:
 
 @dataclass(frozen=True)
 class Advice:
-    """
-    Which further experiment would help.
+    """Which further experiment would help."""
 
-    Parameters
-    ----------
-    poles : tuple of PoleAdvice
-        Slowest first; empty if there is no model.
-    seconds : float
-        How long the further excitation of `bands` lasts [s].
-    sentences : tuple of str
-        The same for people.
-    """
-
-    poles: tuple[PoleAdvice, ...]
-    seconds: float
-    sentences: tuple[str, ...]
+    poles: tuple[PoleAdvice, ...]  # slowest first; empty if there is no model
+    seconds: float                 # how long the further excitation of `bands` lasts [s]
+    sentences: tuple[str, ...]     # the same for people
 
 
 def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float = 0.05,

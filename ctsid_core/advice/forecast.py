@@ -36,49 +36,24 @@ _BEYOND = 5.0         # times the fastest pole: nothing is to be learnt at highe
 
 @dataclass(frozen=True)
 class Band:
-    """
-    Further excitation of one input in one band.
-
-    Parameters
-    ----------
-    input : str
-    low, high : float
-        [rad/s]
-    rms : float
-        What the input has now, all frequencies together: the size of the excitation.
-    share : float
-        Part of its power now that lies in this band.
-    ratio : float
-        Standard deviation of the pole with it, over that without.
-    """
+    """Further excitation of one input in one band."""
 
     input: str
-    low: float
-    high: float
-    rms: float
-    share: float
-    ratio: float = 1.0
+    low: float    # [rad/s]
+    high: float   # [rad/s]
+    rms: float    # what the input has now, all frequencies together: the size of the excitation
+    share: float  # part of its power now that lies in this band
+    ratio: float = 1.0  # standard deviation of the pole with it, over that without
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """
-    How well the poles are known, and what would change it.
+    """How well the poles are known, and what would change it."""
 
-    Parameters
-    ----------
-    poles : ndarray, shape (n,)
-    slopes : ndarray, shape (r, n)
-        Their changes along r directions of unit variance.
-    bands : tuple of Band
-    added : ndarray, shape (bands, r, r)
-        Information in these directions that a second in each band adds.
-    """
-
-    poles: ComplexArray
-    slopes: ComplexArray
+    poles: ComplexArray   # (n,)
+    slopes: ComplexArray  # (r, n): their changes along r directions of unit variance
     bands: tuple[Band, ...]
-    added: Array
+    added: Array          # (bands, r, r): information along them that a second in each band adds
 
     def deviation(self, k: int) -> float:
         """Return the standard deviation of pole k now [rad/s]."""
@@ -94,17 +69,10 @@ class Forecast:
 def forecast(estimate: Estimate, model: StateSpace, covariance: Covariance,
              records: Sequence[Record]) -> Forecast:
     """
-    Return what further data would add.
+    Return what further data would add to what records have given.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        With the errors that its deviations count.
-    model : StateSpace
-        Of it, accepted or not.
-    covariance : Covariance
-    records : sequence of Record
-        That it is of.
+    The model of an estimate may be accepted or not; its errors are those that its deviations
+    count.
     """
     edges, bands, added = _edges(model, records), [], []
     noise = _innovations if any(c.value == 'predictions' for c in estimate.choices) else _white
@@ -126,14 +94,12 @@ def _information(model: StateSpace, covariance: Covariance, density: Callable[[A
     omega = low + (high - low) * (np.arange(_POINTS) + 0.5) / _POINTS
     changes = covariance.response_changes(model, omega)[:, :, :, j] / np.sqrt(density(omega))
     rows = changes.reshape(len(changes), -1)
-    found: Array = (rows @ rows.conj().T).real / _POINTS
-    return found
+    return (rows @ rows.conj().T).real / _POINTS
 
 
-def _white(verdict: Verdict, model: StateSpace, records: Sequence[Record],
+def _white(verdict: Verdict, _: StateSpace, records: Sequence[Record],
            omega: Array) -> Array:
     """Return the density of what is not explained, as deviations count it: (M, ny) [unit^2 s]."""
-    del model
     found = []
     for signals in zip(*(record.outputs for record in records), strict=True):
         size = np.std(np.concatenate([s.values for s in signals]), axis=0)
@@ -142,10 +108,9 @@ def _white(verdict: Verdict, model: StateSpace, records: Sequence[Record],
     return np.tile(_told(density), (len(omega), 1))
 
 
-def _innovations(verdict: Verdict, model: StateSpace, records: Sequence[Record],
+def _innovations(verdict: Verdict, model: StateSpace, _: Sequence[Record],
                  omega: Array) -> Array:
     """Return the same of a model that predicts: innovations, seen through the plant."""
-    del records
     system = 1j * omega[:, np.newaxis, np.newaxis] * np.eye(model.n) - model.A
     colour = np.eye(model.ny) + model.C @ np.linalg.solve(
         system, np.broadcast_to(model.K, (len(omega), *model.K.shape)))

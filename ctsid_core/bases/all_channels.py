@@ -33,15 +33,8 @@ def whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
     """
     Return the model of all channels: constant ones have zero rows and columns.
 
-    Parameters
-    ----------
-    part : Usable
-    m : Matrices
-        Of the moving channels.
-    delay : tuple of float
-        Dead time of every input [s].
-    intensity : ndarray or None
-        Of the noise of the moving outputs, a square matrix [unit^2 s]; None: not known.
+    `m` is of the moving channels, `delay` of every input [s], `intensity` of the noise of the
+    moving outputs, a square matrix [unit^2 s], or None if it is not known.
     """
     whole = part.whole
     n, nu, ny = len(m.A), whole.nu, whole.ny

@@ -27,21 +27,10 @@ _SMOOTHING = 31         # periodogram lines averaged, so that noise alone stays 
 
 def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int, str]:
     """
-    Choose the highest order of the Hermite functions, and the parts of a long record.
+    Return the highest order of the Hermite functions, the number of parts, and why, for the user.
 
-    Parameters
-    ----------
-    record : Record
-    band : float
-        Up to which the outputs rise above their noise in other records [rad/s].
-
-    Returns
-    -------
-    nmax : int
-        Of each part.
-    parts : int
-    why : str
-        One sentence for the user.
+    Of each part of a long record; `band` is up to which the outputs rise above their noise in
+    other records [rad/s].
     """
     tau = 0.5 * record.duration
     band = max(band, output_band(record))
@@ -69,16 +58,8 @@ def output_band(record: Record) -> float:
 
 def signal_band(signal: Signal, start: float, end: float) -> float:
     """
-    Return the frequency up to which a signal rises above its noise [rad/s].
+    Return the frequency up to which a signal rises above its noise in [start, end] [rad/s].
 
-    Parameters
-    ----------
-    signal : Signal
-    start, end : float
-        Interval looked at [s].
-
-    Notes
-    -----
     Periodogram of the interpolated signal with a window of low side lobes; the noise floor is the
     median of the upper quarter of the frequencies, where no plant responds.
     """

@@ -22,19 +22,10 @@ _FEW = 4                # vectors that are taken one after the other
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """
-    A matrix in blocks of rows.
+    """A matrix in blocks of rows."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    blocks : tuple
-        Of each block, its first row, its first column and its entries.
-    """
-
-    shape: tuple[int, int]
-    blocks: tuple[tuple[int, int, Array], ...]
+    shape: tuple[int, int]                      # rows and columns
+    blocks: tuple[tuple[int, int, Array], ...]  # of each: first row, first column, entries
 
     @classmethod
     def of(cls, matrix: Array) -> Blocks:
@@ -49,26 +40,8 @@ class Blocks:
                     part[:, there[0]:there[-1] + 1])))
         return cls((matrix.shape[0], matrix.shape[1]), tuple(found))
 
-    def dense(self) -> Array:
-        """Return the matrix, but for what was negligible."""
-        found = np.zeros(self.shape)
-        for row, column, entries in self.blocks:
-            rows, columns = entries.shape
-            found[row:row + rows, column:column + columns] = entries
-        return found
-
     def times(self, vectors: Array) -> Array:
-        """
-        Return the products of the matrix (r, c) with vectors.
-
-        Parameters
-        ----------
-        vectors : ndarray, shape (m, c)
-
-        Returns
-        -------
-        ndarray, shape (m, r)
-        """
+        """Return the products of the matrix (r, c) with vectors (m, c): (m, r)."""
         found = np.zeros((len(vectors), self.shape[0]))
         vectors = np.ascontiguousarray(vectors)
         for row, column, entries in self.blocks:

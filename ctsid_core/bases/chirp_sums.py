@@ -10,27 +10,16 @@ on Audio and Electroacoustics 18).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import fft, ifft, next_fast_len
 
-from ctsid_core.linear.types import Array
-
-Sums = NDArray[np.complex128]
+from ctsid_core.linear.types import Array, ComplexArray
 
 _FEWEST = 256           # samples: below, sums by other means are as quick
 _SAME = 3e-11           # phase [rad] by which stamps may be off uniform ones: their rounding
 
 
 def uniform(x: Array, top: float) -> bool:
-    """
-    Return whether stamps are uniform to their rounding.
-
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-    top : float
-        Highest frequency that matters [rad].
-    """
+    """Return whether stamps (N,) are uniform to their rounding, for frequencies to `top` [rad]."""
     n = len(x)
     if n < _FEWEST:
         return False
@@ -43,23 +32,11 @@ def uniform(x: Array, top: float) -> bool:
     return bool(step > 0.0)
 
 
-def chirp_sums(x: Array, weights: Array, step: float, count: int) -> Sums:
+def chirp_sums(x: Array, weights: Array, step: float, count: int) -> ComplexArray:
     """
-    Return the sums over the samples of weights_k exp(-i w_j x_k).
+    Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, count).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Uniform stamps.
-    weights : ndarray, shape (m, N)
-    step : float
-        Of the frequencies: w_j = j step.
-    count : int
-        Number of frequencies, from 0 on.
-
-    Returns
-    -------
-    ndarray, shape (m, count)
+    Of uniform stamps x (N,) and weights (m, N), at the frequencies w_j = j step.
     """
     n = len(x)
     before = (n - 1) // 2                              # phases are least about the middle
@@ -73,11 +50,10 @@ def chirp_sums(x: Array, weights: Array, step: float, count: int) -> Sums:
     spectrum *= fft(kernel)
     middle = 0.5 * (x[0] + x[-1]) - (0.5 * (n - 1) - before) * (x[-1] - x[0]) / (n - 1)
     turn = np.exp(-1j * (step * middle) * np.arange(count)) * chirp[:count]
-    sums: Sums = ifft(spectrum, axis=1, overwrite_x=True)[:, before:before + count] * turn
-    return sums
+    return np.asarray(ifft(spectrum, axis=1, overwrite_x=True)[:, before:before + count] * turn)
 
 
-def _chirp(theta: float, count: int) -> Sums:
+def _chirp(theta: float, count: int) -> ComplexArray:
     """
     Return exp(-i theta m^2 / 2) for m = 0 .. count - 1.
 

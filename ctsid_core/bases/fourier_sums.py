@@ -20,49 +20,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csc_array
 from scipy.special import jv
 
 from ctsid_core.bases.chirp_sums import chirp_sums, uniform
-from ctsid_core.linear.types import Array
-
-Sums = NDArray[np.complex128]
+from ctsid_core.bases.hermite_functions import BLOCK
+from ctsid_core.linear.types import Array, ComplexArray
 
 _TERMS = 12             # of the series
 _FINENESS = 2           # highest frequency of the grid over that of the sums
-_BLOCK = 8192           # samples taken at a time, to stay in the cache
 
 
 @dataclass(frozen=True)
 class Grid:
-    """
-    Uniform instants, and the frequencies that belong to them.
+    """Uniform instants, and the frequencies that belong to them."""
 
-    Parameters
-    ----------
-    step : float
-        Between instants.
-    size : int
-        How many instants: sums repeat after all of them.
-    w : ndarray, shape (J,)
-        Frequencies from zero on, 2 pi / (size step) apart.
-    series : ndarray, shape (J, terms)
-        b_d(w_j).
-    """
-
-    step: float
-    size: int
-    w: Array
-    series: Sums
+    step: float           # between instants
+    size: int             # how many instants: sums repeat after all of them
+    w: Array              # (J,): frequencies from zero on, 2 pi / (size step) apart
+    series: ComplexArray  # (J, terms): b_d(w_j)
 
 
 def fourier_grid(reach: float, top: float) -> Grid:
     """
     Return the coarsest grid for stamps |x| <= reach and frequencies from 0 to `top` [rad].
 
-    Sums are then periodic in x with 2 `reach`.
+    ComplexArray are then periodic in x with 2 `reach`.
     """
     count = int(np.ceil(top * reach / np.pi)) + 1
     size = int(next_fast_len(2 * _FINENESS * (count - 1), real=True))
@@ -73,27 +57,18 @@ def fourier_grid(reach: float, top: float) -> Grid:
     return Grid(step, size, w, np.where(d == 0, 1.0, 2.0) * (-1j) ** d * bessel)
 
 
-def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
+def fourier_sums(x: Array, weights: Array, grid: Grid) -> ComplexArray:
     """
-    Return the sums over the samples of weights_k exp(-i w_j x_k).
+    Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, J).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Stamps in any order. Their phase is rounded in proportion to them.
-    weights : ndarray, shape (m, N)
-    grid : Grid
-
-    Returns
-    -------
-    ndarray, shape (m, J)
-        Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for;
-        stamps uniform but for phases of 3e-11 are taken to be uniform.
+    Of stamps x (N,) in any order, whose phase is rounded in proportion to them, and weights (m,
+    N). Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for;
+    stamps uniform but for phases of 3e-11 are taken to be uniform.
     """
     total = np.zeros((len(weights), len(grid.w)), dtype=complex)
     moments = None
-    for first in range(0, len(x), _BLOCK):
-        part = slice(first, first + _BLOCK)
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         if uniform(x[part], float(grid.w[-1])):
             total += chirp_sums(x[part], weights[:, part], float(grid.w[1]), len(grid.w))
             continue
@@ -102,7 +77,7 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> Sums:
     if moments is None:
         return total
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
-    sums: Sums = (spectra.reshape(len(grid.w), _TERMS, -1)
+    sums: ComplexArray = (spectra.reshape(len(grid.w), _TERMS, -1)
                   * grid.series[:, :, np.newaxis]).sum(axis=1).T
     return total + sums
 

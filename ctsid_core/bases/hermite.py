@@ -17,10 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.blocks import Blocks
@@ -29,73 +30,50 @@ from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record, Signal, channel_slices
 
 
 @dataclass(frozen=True)
 class HermiteLines:
-    """
-    What depends on nmax alone.
+    """What depends on nmax alone."""
 
-    Parameters
-    ----------
-    w : ndarray, shape (L,)
-        Non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing.
-    even, odd : Blocks, shapes (L, ceil(nc/2)), (L, floor(nc/2))
-        From even and odd coefficients to real and imaginary parts of the lines.
-    tail : ndarray, shape (1, L)
-        The lines of e_last = [0 ... 0 1].
-    ones : ndarray, shape (1, L)
-        The lines of the constant 1 on the whole real line.
-    """
-
-    w: Array
-    even: Blocks
-    odd: Blocks
-    tail: Lines
-    ones: Lines
+    w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
+    even: Blocks  # (L, ceil(nc/2)): from even coefficients to real parts of the lines
+    odd: Blocks   # (L, floor(nc/2)): from odd ones to imaginary parts
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients, (m, nc), to lines, (m, L)."""
-        return _lines(f, self.even, self.odd)
+        out = np.empty((len(f), self.even.shape[0]), dtype=np.complex128)
+        out.real = self.even.times(f[:, 0::2])
+        out.imag = self.odd.times(f[:, 1::2])
+        return out
 
+    @cached_property
+    def tail(self) -> Lines:
+        """The lines of e_last = [0 ... 0 1], (1, L)."""
+        nmax = self.even.shape[1] + self.odd.shape[1] - 1
+        return self.lines(np.eye(1, nmax + 1, nmax))
 
-def _lines(f: Array, even: Blocks, odd: Blocks) -> Lines:
-    out = np.empty((len(f), even.shape[0]), dtype=np.complex128)
-    out.real = even.times(f[:, 0::2])
-    out.imag = odd.times(f[:, 1::2])
-    return out
+    @cached_property
+    def ones(self) -> Lines:
+        """The lines of the constant 1 on the whole real line, (1, L)."""
+        # <h_n, 1>: odd ones vanish, c_(n+2) = c_n ratio
+        nmax = self.even.shape[1] + self.odd.shape[1] - 1
+        c, n = np.zeros((1, nmax + 1)), np.arange(2, nmax + 1, 2)
+        c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
+            np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
+        return self.lines(c)
 
 
 @lru_cache(maxsize=16)
 def hermite_lines(nmax: int) -> HermiteLines:
-    """
-    Compute the diagonal form of the derivative for orders 0 .. nmax.
-
-    Parameters
-    ----------
-    nmax : int
-        At least 1.
-    """
+    """Return the diagonal form of the derivative for orders 0 .. nmax, nmax at least 1."""
     w = roots_hermite(nmax + 1)[0][(nmax + 1) // 2:]
     h = hermite_functions(nmax, w)
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
     sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
-    even, odd = Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2])
-    last = np.zeros((1, nmax + 1))
-    last[0, -1] = 1.0
-    return HermiteLines(w, even, odd, _lines(last, even, odd),
-                        _lines(_constant(nmax), even, odd))
-
-
-def _constant(nmax: int) -> Array:
-    """Return <h_n, 1> over the real line (1, nmax + 1): odd ones vanish, c_(n+2) = c_n ratio."""
-    c = np.zeros((1, nmax + 1))
-    n = np.arange(2, nmax + 1, 2)
-    c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
-        np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
-    return c
+    return HermiteLines(w, Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2]))
 
 
 def time_scale(nmax: int, tau: float, settings: Settings) -> float:
@@ -103,8 +81,8 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
     Return alpha [s].
 
     In the paper's form the turning point R = sqrt(2 nmax + 1) of h_nmax lies on the edge of the
-    window ([HD] eq. 31); in the exact form it lies inside by `edge_margin` widths R^(-1/3) of
-    the Airy tail of h_nmax, so that all functions have decayed at the edge.
+    window ([HD] eq. 31); in the exact form it lies inside by `edge_margin` widths R^(-1/3) of the
+    Airy tail of h_nmax, so that all functions have decayed at the edge.
     """
     turning = np.sqrt(2.0 * nmax + 1.0)
     if settings.edges == 'paper':
@@ -115,26 +93,11 @@ def time_scale(nmax: int, tau: float, settings: Settings) -> float:
 def project_record(record: Record, settings: Settings, nmax: int,
                    check: Callable[[], None] = lambda: None) -> Projection:
     """
-    Project a record on Hermite functions, each signal from its own stamps.
+    Project a record on Hermite functions, each signal from its own stamps ([HD] eq. 27, 33, 34).
 
-    Parameters
-    ----------
-    record : Record
-    settings : Settings
-        Of which `edges`, `edge_margin`, `trim` and `delay` matter here.
-    nmax : int
-        Highest order, in each of `settings.parts` parts of equal length.
-    check : callable, optional
-        Called before each part; what it raises ends the projection.
-
-    Notes
-    -----
-    The equations hold line by line, so that lines of several windows stand beside each other as
-    those of one do; only the tail is each window's own.
-
-    References
-    ----------
-    [HD] eq. 27, 33, 34.
+    Up to order nmax in each of `settings.parts` parts of equal length, whose lines stand beside
+    each other; only the tail is each part's own. `check` is called before each part; what it
+    raises ends the projection.
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
     parts = []
@@ -143,14 +106,10 @@ def project_record(record: Record, settings: Settings, nmax: int,
         parts.append(_project_part(record, settings, nmax, start, end))
     if len(parts) == 1:
         return parts[0]
-    lines = len(parts[0].s)
-    tail = np.zeros((sum(len(p.tail) for p in parts), lines * len(parts)), dtype=complex)
-    for i in range(len(tail)):
-        tail[i, i * lines:(i + 1) * lines] = parts[i].tail[0]
     return replace(
         parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
-        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]), tail=tail,
-        start=record.start, end=record.end)
+        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]),
+        tail=block_diag(*(p.tail for p in parts)), start=record.start, end=record.end)
 
 
 def _project_part(record: Record, settings: Settings, nmax: int, start: float,
@@ -185,15 +144,10 @@ def by_delay(record: Record,
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []
     shifts: list[float] = []
-    first = 0
-    for signal in record.inputs:
-        own = delays[first:first + signal.width]
-        first += signal.width
-        if len(set(own)) == 1:
-            signals.append(signal)
-            shifts.append(own[0])
-            continue
-        for j, delay in enumerate(own):
-            signals.append(Signal(signal.time, signal.values[:, j:j + 1], signal.hold))
-            shifts.append(delay)
+    for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
+        own = delays[channels]
+        alike = len(set(own)) == 1
+        signals += [signal] if alike else [
+            Signal(signal.time, signal.values[:, j:j + 1], signal.hold) for j in range(len(own))]
+        shifts += own[:1] if alike else own
     return signals, shifts

@@ -21,7 +21,7 @@ from ctsid_core.linear.types import Array
 
 _PLAIN_LIMIT = 37.0     # exp(-37^2/2) = 1e-297 is still a normal number
 _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 2^512
-_BLOCK = 8192           # samples and
+BLOCK = 8192           # samples and
 _ORDERS = 32            # orders evaluated at a time, to stay in the cache
 _CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
 _LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
@@ -29,27 +29,10 @@ _LN2_LOW = 1.42860682030941723212e-6
 
 
 def hermite_functions(nmax: int, x: Array) -> Array:
-    """
-    Evaluate h_0 .. h_nmax.
-
-    Parameters
-    ----------
-    nmax : int
-        Highest order, at least 0.
-    x : ndarray, shape (N,)
-        Arguments (dimensionless time t' of [HD] eq. 31).
-
-    Returns
-    -------
-    ndarray, shape (nmax + 1, N)
-
-    References
-    ----------
-    [HD] eq. 16 to 18.
-    """
+    """Return h_0 .. h_nmax at dimensionless times x (N,): (nmax + 1, N) ([HD] eq. 16 to 18)."""
     x = np.asarray(x, dtype=float)
     if x.size == 0 or np.abs(x).max() < _PLAIN_LIMIT:
-        g = _recursion(nmax, x, np.empty((nmax + 1, x.size)))
+        g = _recursion(nmax, x)
         g /= _balanced_coefficients(nmax)[1][:, np.newaxis]
         return g
     # Outside of |x| = R + 40 every h_n is below 1e-300: moving x there changes nothing.
@@ -76,9 +59,9 @@ def _balanced_coefficients(nmax: int) -> tuple[Array, Array]:
     return a * s[1:] / s[:-1], s
 
 
-def _recursion(nmax: int, x: Array, out: Array) -> Array:
-    """Fill `out` (nmax + 1, N) with g_n(x) = s_n h_n(x); |x| must stay below the plain limit."""
-    r, _ = _balanced_coefficients(nmax)
+def _recursion(nmax: int, x: Array) -> Array:
+    """Return g_n(x) = s_n h_n(x), (nmax + 1, N); |x| must stay below the plain limit."""
+    r, out = _balanced_coefficients(nmax)[0], np.empty((nmax + 1, x.size))
     out[0] = np.pi ** -0.25 * np.exp(-0.5 * x * x)
     if nmax > 0:
         np.multiply(x, np.sqrt(2.0) * out[0], out=out[1])
@@ -92,23 +75,15 @@ def _recursion(nmax: int, x: Array, out: Array) -> Array:
 
 def project_directly(nmax: int, x: Array, weights: Array) -> Array:
     """
-    Return the sums over the samples of h_n(x_k) weights_k, without keeping the h_n.
+    Return the sums over the samples of h_n(x_k) weights_k, shape (m, nmax + 1).
 
-    Parameters
-    ----------
-    nmax : int
-    x : ndarray, shape (N,)
-    weights : ndarray, shape (m, N)
-
-    Returns
-    -------
-    ndarray, shape (m, nmax + 1)
+    Of x (N,) and weights (m, N), without keeping the h_n.
     """
     if x.size == 0 or np.abs(x).max() >= _PLAIN_LIMIT:
         return _project_by_parts(nmax, x, weights)
     total = np.zeros((nmax + 1, len(weights)))
-    for first in range(0, len(x), _BLOCK):
-        part = slice(first, first + _BLOCK)
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         _add_products(x[part], weights[:, part].T, total)
     return (total / _balanced_coefficients(nmax)[1][:, np.newaxis]).T
 
@@ -134,8 +109,8 @@ def _add_products(x: Array, weights: Array, total: Array) -> None:
 
 def _project_by_parts(nmax: int, x: Array, weights: Array) -> Array:
     total = np.zeros((len(weights), nmax + 1))
-    for first in range(0, len(x), _BLOCK):
-        part = slice(first, first + _BLOCK)
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         total += weights[:, part] @ hermite_functions(nmax, x[part]).T
     return total
 
@@ -175,5 +150,4 @@ def _scaled_recursion(nmax: int, x: Array) -> Array:
 
 def integral_of_first(x: Array) -> Array:
     """Return I_0(x), the integral of h_0 from minus infinity to x."""
-    value: Array = np.pi ** 0.25 / np.sqrt(2.0) * (1.0 + erf(x / np.sqrt(2.0)))
-    return value
+    return np.asarray(np.pi ** 0.25 / np.sqrt(2.0) * (1.0 + erf(x / np.sqrt(2.0))))

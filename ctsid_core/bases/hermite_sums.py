@@ -31,29 +31,15 @@ _LARGEST_TABLE = 2 ** 21    # values of h_n(w_j) that are kept: 16 MB, nmax up t
 
 def project(nmax: int, x: Array, weights: Array) -> Array:
     """
-    Return the sums over the samples of h_n(x_k) weights_k.
+    Return the sums over the samples of h_n(x_k) weights_k, shape (m, nmax + 1).
 
-    Parameters
-    ----------
-    nmax : int
-    x : ndarray, shape (N,)
-        In any order.
-    weights : ndarray, shape (m, N)
-
-    Returns
-    -------
-    ndarray, shape (m, nmax + 1)
-        Which of the two ways is taken depends on nmax and N only; they agree to 1e-12.
+    Of x (N,) in any order and weights (m, N). Which of the two ways is taken depends on nmax and N
+    only; they agree to 1e-12.
     """
-    if nmax < _LEAST_ORDER or len(x) < _fewest(nmax):
+    fewest = len(frequency_grid(nmax).w) * (_FEWEST if _kept(nmax) else 1.0)
+    if nmax < _LEAST_ORDER or len(x) < fewest:
         return project_directly(nmax, x, weights)
     return _project_by_frequencies(nmax, x, weights)
-
-
-def _fewest(nmax: int) -> float:
-    """Return the number of samples from which on the way by frequencies is quicker."""
-    frequencies = len(frequency_grid(nmax).w)
-    return frequencies * (_FEWEST if _kept(nmax) else 1.0)
 
 
 def _kept(nmax: int) -> bool:

@@ -28,16 +28,7 @@ def integrated(derivatives: Array, knots: Array) -> Array:
     """
     Return the integral from the first knot of piecewise polynomials, in the same form.
 
-    Parameters
-    ----------
-    derivatives : ndarray, shape (degree + 1, K, m)
-        Just after each knot.
-    knots : ndarray, shape (K,)
-        [s]
-
-    Returns
-    -------
-    ndarray, shape (degree + 2, K, m)
+    From derivatives just after each knot, (degree + 1, K, m), at knots (K,) [s]; one degree more.
     """
     h = np.diff(knots)[:, np.newaxis]
     steps = sum((v[:-1] * h ** (j + 1) / factorial(j + 1) for j, v in enumerate(derivatives)),
@@ -52,25 +43,11 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal],
     """
     Return what interpolation of each output signal misses of the inputs' integrals.
 
-    Parameters
-    ----------
-    u : ndarray, shape (degree + 1, K, nu)
-        Inputs and derivatives just after each knot.
-    knots : ndarray, shape (K,)
-        All stamps are among them [s].
-    outputs : sequence of Signal
-        Of which the stamps and holds count.
-    interpolate : callable
-        As `simulation.input_polynomials`.
-    count : int
-        Number of integrals; 0: nothing at all.
-    first : int
-        0: also of the inputs themselves, which outputs follow at once.
-
-    Returns
-    -------
-    ndarray, shape (degree + 1 + count or less, K, (count + 1 - first) * nu * signals)
-        Zero where it is no more than rounding.
+    Inputs u (degree + 1, K, nu) are given with derivatives just after each knot; all stamps are
+    among the knots (K,) [s]. Of the outputs, stamps and holds count; `interpolate` is as
+    `simulation.input_polynomials`. `count` integrals are looked at, none at all for 0, and with
+    `first` = 0 the inputs themselves, which outputs follow at once. Shape (degree + 1 + count or
+    less, K, (count + 1 - first) * nu * signals), zero where it is no more than rounding.
     """
     found: list[Array] = []
     integral = u
@@ -79,9 +56,13 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal],
         if power >= first:
             found += [x for signal in outputs
                       for x in _interpolation_error(integral, knots, signal, interpolate)]
-    degree = max(map(len, found), default=1)
-    columns = [np.concatenate((x, np.zeros((degree - len(x), len(knots))))) for x in found]
-    return np.stack(columns, axis=2) if columns else np.zeros((1, len(knots), 0))
+    return np.stack(of_one_degree(found), axis=2) if found else np.zeros((1, len(knots), 0))
+
+
+def of_one_degree(parts: Sequence[Array]) -> list[Array]:
+    """Return derivatives (degree + 1, ...) with zeros up to the highest degree among them."""
+    degree = max(map(len, parts))
+    return [np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:])))) for p in parts]
 
 
 def _interpolation_error(signal: Array, knots: Array, output: Signal,
@@ -93,10 +74,8 @@ def _interpolation_error(signal: Array, knots: Array, output: Signal,
     sampled = replace(output, time=output.time[inside], values=signal[0, places], names=(),
                       units=())
     curve = interpolate((sampled,), (0.0,) * m, knots)
-    degree = max(len(signal), len(curve))
-    error = np.zeros((degree, len(knots), m))
-    error[:len(signal)] += signal
-    error[:len(curve)] -= curve
+    whole, smooth = of_one_degree((signal, curve))
+    error = whole - smooth
     size = np.abs(signal[0]).max(axis=0) + 1e-300
     error[:, :, np.abs(_middles(error, knots)).max(axis=0) <= _NOTHING * size] = 0.0
     return [error[:, :, j] for j in range(m)]
@@ -104,6 +83,5 @@ def _interpolation_error(signal: Array, knots: Array, output: Signal,
 
 def _middles(derivatives: Array, knots: Array) -> Array:
     half = 0.5 * np.diff(knots)[:, np.newaxis]
-    value: Array = sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
-                       np.zeros(()))
-    return value
+    return sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
+               np.zeros(()))

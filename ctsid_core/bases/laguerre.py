@@ -24,42 +24,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
 
-from ctsid_core.bases.quadrature import UNIFORM, smooth_values, spline_degree
+from ctsid_core.bases.quadrature import SPLINED, UNIFORM, divided, smooth_values, spline_degree
 from ctsid_core.linear.types import Array
+from ctsid_core.model.simulation import CHUNK
 from ctsid_core.signals.record import Signal
 
 Direction = Literal['ahead', 'back']
 
-_CHUNK = 4096         # intervals swept at a time
 _LONGEST = 4.0        # pole times interval: longer ones are divided
 _EXTRA = 8            # Gauss-Legendre points beyond those that polynomials need
 _DECAYED = 1e-10      # of a function: what counts as zero
-_FEWEST = 8           # samples of a spline
 
 
 def laguerre_functions(count: int, a: float, t: Array) -> Array:
-    """
-    Return the Laguerre functions of a pole.
-
-    Parameters
-    ----------
-    count : int
-    a : float
-        Pole [rad/s].
-    t : ndarray
-        Times >= 0 [s].
-
-    Returns
-    -------
-    ndarray, shape (count, *t.shape)
-        [s^-1/2]
-    """
-    found: Array = np.sqrt(2.0 * a) * _damped(count, 2.0 * a * np.asarray(t, dtype=float))
-    return found
+    """Return Laguerre functions of pole a [rad/s] at t >= 0 [s]: (count, *t.shape) [s^-1/2]."""
+    return np.asarray(np.sqrt(2.0 * a) * _damped(count, 2.0 * a * np.asarray(t, dtype=float)))
 
 
 def _damped(count: int, x: Array) -> Array:
@@ -82,21 +66,7 @@ def reach(count: int) -> float:
 
 
 def shifted(count: int, a: float, h: Array) -> Array:
-    """
-    Return the matrices T(h) of shifts, l(t + h) = T(h) l(t).
-
-    Parameters
-    ----------
-    count : int
-    a : float
-        [rad/s].
-    h : ndarray
-        Shifts >= 0 [s].
-
-    Returns
-    -------
-    ndarray, shape (*h.shape, count, count)
-    """
+    """Return T(h) of shifts h >= 0 [s], l(t + h) = T(h) l(t): shape (*h.shape, count, count)."""
     column = _damped(count, 2.0 * a * h)
     column[1:] -= column[:-1].copy()
     apart = np.subtract.outer(np.arange(count), np.arange(count))
@@ -106,82 +76,51 @@ def shifted(count: int, a: float, h: Array) -> Array:
 
 @dataclass(frozen=True)
 class Pieces:
-    """
-    A signal as polynomials between nodes.
+    """A signal as polynomials between nodes."""
 
-    Parameters
-    ----------
-    nodes : ndarray, shape (N + 1,)
-        Increasing [s].
-    values : ndarray, shape (N, q, channels)
-        At q equidistant points of every interval, both ends included; q = 1: a constant.
-    """
-
-    nodes: Array
+    nodes: Array  # (N + 1,), increasing [s]
+    # (N, q, channels): at q equidistant points of each interval, both ends too; 1: constant
     values: Array
 
 
 def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
                  count: int, delays: Sequence[float], direction: Direction) -> Array:
     """
-    Return the Laguerre coefficients of signals, seen from many instants.
+    Return `count` Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
 
     Parameters
     ----------
-    signals : sequence of Signal
     at : ndarray, shape (M,)
         Instants, increasing, within the span [s].
     span : (float, float)
         Interval outside of which the signals are taken as zero [s].
     a : float
         Pole [rad/s].
-    count : int
-        Number of Laguerre functions.
     delays : sequence of float
         Dead time of each signal: it is projected as f(t - delay) [s].
     direction : {'ahead', 'back'}
         Whether what follows an instant is projected, or what precedes it filtered.
-
-    Returns
-    -------
-    ndarray, shape (count, channels, M)
     """
     found, pieces = [], [_pieces(s.time + delay, s, at, span, _LONGEST / a)
                          for s, delay in zip(signals, delays, strict=True)]
-    for group in _same_nodes(pieces):
+    for _, same in groupby(pieces, lambda p: p.nodes.tobytes()):     # are swept at once
+        group = list(same)
         nodes = group[0].nodes
-        here = np.searchsorted(nodes, at)
-        seen = _swept(nodes, [p.values for p in group], a, count, direction)[here]
-        found.append(seen.transpose(1, 2, 0))
+        seen = _swept(nodes, [p.values for p in group], a, count, direction)
+        found.append(seen[np.searchsorted(nodes, at)].transpose(1, 2, 0))
     return np.concatenate(found, axis=1)
-
-
-def _same_nodes(pieces: list[Pieces]) -> list[list[Pieces]]:
-    """Return neighbours with the same nodes together, so that they are swept at once."""
-    groups = [pieces[:1]]
-    for one in pieces[1:]:
-        if np.array_equal(one.nodes, groups[-1][0].nodes):
-            groups[-1].append(one)
-        else:
-            groups.append([one])
-    return groups
 
 
 def _pieces(t: Array, signal: Signal, at: Array, span: tuple[float, float],
             longest: float) -> Pieces:
     inside = t[(t > span[0]) & (t < span[1])]
-    nodes = np.unique(np.concatenate((inside, at, span)))
+    nodes = divided(np.unique(np.concatenate((inside, at, span))), longest)
     step = np.diff(nodes)
-    if np.max(step) > longest:
-        parts = np.ceil(step / longest).astype(int)
-        place = np.concatenate(([0], np.cumsum(parts)))
-        nodes = np.interp(np.arange(place[-1] + 1), place, nodes)
-        step = np.diff(nodes)
     if signal.hold == 'zoh':
         row = np.clip(np.searchsorted(t, nodes[:-1], side='right') - 1, 0, None)
         return Pieces(nodes, signal.values[row][:, np.newaxis])
     values, degree = signal.values.T, 1
-    if signal.hold == 'smooth' and len(t) >= _FEWEST:
+    if signal.hold == 'smooth' and len(t) >= SPLINED:
         degree = max(spline_degree(t, values), 3)
     x = np.arange(degree) / degree
     points = np.append((nodes[:-1, np.newaxis] + step[:, np.newaxis] * x).ravel(), nodes[-1])
@@ -200,8 +139,8 @@ def _swept(nodes: Array, values: list[Array], a: float, count: int,
         step, values = step[::-1], [v[::-1, ::-1] for v in values]
     width = sum(v.shape[2] for v in values)
     found = np.zeros((len(step) + 1, count, width))
-    for last in range(len(step), 0, -_CHUNK):
-        part = slice(max(last - _CHUNK, 0), last)
+    for last in range(len(step), 0, -CHUNK):
+        part = slice(max(last - CHUNK, 0), last)
         drive = np.concatenate([_drive(step[part], v[part], a, count) for v in values], axis=2)
         found[part] = _chunk(step[part], drive, found[last], a)
     return found[::-1] if direction == 'back' else found
@@ -217,8 +156,7 @@ def _drive(step: Array, values: Array, a: float, count: int) -> Array:
                              np.vander(x, q, increasing=True).T)     # of each point, (q, points)
     functions = laguerre_functions(count, a, own[:, np.newaxis] * x)  # (count, N, points)
     weights = (functions @ (weight * shares).T).transpose(1, 0, 2) * own[:, np.newaxis, np.newaxis]
-    drive: Array = np.matmul(weights, values)
-    return drive
+    return np.asarray(np.matmul(weights, values))
 
 
 def _chunk(step: Array, drive: Array, carry: Array, a: float) -> Array:

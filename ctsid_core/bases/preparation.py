@@ -11,13 +11,7 @@ from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Status
 from ctsid_core.settings import Settings
-from ctsid_core.signals.outliers import (
-    SURE_INPUT,
-    Spikes,
-    despiked,
-    no_spikes,
-    report,
-)
+from ctsid_core.signals.outliers import SURE_INPUT, Spikes, report, spikes
 from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
@@ -28,34 +22,18 @@ _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 @dataclass(frozen=True)
 class Usable:
-    """
-    A record with the channels that move, and where they belong among all channels.
+    """A record with the channels that move, and where they belong among all channels."""
 
-    Parameters
-    ----------
-    record : Record
-        Of the moving channels, from where their inputs are known.
-    whole : Record
-        The record as it was given.
-    u, y : tuple of int
-        Places of the moving inputs and outputs among all.
-    u_level, y_level : ndarray, shapes (number of u,), (number of y,)
-        Taken off the samples so that large offsets do not cost digits; zero without trim. The
-        trim is estimated all the same: these only shift its origin.
-    notes : tuple of str
-        What the user should know.
-    corrupt_u, corrupt_y : tuple of Spikes
-        Corrupt samples of the inputs and outputs of `record`.
-    """
-
-    record: Record
-    whole: Record
-    u: tuple[int, ...]
+    record: Record                 # of the moving channels, from where their inputs are known
+    whole: Record                  # as it was given
+    u: tuple[int, ...]             # places of the moving inputs among all
     y: tuple[int, ...]
+    # Taken off the samples so that large offsets do not cost digits; zero without trim. The trim
+    # is estimated all the same: these only shift its origin.
     u_level: Array
     y_level: Array
     notes: tuple[str, ...]
-    corrupt_u: tuple[Spikes, ...]
+    corrupt_u: tuple[Spikes, ...]  # of the signals of `record`
     corrupt_y: tuple[Spikes, ...]
 
     def corrupt(self) -> tuple[list[str], dict[str, float]]:
@@ -82,17 +60,8 @@ def usable(record: Record, settings: Settings,
     """
     Return what of a record can be used, or the status that says why nothing can.
 
-    Parameters
-    ----------
-    record : Record
-    settings : Settings
-    keep : tuple of int, tuple of int
-        Places of inputs and outputs that are kept even if they do not move.
-
-    Raises
-    ------
-    SettingsError
-        If `settings.delay` does not fit the number of inputs.
+    Places of inputs and outputs in `keep` are kept even if they do not move. Raises
+    `SettingsError` if `settings.delay` does not fit the number of inputs.
     """
     start = _known_from(record, settings)
     if start >= record.end:
@@ -108,14 +77,12 @@ def usable(record: Record, settings: Settings,
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
                   for j in fixed]
-    if min((_count(s, shorter) for s in shorter.outputs), default=0) < _FEWEST:
+    if min((len(s.time[_within(s, shorter)]) for s in shorter.outputs), default=0) < _FEWEST:
         return Status.TOO_SHORT
     if not outputs:
         return Status.NO_RESPONSE
     if not inputs:
         return Status.NO_EXCITATION
-    if min(_count(signal, shorter) for signal in outputs) < _FEWEST:
-        return Status.TOO_SHORT
     for signal in (*inputs, *outputs):
         share = gap_time(signal, shorter.start, shorter.end) / shorter.duration
         if share > _GAP_SHARE:
@@ -139,14 +106,9 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     part = usable(record, settings)
     if not isinstance(part, Usable):
         return {}
-    found: dict[int, Array] = {}
-    places = iter(part.y)
-    for signal, spiky in zip(part.record.outputs, part.corrupt_y, strict=True):
-        for column in range(signal.width):
-            i, bad = next(places), spiky.mask[:, column]
-            if bad.any():
-                found[i] = signal.time[bad]
-    return found
+    columns = ((signal.time, bad) for signal, spiky in zip(
+        part.record.outputs, part.corrupt_y, strict=True) for bad in spiky.mask.T)
+    return {i: time[bad] for i, (time, bad) in zip(part.y, columns, strict=True) if bad.any()}
 
 
 def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
@@ -173,12 +135,11 @@ def _held_at(record: Record, signals: list[Signal],
     """Return the held inputs, after their dead times, at the stamps of each signal."""
     if not settings.feedthrough:
         return (None,) * len(signals)
-    delays, held = iter(settings.delays(record.nu)), []
-    for signal in record.inputs:
-        own = [next(delays) for _ in range(signal.width)]
-        if signal.hold == 'zoh':
-            held += [(signal.time + delay, row)
-                     for delay, row in zip(own, signal.values.T, strict=True)]
+    delays = settings.delays(record.nu)
+    held = [(signal.time + delay, row)
+            for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True)
+            if signal.hold == 'zoh'
+            for delay, row in zip(delays[channels], signal.values.T, strict=True)]
     return tuple(np.array([row[np.maximum(np.searchsorted(t, s.time, side='right') - 1, 0)]
                            for t, row in held]).reshape(len(held), len(s.time)).T
                  for s in signals)
@@ -187,9 +148,11 @@ def _held_at(record: Record, signals: list[Signal],
 def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
               inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
-    pairs = [despiked(s, sure, direct) if s.hold in holds else (s, no_spikes(s))
-             for s, direct in zip(signals, inputs, strict=True)]
-    return [signal for signal, _ in pairs], tuple(found for _, found in pairs)
+    found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
+                  Spikes(np.zeros(s.values.shape, dtype=bool), s.values)
+                  for s, direct in zip(signals, inputs, strict=True))
+    return [replace(s, values=own.instead) if own.any else s
+            for s, own in zip(signals, found, strict=True)], found
 
 
 def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:
@@ -203,10 +166,9 @@ def _centred(signals: list[Signal], trim: bool) -> tuple[list[Signal], Array]:
 
 def _known_from(record: Record, settings: Settings) -> float:
     """Return the time from which all inputs, delayed, are known [s]."""
-    delays, start, first = settings.delays(record.nu), record.start, 0
-    for signal in record.inputs:
-        delay = max(delays[first:first + signal.width])
-        first += signal.width
+    delays, start = settings.delays(record.nu), record.start
+    for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
+        delay = max(delays[channels])
         if delay > 0.0 and len(signal.time):
             start = max(start, float(signal.time[0]) + delay)
     return start
@@ -217,31 +179,23 @@ def _within(signal: Signal, record: Record) -> slice:
                  int(np.searchsorted(signal.time, record.end, side='right')))
 
 
-def _count(signal: Signal, record: Record) -> int:
-    inside = _within(signal, record)
-    return int(inside.stop) - int(inside.start)
-
-
 def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),
             ) -> tuple[list[Signal], tuple[int, ...], list[int]]:
     """Return the signals without constant channels, and the places of moving and constant ones."""
     kept_signals: list[Signal] = []
     kept: list[int] = []
     fixed: list[int] = []
-    first = 0
-    for signal in signals:
+    for signal, channels in zip(signals, channel_slices(signals), strict=True):
         inside = _within(signal, record)
         values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
+        moves, places = np.zeros(signal.width, dtype=bool), np.r_[channels]
         if len(values):
             rows = np.ascontiguousarray(values.T)      # reductions along rows are far quicker
             low, high = rows.min(axis=1), rows.max(axis=1)
             moves = high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high))
-        else:
-            moves = np.zeros(signal.width, dtype=bool)
-        moves |= np.isin(first + np.arange(signal.width), keep)
-        kept += [first + int(j) for j in np.flatnonzero(moves)]
-        fixed += [first + int(j) for j in np.flatnonzero(~moves)]
-        first += signal.width
+        moves |= np.isin(places, keep)
+        kept += places[moves].tolist()
+        fixed += places[~moves].tolist()
         if moves.all():
             kept_signals.append(signal)
         elif moves.any():

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ctsid_core.linear.types import Array, Lines
 
@@ -18,38 +19,24 @@ class Projection:
     A record in a basis in which the derivative is diagonal.
 
     All rows are spectral lines f_k, one complex number per line with frequency >= 0. Real and
-    imaginary parts of all lines together are an orthonormal image of the basis coefficients
-    (lines of positive frequency carry the factor sqrt(2) of their conjugates), so that sums of
-    squares over them are those over the coefficients.
-
-    Parameters
-    ----------
-    s : ndarray, shape (L,)
-        The derivative, line by line [rad/s]: purely imaginary.
-    u : ndarray, shape (nu, L)
-    y : ndarray, shape (ny, L)
-    tail : ndarray, shape (0 or parts, L)
-        The virtual inputs that stand for the truncated part of the state's derivative, one for
-        each part of a divided record, one record after the other.
-    ones : ndarray, shape (0 or records, L)
-        The constant 1 over each record: trim of states and outputs.
-    unit : float
-        Time that a coordinate unit stands for [s]: white noise of intensity R has variance
-        R / unit in every real and imaginary part.
-    start, end : float
-        The interval of the record [s]; of several, from 0 to the sum of their durations.
-    members : tuple of Projection
-        The records that were joined, if they are several: their lines as they are here.
+    imaginary parts of all lines together are an orthonormal image of the basis coefficients (lines
+    of positive frequency carry the factor sqrt(2) of their conjugates), so that sums of squares
+    over them are those over the coefficients.
     """
 
-    s: Lines
-    u: Lines
-    y: Lines
+    s: Lines      # (L,): the derivative, line by line [rad/s]: purely imaginary
+    u: Lines      # (nu, L)
+    y: Lines      # (ny, L)
+    # (0 or parts, L): virtual inputs that stand for the truncated part of the state's derivative,
+    # one for each part of a divided record, one record after the other
     tail: Lines
-    ones: Lines
+    ones: Lines   # (0 or records, L): the constant 1 over each record: trim of states and outputs
+    # Time that a coordinate unit stands for [s]: white noise of intensity R has variance R / unit
+    # in every real and imaginary part
     unit: float
-    start: float
+    start: float  # the interval [s]; of several records, from 0 to the sum of their durations
     end: float
+    # the records that were joined, if they are several: their lines as they are here
     members: tuple[Projection, ...] = ()
 
     @property
@@ -69,40 +56,20 @@ class Projection:
 
 
 def joined(records: Sequence[Projection]) -> Projection:
-    """
-    Put the lines of several records beside each other; of one record, return it as it is.
-
-    Parameters
-    ----------
-    records : sequence of Projection
-        Each with rows `ones` of its own.
-    """
+    """Return lines of several records, each with its own `ones`, side by side; of one, itself."""
     if len(records) == 1:
         return records[0]
     unit = max(p.unit for p in records)
-    members = tuple(_scaled(p, float(np.sqrt(p.unit / unit))) for p in records)
+    sizes = [float(np.sqrt(p.unit / unit)) for p in records]
+    members = tuple(replace(p, u=size * p.u, y=size * p.y, tail=size * p.tail, ones=size * p.ones)
+                    for p, size in zip(records, sizes, strict=True))
     return Projection(
         s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
-        y=np.hstack([p.y for p in members]), tail=_apart([p.tail for p in members]),
-        ones=_apart([p.ones for p in members]), unit=unit, start=0.0,
+        y=np.hstack([p.y for p in members]), unit=unit, start=0.0,
+        tail=block_diag(*(p.tail for p in members)), ones=block_diag(*(p.ones for p in members)),
         end=sum(p.end - p.start for p in members), members=members)
-
-
-def _scaled(p: Projection, factor: float) -> Projection:
-    return replace(p, u=factor * p.u, y=factor * p.y, tail=factor * p.tail, ones=factor * p.ones)
-
-
-def _apart(blocks: list[Lines]) -> Lines:
-    """Return a block-diagonal matrix."""
-    out = np.zeros((sum(len(b) for b in blocks), sum(b.shape[1] for b in blocks)), dtype=complex)
-    row = column = 0
-    for b in blocks:
-        out[row:row + len(b), column:column + b.shape[1]] = b
-        row, column = row + len(b), column + b.shape[1]
-    return out
 
 
 def as_real(lines: Lines) -> Array:
     """Return real and imaginary parts as columns: (m, L) complex to (m, 2 L) real."""
-    real: Array = np.ascontiguousarray(lines).view(np.float64)
-    return real
+    return np.ascontiguousarray(lines).view(np.float64)

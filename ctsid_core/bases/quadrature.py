@@ -23,17 +23,17 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ctsid_core.bases.hermite_functions import integral_of_first
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.record import Signal
 
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
 PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
+SPLINED = 8           # samples from which on there is a spline
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
 _STEEP = 1e-5         # the same, below which a straight line is a jump: its slope is all rounding
@@ -41,71 +41,43 @@ _STEEP = 1e-5         # the same, below which a straight line is a jump: its slo
 
 @dataclass(frozen=True)
 class Samples:
-    """
-    A signal made ready for projection: weights at nodes, and the steps to its coefficients.
+    """A signal made ready for projection: weights at nodes, and the steps to its coefficients."""
 
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Nodes, dimensionless.
-    weights : ndarray, shape (m, N)
-        What is summed with h_n at the nodes; several blocks of rows if `finish` needs them.
-    finish : callable
-        Takes the sums (m, nmax + 1) to the coefficients (channels, nmax + 1).
-    """
-
-    x: Array
-    weights: Array
+    x: Array        # (N,): nodes, dimensionless
+    weights: Array  # (m, N): summed with h_n at the nodes; several blocks if `finish` wants them
+    # from sums (m, nmax + 1) to coefficients (channels, nmax + 1)
     finish: Callable[[Array], Array]
 
 
 def coefficients(signals: Sequence[Signal], start: float, end: float, alpha: float, nmax: int,
                  delays: Sequence[float]) -> list[Array]:
     """
-    Project signals on h_0 .. h_nmax; nodes that signals share are evaluated once.
+    Project signals on h_0 .. h_nmax, [HD] eq. 33, 34: each of shape (channels, nmax + 1).
+
+    Nodes that signals share are evaluated once.
 
     Parameters
     ----------
-    signals : sequence of Signal
     start, end : float
         Interval outside of which the signals are taken as zero [s].
     alpha : float
         Time scale [s]; the interval's centre is x = 0.
-    nmax : int
-        Highest order.
     delays : sequence of float
         Dead time of each signal: it is projected as f(t - delay) [s].
-
-    Returns
-    -------
-    list of ndarray, each of shape (channels, nmax + 1)
-
-    References
-    ----------
-    [HD] eq. 33, 34.
     """
     top = np.sqrt(2.0 * nmax + 1.0)                    # highest frequency of the basis, per alpha
     ready = [_PREPARE[signal.hold](*_known(signal, start, end, delay), start, end, alpha, top)
              for signal, delay in zip(signals, delays, strict=True)]
     found: list[Array] = [np.empty(0)] * len(ready)
-    for group in _same_nodes(ready):
+    groups: dict[bytes, list[int]] = {}
+    for i, samples in enumerate(ready):
+        groups.setdefault(samples.x.tobytes(), []).append(i)
+    for group in groups.values():
         sums = project(nmax, ready[group[0]].x, np.vstack([ready[i].weights for i in group]))
         rows = np.cumsum([len(ready[i].weights) for i in group])[:-1]
         for i, part in zip(group, np.split(sums, rows), strict=True):
             found[i] = ready[i].finish(part)
     return found
-
-
-def _same_nodes(ready: Sequence[Samples]) -> list[list[int]]:
-    groups: list[list[int]] = []
-    for i, samples in enumerate(ready):
-        for group in groups:
-            if np.array_equal(ready[group[0]].x, samples.x):
-                group.append(i)
-                break
-        else:
-            groups.append([i])
-    return groups
 
 
 def _known(signal: Signal, start: float, end: float, delay: float) -> tuple[Array, Array]:
@@ -118,20 +90,7 @@ def _known(signal: Signal, start: float, end: float, delay: float) -> tuple[Arra
 
 
 def integrate(g: Array, c0: Array) -> Array:
-    """
-    Return the coefficients of a signal from those of its derivative.
-
-    Parameters
-    ----------
-    g : ndarray, shape (m, nc)
-        <h_n, df/dx>.
-    c0 : ndarray, shape (m,)
-        <h_0, f>.
-
-    Returns
-    -------
-    ndarray, shape (m, nc)
-    """
+    """Return coefficients of f (m, nc) from g = <h_n, df/dx> (m, nc) and c0 = <h_0, f> (m,)."""
     step, free = _free_motion(g.shape[1])
     c = np.empty_like(g)
     c[:, 0] = c0
@@ -168,7 +127,8 @@ def _held(t: Array, values: Array, start: float, end: float, alpha: float,
 def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
            top: float) -> Samples:
     nodes, inside = _with_ends(t, start, end)
-    level = _interpolate(t, values, nodes, inside)
+    level = values[:, inside] if len(nodes) == np.count_nonzero(inside) else \
+        np.array([np.interp(nodes, t, row) for row in values])
     x = _dimensionless(nodes, start, end, alpha)
     step, rise = np.diff(x), np.diff(level, axis=1)
     steep = step * top < _STEEP
@@ -196,14 +156,14 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
 def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
             top: float) -> Samples:
     step = np.diff(t)
-    if len(t) < 8:
+    if len(t) < SPLINED:
         return _lines(t, values, start, end, alpha, top)
     if np.ptp(step) <= UNIFORM * step.mean():
         return _trapezoid(t, values, start, end, alpha)
     degree = spline_degree(t, values)
     if degree == 1:
         return _lines(t, values, start, end, alpha, top)
-    nodes = _divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
+    nodes = divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
     middle, half = 0.5 * (nodes[1:] + nodes[:-1]), 0.5 * np.diff(nodes)
     point, weight = np.polynomial.legendre.leggauss(2)
     at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
@@ -212,29 +172,20 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
                    smooth_values(t, values, at, degree) * weights, lambda sums: sums)
 
 
-def _divided(nodes: Array, longest: float) -> Array:
+def divided(nodes: Array, longest: float) -> Array:
     """Divide intervals into equal parts so that none is longer than a given length."""
     parts = np.maximum(np.ceil(np.diff(nodes) / longest), 1.0).astype(int)
     if parts.max() == 1:
         return nodes
     place = np.concatenate(([0], np.cumsum(parts)))
-    divided: Array = np.interp(np.arange(place[-1] + 1), place, nodes)
-    return divided
+    return np.interp(np.arange(place[-1] + 1), place, nodes)
 
 
 def spline_degree(t: Array, values: Array) -> int:
     """
     Return the degree of the spline that predicts every second sample from the others best.
 
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-    values : ndarray, shape (m, N)
-
-    Returns
-    -------
-    int
-        1, 3 or 5; 3 where there are too few samples to tell.
+    1, 3 or 5 for stamps (N,) and values (m, N); 3 where there are too few samples to tell.
     """
     if len(t) < 32:
         return 3
@@ -268,18 +219,8 @@ def smooth_values(t: Array, values: Array, at: Array, degree: int = 3) -> Array:
     """
     Interpolate by splines between gaps, on straight lines across them, constant beyond the ends.
 
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-    values : ndarray, shape (m, N)
-    at : ndarray, shape (M,)
-        Sorted times.
-    degree : int
-        Of the splines: odd.
-
-    Returns
-    -------
-    ndarray, shape (m, M)
+    From stamps t (N,) and values (m, N) to sorted times `at` (M,): shape (m, M). The degree is
+    odd.
     """
     out = np.array([np.interp(at, t, row) for row in values]).reshape(len(values), len(at))
     step = np.diff(t)
@@ -304,23 +245,18 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
     t = signal.time
     if signal.hold == 'zoh' or len(t) < 3:
         return max(min(float(t[0]), end) - start, 0.0) if len(t) else end - start
-    step = np.diff(t)
-    if t[0] <= start and end <= t[-1] and np.max(step) <= GAP_PERIODS * np.min(step):
-        return 0.0                                     # the common case, without a median
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
-    limit = GAP_PERIODS * signal.period
     pauses = pauses_between_bursts(signal, start, end)
-    if len(pauses):
-        limit = GAP_PERIODS * float(np.median(pauses))
-    return float(covered[np.diff(bounds) > limit].sum())
+    usual = float(np.median(pauses)) if len(pauses) else signal.period
+    return float(covered[np.diff(bounds) > GAP_PERIODS * usual].sum())
 
 
 def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
     """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
     t = signal.time[(signal.time >= start) & (signal.time <= end)]
     step = np.diff(t)
-    if len(step) < PAUSES or np.max(step) <= GAP_PERIODS * np.min(step):
+    if len(step) < PAUSES:
         return np.empty(0)
     pauses = step[step > GAP_PERIODS * np.median(step)]
     return pauses if len(pauses) >= PAUSES else np.empty(0)
@@ -329,7 +265,7 @@ def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
 
 
-def _with_ends(t: Array, start: float, end: float) -> tuple[Array, NDArray[np.bool_]]:
+def _with_ends(t: Array, start: float, end: float) -> tuple[Array, Mask]:
     """Return the stamps inside of [start, end] joined by its two ends, and which they are."""
     inside = (t >= start) & (t <= end)
     kept = t[inside]
@@ -338,12 +274,5 @@ def _with_ends(t: Array, start: float, end: float) -> tuple[Array, NDArray[np.bo
     return np.concatenate((before, kept, after)), inside
 
 
-def _interpolate(t: Array, values: Array, nodes: Array, inside: NDArray[np.bool_]) -> Array:
-    if len(nodes) == np.count_nonzero(inside):
-        return values[:, inside]
-    return np.array([np.interp(nodes, t, row) for row in values])
-
-
 def _dimensionless(t: Array, start: float, end: float, alpha: float) -> Array:
-    x: Array = (t - 0.5 * (start + end)) / alpha
-    return x
+    return (t - 0.5 * (start + end)) / alpha

@@ -27,52 +27,26 @@ from ctsid_core.signals.record import Record
 
 @dataclass(frozen=True)
 class Layout:
-    """
-    How records are projected.
+    """How records are projected."""
 
-    Parameters
-    ----------
-    sizes : tuple of (int, int)
-        nmax and the number of parts of each record.
-    """
-
-    sizes: tuple[tuple[int, int], ...]
+    sizes: tuple[tuple[int, int], ...]  # nmax and the number of parts of each record
 
 
 @dataclass(frozen=True)
 class Unusable:
-    """
-    Why nothing of the records can be used.
-
-    Parameters
-    ----------
-    status : Status
-    notes : tuple of str
-        On each of several records.
-    """
+    """Why nothing of the records can be used."""
 
     status: Status
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # on each of several records
 
 
 @dataclass(frozen=True)
 class Joint:
-    """
-    What can be used of the records.
+    """What can be used of the records."""
 
-    Parameters
-    ----------
-    parts : tuple of Usable
-        Not empty; the same channels of each record.
-    numbers : tuple of int
-        Which of the given records these are, counted from 1.
-    remarks : tuple of str
-        What the user should know beyond the notes of the parts.
-    """
-
-    parts: tuple[Usable, ...]
-    numbers: tuple[int, ...]
-    remarks: tuple[str, ...] = ()
+    parts: tuple[Usable, ...]      # not empty; the same channels of each record
+    numbers: tuple[int, ...]       # which of the given records these are, counted from 1
+    remarks: tuple[str, ...] = ()  # what the user should know beyond the notes of the parts
 
     @property
     def several(self) -> bool:
@@ -143,19 +117,11 @@ class Joint:
 
 def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusable:
     """
-    Return what can be used of records, or why nothing can.
+    Return what can be used of records of the same channels, or why nothing can.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of the same channels, see `check_alike`. A channel moves if it moves in any of them. A
-        record that is too short, or full of gaps, is left out and noted.
-    settings : Settings
-
-    Raises
-    ------
-    SettingsError
-        If `settings.delay` does not fit the number of inputs.
+    A channel moves if it moves in any of them. A record that is too short, or full of gaps, is
+    left out and noted. Raises `SettingsError` if `settings.delay` does not fit the number of
+    inputs.
     """
     if len(records) == 1:
         part = usable(records[0], settings)
@@ -182,12 +148,9 @@ def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusa
 
 def check_alike(records: Sequence[Record]) -> None:
     """
-    Check that records can be of one plant.
+    Raise `DataError` unless records can be of one plant.
 
-    Raises
-    ------
-    DataError
-        If there is none, one is given twice, or channels differ in number, names or units.
+    There is one at least, none is given twice, and channels agree in number, names and units.
     """
     if not records:
         raise DataError('no record was given; `identify` wants one, or a list of them')
@@ -199,19 +162,16 @@ def check_alike(records: Sequence[Record]) -> None:
         if any(_same_samples(record, other) for other in records[:number - 1]):
             raise DataError(f'record {number} was given twice, and would count as twice the data; '
                             'give each record once')
-        for what, own, wanted in (
-                ('input', record.input_names, first.input_names),
-                ('output', record.output_names, first.output_names)):
+        for what in ('input', 'output'):
+            own, wanted = (getattr(r, f'{what}_names') for r in (record, first))
             if len(own) != len(wanted):
                 raise DataError(f'record {number} has {len(own)} {what}s, record 1 has '
                                 f'{len(wanted)}; records of one plant have the same channels')
             if own != wanted:
                 raise DataError(f'record {number} has the {what}s {", ".join(own)}, record 1 has '
                                 f'{", ".join(wanted)}; give the same channels in the same order')
-        for what, own, wanted, names in (
-                ('input', record.input_units, first.input_units, first.input_names),
-                ('output', record.output_units, first.output_units, first.output_names)):
-            for name, unit, other in zip(names, own, wanted, strict=True):
+            units = (getattr(r, f'{what}_units') for r in (record, first))
+            for name, unit, other in zip(wanted, *units, strict=True):
                 if unit != other:
                     raise DataError(f'{what} {name} is in {unit!r} in record {number}, but in '
                                     f'{other!r} in record 1; convert one of them')
@@ -219,8 +179,6 @@ def check_alike(records: Sequence[Record]) -> None:
 
 def _same_samples(one: Record, other: Record) -> bool:
     """Return whether two records are of the same samples."""
-    if one is other:
-        return True
-    return one.epoch_ns == other.epoch_ns and all(
+    return one is other or one.epoch_ns == other.epoch_ns and all(
         np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
         for a, b in zip(one.outputs, other.outputs, strict=False))

@@ -38,25 +38,12 @@ _SAME = 1e-9          # relative distance of a pole's conjugate that is rounding
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """
-    A chain of Takenaka-Malmquist filters.
+    """A chain of Takenaka-Malmquist filters."""
 
-    Parameters
-    ----------
-    poles : ndarray, shape (N,)
-        The sequence sigma [rad/s]; the filters' poles are at -sigma. Conjugates are neighbours.
-    L : ndarray, shape (N, N)
-        Real, lower triangular but for the blocks of pairs [rad/s].
-    b : ndarray, shape (N,)
-        [sqrt(rad/s)]
-    turn : ndarray, shape (N, N)
-        Unitary: turn w are the functions F_k themselves (complex where poles are).
-    """
-
-    poles: ComplexArray
-    L: Array
-    b: Array
-    turn: ComplexArray
+    poles: ComplexArray  # (N,): sigma [rad/s]; the filters have -sigma. Conjugates are neighbours
+    L: Array             # (N, N): real, lower triangular but for the blocks of pairs [rad/s]
+    b: Array             # (N,) [sqrt(rad/s)]
+    turn: ComplexArray   # (N, N), unitary: turn w are the F_k themselves (complex where poles are)
 
     @property
     def size(self) -> int:
@@ -65,23 +52,12 @@ class Chain:
 
     def impulse_response(self, times: Array) -> Array:
         """Return the functions of time w(t), shape (len(times), N), at any t >= 0 [s]."""
-        found: Array = exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
-        return found
-
-    def frequency_response(self, omega: Array) -> ComplexArray:
-        """Return the functions at i omega, shape (len(omega), N)."""
-        s = 1j * np.asarray(omega, float)[:, np.newaxis, np.newaxis]
-        found: ComplexArray = np.linalg.solve(
-            s * np.eye(self.size) - self.L,
-            self.b[np.newaxis, :, np.newaxis].astype(complex))[..., 0]
-        return found
+        return exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
 
     def commuting(self) -> Array:
         """
         Return the Z_k for which (s - L)^-1 e_k = Z_k w(s), shape (N, N, N), k first.
 
-        Notes
-        -----
         The rows of Z_k are the coefficients of functions of the same space in an orthonormal
         basis: integrals of products, of a Lyapunov equation. They are bounded, however close the
         poles are, unlike partial fractions.
@@ -92,18 +68,10 @@ class Chain:
 
 def chain(poles: Sequence[complex] | ComplexArray | Array) -> Chain:
     """
-    Return the chain of a sequence of poles.
+    Return the chain of a sequence of poles sigma with positive real parts [rad/s].
 
-    Parameters
-    ----------
-    poles : sequence of complex
-        sigma_0, sigma_1, ... with positive real parts [rad/s]; each complex one directly followed
-        by its conjugate.
-
-    Raises
-    ------
-    SettingsError
-        If there is none, one is not in the right half plane, or a conjugate is missing.
+    Each complex one is directly followed by its conjugate. Raises `SettingsError` if there is
+    none, one is not in the right half plane, or a conjugate is missing.
     """
     sigma = np.asarray(poles, dtype=complex).reshape(-1)
     blocks = _blocks(sigma)
@@ -147,11 +115,6 @@ def _blocks(sigma: ComplexArray) -> list[tuple[int, int]]:
     return found
 
 
-def laguerre(pole: float, size: int) -> Chain:
-    """Return the Laguerre basis: a constant sequence."""
-    return chain(np.full(size, pole))
-
-
 def legendre(sigma: float, size: int) -> Chain:
     """Return the Legendre basis: poles sigma (k + 1/2) ([TM] section III)."""
     return chain([sigma * (k + 0.5) for k in range(size)])
@@ -159,20 +122,10 @@ def legendre(sigma: float, size: int) -> Chain:
 
 def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
     """
-    Return the response of a chain, at rest at first, to piecewise polynomials, exactly.
+    Return the response of a chain, at rest at first, to piecewise polynomials: (K, N, m).
 
-    Parameters
-    ----------
-    found : Chain
-    derivatives : ndarray, shape (degree + 1, K, m)
-        Of m signals just after each knot, valid up to the next one
-        (`ctsid_core.model.simulation.input_polynomials`).
-    knots : ndarray, shape (K,)
-        Increasing [s].
-
-    Returns
-    -------
-    ndarray, shape (K, N, m)
+    Exactly, for m signals and their derivatives just after each of the increasing knots (K,) [s],
+    shape (degree + 1, K, m), valid up to the next one (`simulation.input_polynomials`).
     """
     step, *integrals = exponentials(found.L, np.diff(knots), len(derivatives))
     drive = sum(((f @ found.b)[:, :, np.newaxis] * v[:-1, np.newaxis]

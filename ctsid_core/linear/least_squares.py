@@ -18,21 +18,9 @@ def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, f
     """
     Return Theta of least norm with targets = Theta regressors, and the condition number.
 
-    Rows are scaled to unit norm first, and singular values below the tolerance count as zero:
-    noise-free data make the regressors exactly dependent.
-
-    Parameters
-    ----------
-    regressors : ndarray, shape (r, N)
-    targets : ndarray, shape (m, N)
-    tolerance : float
-        Relative to the largest singular value.
-
-    Returns
-    -------
-    Theta : ndarray, shape (m, r)
-    condition : float
-        Of the directions that were kept.
+    Of regressors (r, N), targets (m, N): Theta (m, r). Rows are scaled to unit norm first, and
+    singular values below the tolerance, relative to the largest, count as zero: noise-free data
+    make the regressors exactly dependent. The condition is of the directions that were kept.
     """
     norm = np.sqrt(np.einsum('ij,ij->i', regressors, regressors))
     norm[norm == 0.0] = 1.0
@@ -51,12 +39,7 @@ def least_norm(regressors: Array, targets: Array, tolerance: float) -> Array:
     """
     Return the same Theta as `solve`, a third of the time, by a factorisation with pivoting.
 
-    Parameters
-    ----------
-    regressors : ndarray, shape (r, N)
-    targets : ndarray, shape (m, N)
-    tolerance : float
-        The inverse is the largest condition number of the directions that are kept.
+    The inverse of the tolerance is the largest condition number of the directions that are kept.
     """
     r, count = regressors.shape
     if not 0 < r <= count:
@@ -66,5 +49,4 @@ def least_norm(regressors: Array, targets: Array, tolerance: float) -> Array:
     work = 4 * r + 1 + _BLOCK * (r + 1) + 2 * len(targets)
     _, theta, _, _, _ = dgelsy((regressors / norm[:, np.newaxis]).T, targets.T,
                                np.zeros(r, dtype=np.intc), tolerance, work)
-    found: Array = theta[:r].T / norm
-    return found
+    return np.asarray(theta[:r].T / norm)

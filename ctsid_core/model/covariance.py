@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -38,50 +39,30 @@ _KNOWN = 1e-10        # of the largest singular value of the scaled root: below 
 
 
 class Entries(NamedTuple):
-    """
-    Rows of changes of a model's entries.
+    """Rows of changes of a model's entries."""
 
-    Parameters
-    ----------
-    A, B, C, D, delay : ndarray, shapes (r, n, n), (r, n, nu), (r, ny, n), (r, ny, nu), (r, nu)
-    """
+    A: Array      # (r, n, n)
+    B: Array      # (r, n, nu)
+    C: Array      # (r, ny, n)
+    D: Array      # (r, ny, nu)
+    delay: Array  # (r, nu)
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    delay: Array
+    def rows(self) -> Array:
+        """Return them as rows of a root, (r, p)."""
+        return np.hstack([part.reshape(len(part), -1) for part in self])
 
 
 class ResponseDeviation(NamedTuple):
-    """
-    How well a frequency response is known.
+    """How well a frequency response is known."""
 
-    Parameters
-    ----------
-    magnitude : ndarray, shape (M, ny, nu)
-        Standard deviation of |G| over |G|; times 8.686 it is in dB.
-    phase : ndarray, shape (M, ny, nu)
-        Standard deviation of the phase [rad].
-    """
-
-    magnitude: Array
-    phase: Array
+    magnitude: Array  # (M, ny, nu): of |G| over |G|; times 8.686 it is in dB
+    phase: Array      # (M, ny, nu) [rad]
 
 
 class Rival(NamedTuple):
-    """
-    A model that might have been chosen instead.
+    """A model of the same channels that might have been chosen instead."""
 
-    Parameters
-    ----------
-    share : float
-        Its share of the Akaike weights of all that were tried, the chosen one among them.
-    model : StateSpace
-        Of the same inputs and outputs.
-    """
-
-    share: float
+    share: float  # of the Akaike weights of all that were tried, the chosen one among them
     model: StateSpace
 
 
@@ -136,15 +117,11 @@ class Covariance:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Covariance):
             return NotImplemented
-        return self._key == other._key and np.array_equal(self.root, other.root) \
-            and self.rivals == other.rivals
+        return (self.n, self.nu, self.ny, self.rivals) == (
+            other.n, other.nu, other.ny, other.rivals) and np.array_equal(self.root, other.root)
 
     def __hash__(self) -> int:
-        return hash((self._key, (self.root + 0.0).tobytes(), self.rivals))
-
-    @property
-    def _key(self) -> tuple[int, ...]:
-        return self.n, self.nu, self.ny, len(self.root)
+        return hash((self.n, self.nu, self.ny, (self.root + 0.0).tobytes(), self.rivals))
 
     @staticmethod
     def entry_count(n: int, nu: int, ny: int) -> int:
@@ -152,16 +129,11 @@ class Covariance:
         return n * n + n * nu + ny * n + ny * nu + nu
 
     @property
-    def _sizes(self) -> tuple[int, ...]:
-        n, nu, ny = self.n, self.nu, self.ny
-        return n * n, n * nu, ny * n, ny * nu, nu
-
-    @property
     def entries(self) -> Entries:
         """The rows of the root, as changes of the matrices."""
         n, nu, ny = self.n, self.nu, self.ny
-        parts = np.split(self.root, np.cumsum(self._sizes)[:-1], axis=1)
-        shapes = (n, n), (n, nu), (ny, n), (ny, nu), (nu,)
+        shapes: tuple[tuple[int, ...], ...] = (n, n), (n, nu), (ny, n), (ny, nu), (nu,)
+        parts = np.split(self.root, np.cumsum([prod(shape) for shape in shapes])[:-1], axis=1)
         return Entries(*(part.reshape(len(self.root), *shape)
                          for part, shape in zip(parts, shapes, strict=True)))
 
@@ -171,22 +143,17 @@ class Covariance:
         """
         Return the covariance for rows of changes, as few rows as tell it.
 
-        Parameters
-        ----------
-        entries : Entries
-        model : StateSpace
-            That they belong to: what changes its states only is taken out.
-        rivals : tuple of Rival
+        What changes the states of the model only is taken out.
         """
-        rows = np.hstack([part.reshape(len(part), -1) for part in entries])
+        rows = entries.rows()
         size = np.max(np.abs(rows), axis=0, initial=0.0)
         size[size == 0.0] = 1.0
         scaled = rows / size
-        free, count = _state_changes(model), model.n ** 2
+        free = np.vstack(realisation.state_changes(model.A, model.B, model.C))
         basis = np.linalg.qr(free / size[:len(free), np.newaxis])[0]
         scaled[:, :len(free)] -= (scaled[:, :len(free)] @ basis) @ basis.T
         _, s, right = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
-        kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - count, 0))
+        kept = (s > _KNOWN * s[:1]) & (np.arange(len(s)) < max(rows.shape[1] - model.n ** 2, 0))
         root = s[kept, np.newaxis] * right[kept] * size
         root[:, ~np.any(rows, axis=0) & (np.max(np.abs(root), axis=0, initial=0.0) < _KNOWN)] = 0.0
         return cls(root, model.n, model.nu, model.ny, rivals)
@@ -196,23 +163,15 @@ class Covariance:
         T, e = np.asarray(T, dtype=float), self.entries
         inverse = np.linalg.inv(T)
         moved = e._replace(A=T @ e.A @ inverse, B=T @ e.B, C=e.C @ inverse)
-        return replace(self, root=np.hstack([part.reshape(len(self.root), -1) for part in moved]))
+        return replace(self, root=moved.rows())
 
     def pole_changes(self, model: StateSpace) -> ComplexArray:
-        """
-        Return what the rows of the root change of the poles (1), (r, n).
-
-        Parameters
-        ----------
-        model : StateSpace
-            That the covariance belongs to; the order is that of its `poles`.
-        """
+        """Return what the rows of the root change of the poles of the model (1), (r, n)."""
         values, right = np.linalg.eig(model.A)
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
         found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
-        moved: ComplexArray = np.where(model.poles.imag == 0.0, found.real, found).astype(complex)
-        return moved
+        return np.asarray(np.where(model.poles.imag == 0.0, found.real, found).astype(complex))
 
     def response_changes(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """Return what they change of G(j omega) (2), over exp(-j omega delay): (r, M, ny, nu)."""
@@ -223,9 +182,8 @@ class Covariance:
         X = np.linalg.solve(system, model.B + 0 * s)
         dA, dB, dC, dD = (part[:, np.newaxis] for part in e[:4])
         G = model.C @ X + model.D
-        found: ComplexArray = L @ (dA @ X + dB) + dC @ X + dD \
-            - (s * G) * e.delay[:, np.newaxis, np.newaxis]
-        return found
+        return L @ (dA @ X + dB) + dC @ X + dD \
+- (s * G) * e.delay[:, np.newaxis, np.newaxis]
 
     def response_differences(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """
@@ -240,25 +198,15 @@ class Covariance:
             apart = [np.sqrt(share) * (other.frequency_response(omega) - own) * late
                      for share, other in self.rivals]
         apart = [np.where(np.isfinite(row), row, 0.0) for row in apart]
-        found: ComplexArray = np.concatenate(
-            (self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
-        return found
-
-
-def _state_changes(model: StateSpace) -> Array:
-    """Return what A, B and C change by where the states do, to first order, a column for each."""
-    one = np.eye(model.n)
-    columns: Array = np.vstack((np.kron(one, model.A.T) - np.kron(model.A, one),
-                                np.kron(one, model.B.T), -np.kron(model.C, one)))
-    return columns
+        return np.concatenate(
+(self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
 
 
 def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
     """Return the covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
     change = covariance.pole_changes(model)
     parts = np.stack((change.real, change.imag), axis=-1)
-    found: Array = np.einsum('rik,ril->ikl', parts, parts)
-    return found
+    return np.asarray(np.einsum('rik,ril->ikl', parts, parts))
 
 
 def pole_deviation(covariance: Covariance, model: StateSpace) -> Array:
@@ -276,16 +224,14 @@ def damping_deviation(covariance: Covariance, model: StateSpace) -> Array:
     radial, size = _radial(covariance, model), model.natural_frequency
     across = np.abs(model.poles.imag) / np.where(size > 0.0, size, np.nan)
     # The ratio is minus the cosine of the pole's angle: it changes by the sine times that.
-    found: Array = _deviation(radial.imag) * across / np.where(size > 0.0, size, np.nan)
-    return found
+    return _deviation(radial.imag) * across / np.where(size > 0.0, size, np.nan)
 
 
 def _radial(covariance: Covariance, model: StateSpace) -> ComplexArray:
     """Return the changes of the poles along (real) and across (imaginary) their radius."""
     poles, size = model.poles, model.natural_frequency
     turn = np.where(size > 0.0, poles.conj(), 1.0) / np.where(size > 0.0, size, 1.0)
-    found: ComplexArray = covariance.pole_changes(model) * turn
-    return found
+    return covariance.pole_changes(model) * turn
 
 
 def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
@@ -300,28 +246,18 @@ def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
         return np.full((model.ny, model.nu), np.inf)
 
 
-def delay_deviation(covariance: Covariance, model: StateSpace) -> Array:
+def delay_deviation(covariance: Covariance, _: StateSpace) -> Array:
     """Return the standard deviation of each dead time of a model, (nu,) [s]."""
-    del model
     return _deviation(covariance.entries.delay)
 
 
 def response_deviation(covariance: Covariance, model: StateSpace,
                        omega: ArrayLike) -> ResponseDeviation:
     """
-    Return the standard deviations of magnitude and phase at given frequencies.
+    Return the standard deviations of magnitude and phase at frequencies omega (M,) [rad/s].
 
-    Parameters
-    ----------
-    covariance : Covariance
-    model : StateSpace
-    omega : array_like, shape (M,)
-        [rad/s]
-
-    Notes
-    -----
-    NaN where G is zero, or omega is an undamped pole. Both are of first order: where the
-    deviation of the magnitude is not small against 1, G itself is normal, not its logarithm.
+    NaN where G is zero, or omega is an undamped pole. Both are of first order: where the deviation
+    of the magnitude is not small against 1, G itself is normal, not its logarithm.
     """
     omega = np.asarray(omega, dtype=float)
     late = np.exp(1j * np.outer(omega, model.delay))[:, np.newaxis]
@@ -337,8 +273,7 @@ def response_deviation(covariance: Covariance, model: StateSpace,
 
 
 def _deviation(changes: NDArray[np.inexact]) -> Array:
-    found: Array = np.sqrt(np.sum(np.abs(changes) ** 2, axis=0))
-    return found
+    return np.sqrt(np.sum(np.abs(changes) ** 2, axis=0))
 
 
 def spread(entries: Entries, u: Sequence[int], y: Sequence[int], nu: int, ny: int) -> Entries:

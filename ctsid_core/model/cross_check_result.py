@@ -11,59 +11,31 @@ UNKNOWN = 'cannot tell'     # whether a second method agrees
 
 @dataclass(frozen=True)
 class Agreement:
-    """
-    The largest difference between the model and that of a second method.
-
-    Parameters
-    ----------
-    method : str
-        The second method.
-    agrees : bool
-        Whether that is told: `difference` and `difference_std` are both within what the verdict
-        allows for the response to an input (12 %), and nothing contradicts. Where deviations are
-        too large to tell, or nothing can be compared, neither this nor `contradicts` is true.
-    contradicts : bool
-        Whether it has no model, or this differs at a frequency by more than 5 % and by more than 3
-        standard deviations (2 if the second method is hd-pbsid), or it has a dead time that the
-        model lacks. Deviations that are not known excuse nothing: more than 5 % is enough then,
-        and less is neither.
-    relative : float
-        Difference of the frequency responses over the response, rms, of the model within the
-        band that the input excites: the largest of those beyond both limits, or of all if there
-        are none; NaN if there is nothing to compare.
-    deviations : float
-        The same difference in standard deviations of both models together; NaN if not known.
-    input : str
-        Of whose response.
-    frequency : float
-        Where that is [rad/s].
-    difference : float
-        As `relative`, but rms over the band, every octave alike: the largest of those beyond 12 %
-        and 3 standard deviations; if there are none, of the input for which this and its deviation
-        are largest together. NaN if there is nothing to compare.
-    difference_std : float
-        Standard deviation of that difference: of both models together; NaN if not known.
-    late : str
-        Input that the second method finds to act later, by more than 3 standard deviations; empty
-        if there is none.
-    dead_time : float
-        How much later [s].
-    problem : str
-        Why the second method has no model, or its model cannot be compared; empty if it is.
-    """
+    """The largest difference between the model and that of a second method."""
 
     method: str
+    # `difference` and `difference_std` are both within what the verdict allows for the response to
+    # an input (12 %), and nothing contradicts. Where deviations are too large to tell, or nothing
+    # can be compared, neither this nor `contradicts` is true.
     agrees: bool
+    # It has no model, or this differs at a frequency by more than 5 % and by more than 3 standard
+    # deviations (2 if the second method is hd-pbsid), or it has a dead time that the model lacks.
+    # Deviations that are not known excuse nothing: more than 5 % is enough, less is neither.
     contradicts: bool
+    # Difference of the frequency responses over the response, rms, of the model within the band
+    # that the input excites: the largest of those beyond both limits, or of all if there are none;
+    # NaN if there is nothing to compare.
     relative: float = float('nan')
-    deviations: float = float('nan')
-    input: str = ''
-    frequency: float = float('nan')
+    deviations: float = float('nan')    # the same in standard deviations of both models together
+    input: str = ''                     # of whose response
+    frequency: float = float('nan')     # where that is [rad/s]
+    # As `relative`, but rms over the band, every octave alike: the largest of those beyond 12 %
+    # and 3 standard deviations; else of the input for which this and its deviation are largest.
     difference: float = float('nan')
-    difference_std: float = float('nan')
-    late: str = ''
-    dead_time: float = 0.0
-    problem: str = ''
+    difference_std: float = float('nan')    # of both models together
+    late: str = ''                      # input found to act later by more than 3 deviations
+    dead_time: float = 0.0              # how much later [s]
+    problem: str = ''                   # why there is no second model, or no comparison
 
     @property
     def answer(self) -> str:

@@ -16,11 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array
 from ctsid_core.model.statespace import StateSpace
 
 _SAME = 1e-9  # of a period: dead times that differ by less from a whole number of them are one
@@ -30,84 +30,29 @@ _STATES = 2000  # the same where they become states of full matrices
 
 @dataclass(frozen=True, eq=False)
 class Discrete:
-    """
-    A model at the ticks of a clock; made by `discretise`.
+    """A model at the ticks of a clock; made by `discretise`."""
 
-    Parameters
-    ----------
-    period : float
-        [s]
-    A : ndarray, shape (n, n)
-    now, before : ndarray, shape (n, nu)
-        Gains of u[k - lag] and of the input one tick earlier; `before` is 0 for whole dead times.
-    offset : ndarray, shape (n,)
-        Of the trim, per step.
-    C, D, y_trim : ndarray, shapes (ny, n), (ny, nu), (ny,)
-    lag : tuple of int, length nu
-        Whole periods of each dead time.
-    fraction : tuple of float, length nu
-        What remains of it, in periods.
-    """
-
-    period: float
-    A: Array
-    now: Array
-    before: Array
-    offset: Array
+    period: float                # [s]
+    A: Array                     # (n, n)
+    now: Array                   # (n, nu): gains of u[k - lag]
+    before: Array                # (n, nu): of the input one tick earlier; 0 for whole dead times
+    offset: Array                # (n,): of the trim, per step
     C: Array
     D: Array
     y_trim: Array
-    lag: tuple[int, ...]
-    fraction: tuple[float, ...]
+    lag: tuple[int, ...]         # whole periods of each dead time
+    fraction: tuple[float, ...]  # what remains of it, in periods
 
     @property
     def memory(self) -> NDArray[np.int_]:
         """How many past inputs each channel needs, shape (nu,)."""
         return np.array(self.lag, dtype=int) + (np.array(self.fraction) > 0)
 
-    def simulate(self, u: ArrayLike) -> Array:
-        """
-        Return the outputs at the ticks, from the state 0; the first input was there before.
-
-        Parameters
-        ----------
-        u : array_like, shape (M, nu)
-            Held from its tick to the next.
-
-        Returns
-        -------
-        ndarray, shape (M, ny)
-        """
-        given = np.asarray(u, dtype=float)
-        ticks = np.arange(len(given))[:, np.newaxis]
-        channels = np.arange(given.shape[1])
-        late = given[np.maximum(ticks - np.array(self.lag, dtype=int), 0), channels]
-        later = given[np.maximum(ticks - np.array(self.lag, dtype=int) - 1, 0), channels]
-        drive = late @ self.now.T + later @ self.before.T + self.offset
-        x = np.zeros((len(given), len(self.A)))
-        for k in range(1, len(given)):
-            x[k] = self.A @ x[k - 1] + drive[k - 1]
-        seen = given[np.maximum(ticks - self.memory, 0), channels]
-        outputs: Array = x @ self.C.T + seen @ self.D.T + self.y_trim
-        return outputs
-
-    def frequency_response(self, omega: ArrayLike) -> ComplexArray:
-        """Return G(e^(j omega period)) from u to y, shape (M, ny, nu), for omega in rad/s."""
-        z = np.exp(1j * np.asarray(omega, dtype=float) * self.period)[:, np.newaxis, np.newaxis]
-        lag = np.array(self.lag, dtype=int)
-        drive = self.now * z ** -lag + self.before * z ** (-lag - 1)
-        states: ComplexArray = np.linalg.solve(z * np.eye(len(self.A)) - self.A, drive)
-        response: ComplexArray = self.C @ states + self.D * z ** -self.memory
-        return response
-
     def expanded(self) -> tuple[Array, Array, Array, Array]:
         """
         Return A, B, C, D from u to y without dead time: past inputs are further states.
 
-        Raises
-        ------
-        DataError
-            If they are too many for matrices.
+        Raises `DataError` if they are too many for matrices.
         """
         n, nu = self.now.shape
         if self.memory.sum() > _STATES:
@@ -136,18 +81,10 @@ class Discrete:
 
 def discretise(model: StateSpace, rate: float) -> Discrete:
     """
-    Return a model at the ticks of a clock, exactly for inputs held from tick to tick.
+    Return a model at the ticks of a clock of a rate [Hz], exactly for inputs held between them.
 
-    Parameters
-    ----------
-    model : StateSpace
-    rate : float
-        Of the clock [Hz].
-
-    Raises
-    ------
-    DataError
-        If the rate is not positive, or so high that the dead times hold too many inputs.
+    Raises `DataError` if the rate is not positive, or so high that the dead times hold too many
+    inputs.
     """
     if not 0 < rate < np.inf:
         raise DataError(f'`rate` is {rate}; give the rate of the clock in Hz, more than 0')

@@ -12,16 +12,8 @@ from numpy.typing import ArrayLike
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array
-from ctsid_core.model.covariance import (
-    Covariance,
-    ResponseDeviation,
-    damping_deviation,
-    delay_deviation,
-    gain_deviation,
-    natural_frequency_deviation,
-    pole_covariance,
-    response_deviation,
-)
+from ctsid_core.model import covariance as known
+from ctsid_core.model.covariance import Covariance, ResponseDeviation
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
@@ -61,50 +53,24 @@ class Choice:
 
 @dataclass(frozen=True)
 class RecordShare:
-    """
-    What belongs to one of several records alone.
+    """What belongs to one of several records alone."""
 
-    Parameters
-    ----------
-    number : int
-        Of the record among those given, from 1.
-    start_ns, end_ns : int
-        Its interval, absolute [ns].
-    x_trim, y_trim : ndarray, shapes (n,), (ny,)
-        Its trim, in the state coordinates of the model.
-    fit : ndarray, shape (ny,)
-        Simulation fit (NRMSE) of each output on it [%].
-    weight : float
-        By which its noise is smaller than that of all records (geometric mean); 1 unless they
-        differ so much that it matters.
-    """
-
-    number: int
-    start_ns: int
+    number: int          # of the record among those given, from 1
+    start_ns: int        # its interval, absolute [ns]
     end_ns: int
-    x_trim: Array
+    x_trim: Array        # its trim, in the state coordinates of the model
     y_trim: Array
-    fit: Array
-    weight: float = 1.0
+    fit: Array           # (ny,): simulation fit (NRMSE) of each output on it [%]
+    weight: float = 1.0  # its noise is smaller than the geometric mean by this; 1 if about alike
 
 
 @dataclass(frozen=True)
 class OrderTried:
-    """
-    One order that the search tried.
-
-    Parameters
-    ----------
-    order : int
-    criterion : float
-        Schwarz's criterion, above that of the most likely order.
-    fit : float
-        Simulation fit of the worst output, on the window itself [%].
-    """
+    """One order that the search tried."""
 
     order: int
-    criterion: float
-    fit: float
+    criterion: float  # Schwarz's, above that of the most likely order
+    fit: float        # simulation fit of the worst output, on the window itself [%]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,48 +168,40 @@ class Estimate:
     @property
     def pole_covariance(self) -> Array:
         """Covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
-        return self._derived(pole_covariance, 'n', 2, 2)
+        return self._derived(known.pole_covariance, 'n', 2, 2)
 
     @property
     def natural_frequency_std(self) -> Array:
         """Standard deviation of each natural frequency, (n,) [rad/s]."""
-        return self._derived(natural_frequency_deviation, 'n')
+        return self._derived(known.natural_frequency_deviation, 'n')
 
     @property
     def damping_std(self) -> Array:
         """Standard deviation of each damping ratio, (n,); 0 for real poles."""
-        return self._derived(damping_deviation, 'n')
+        return self._derived(known.damping_deviation, 'n')
 
     @property
     def dc_gain_std(self) -> Array:
         """Standard deviation of the DC gain, (ny, nu)."""
-        return self._derived(gain_deviation, 'ny', 'nu')
+        return self._derived(known.gain_deviation, 'ny', 'nu')
 
     @property
     def delay_std(self) -> Array:
         """Standard deviation of each dead time, (nu,) [s]; 0 where it was given."""
-        return self._derived(delay_deviation, 'nu')
+        return self._derived(known.delay_deviation, 'nu')
 
     def frequency_response_std(self, omega: ArrayLike) -> ResponseDeviation:
         """
         Return the standard deviations of magnitude (over the magnitude) and phase [rad].
 
-        Parameters
-        ----------
-        omega : array_like, shape (M,)
-            Frequencies [rad/s].
-
-        Returns
-        -------
-        ResponseDeviation
-            Two arrays of shape (M, ny, nu); NaN where unknown.
+        At frequencies omega (M,) [rad/s]: two arrays of shape (M, ny, nu); NaN where unknown.
         """
         model = self.model or self.rejected_model
         if model is None or self.covariance is None:
             nothing = np.full((np.size(omega), *((model.ny, model.nu) if model else (0, 0))),
                               np.nan)
             return ResponseDeviation(nothing, nothing)
-        return response_deviation(self.covariance, model, omega)
+        return known.response_deviation(self.covariance, model, omega)
 
     def _derived(self, what: Callable[[Covariance, StateSpace], Array],
                  *shape: str | int) -> Array:
@@ -256,15 +214,9 @@ class Estimate:
 
     def trimmed(self, model: StateSpace, number: int) -> StateSpace:
         """
-        Return a model of this estimate at the trim of one of several records.
+        Return `model` or `rejected_model` at the trim of one of several records.
 
-        Parameters
-        ----------
-        model : StateSpace
-            `model`, or `rejected_model`.
-        number : int
-            Of the record among those given, from 1; of one that was not used, the model's trim
-            stays.
+        Records are numbered as given, from 1; of one that was not used, the model's trim stays.
         """
         for record in self.records:
             if record.number == number:

@@ -22,17 +22,7 @@ SEEN = 1e-10  # a principal part below this fraction of |C row| |B column| or en
 
 def transfer(A: Array, B: Array, C: Array, D: Array, delay: Sequence[float],
              omega: Array) -> ComplexArray:
-    """
-    Return (C (j omega I - A)^-1 B + D) exp(-j omega delay), shape (M, ny, nu).
-
-    Parameters
-    ----------
-    A, B, C, D : ndarray, shapes (n, n), (n, nu), (ny, n), (ny, nu)
-    delay : sequence of float, length nu
-        [s]
-    omega : ndarray, shape (M,)
-        [rad/s]
-    """
+    """Return (C (j omega I - A)^-1 B + D) exp(-j omega delay), shape (M, ny, nu)."""
     s = np.asarray(1j * omega, dtype=complex)
     late: ComplexArray = np.exp(-s[:, np.newaxis, np.newaxis] * np.asarray(delay))
     if not len(A):

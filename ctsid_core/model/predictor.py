@@ -22,11 +22,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Places
 from ctsid_core.model.statespace import StateSpace
 
 MEMORY = 5.0  # substitute predictors forget at least this many times within the record
@@ -36,45 +35,23 @@ LONGEST = 2.0  # a sample speaks for at most that many median intervals, gaps or
 
 @dataclass(frozen=True)
 class Stream:
-    """
-    Output channels that share their stamps.
+    """Output channels that share their stamps."""
 
-    Parameters
-    ----------
-    channels : slice
-        Which outputs of the model.
-    rows : ndarray of int, shape (N,)
-        Where their stamps stand among the merged stamps of all outputs.
-    """
-
-    channels: slice
-    rows: NDArray[np.intp]
+    channels: slice  # which outputs of the model
+    rows: Places     # where their stamps stand among the merged stamps of all outputs
 
 
 def predictor_gain(model: StateSpace, noise: Array, duration: float) -> tuple[Array | None, str]:
     """
     Return a gain K for which the predictor A - K C is stable, and a note if it is not the model's.
 
-    With the model's own K that is so for every model that was identified with its noise. With
-    K = 0 and an unstable (or integrating) A it is not: no filter forgets its start. The right
-    filter for such a model is the steady Kalman filter of the same noise model (Riccati
-    equation with Q = K R K^T, S = K R); it turns unstable poles of A - K C into their mirror
-    images. To leave the imaginary axis too, A is shifted right by `MEMORY` / duration.
+    With the model's own K that is so for every model that was identified with its noise. With K =
+    0 and an unstable (or integrating) A it is not: no filter forgets its start. The right filter
+    for such a model is the steady Kalman filter of the same noise model (Riccati equation with Q =
+    K R K^T, S = K R, R the `noise` up to a factor); it turns unstable poles of A - K C into their
+    mirror images. To leave the imaginary axis too, A is shifted right by `MEMORY` / duration.
 
-    Parameters
-    ----------
-    model : StateSpace
-    noise : ndarray, shape (ny, ny)
-        Intensity of the innovations R, up to a factor.
-    duration : float
-        Of the record [s].
-
-    Returns
-    -------
-    K : ndarray, shape (n, ny), or None
-        None if an unstable mode is seen by no output, so that nothing can stabilise it.
-    note : str
-        Empty if K is the model's.
+    None if an unstable mode is seen by no output, so that nothing can stabilise it.
     """
     A, C, K = model.A, model.C, model.K
     if _is_stable(A - K @ C):
@@ -115,29 +92,14 @@ def spread(y: Array) -> Array:
 def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
                   streams: Sequence[Stream]) -> tuple[Array, Array, int]:
     """
-    Run the predictor over all samples.
+    Run the predictor over all samples, at the merged stamps (M,) of all outputs [s].
 
-    The state at the first stamp is the least-squares one for the innovations in the first
-    `START` of the record. Later states depend on samples up to their own stamp only.
+    The state at the first stamp is the least-squares one for the innovations in the first `START`
+    of the record. Later states depend on samples up to their own stamp only. `rest`, (M, ny), is r
+    of (1), read only where a stream has a sample.
 
-    Parameters
-    ----------
-    model : StateSpace
-    K : ndarray, shape (n, ny)
-    times : ndarray, shape (M,)
-        Merged stamps of all outputs [s].
-    rest : ndarray, shape (M, ny)
-        r of (1); read only where a stream has a sample.
-    streams : sequence of Stream
-
-    Returns
-    -------
-    xi : ndarray, shape (M, n)
-        State after the samples of each stamp; NaN during the start.
-    xi_0 : ndarray, shape (n,)
-        State at the first stamp, before its samples.
-    started : int
-        First row whose state is causal.
+    Returns xi, (M, n), the state after the samples of each stamp, NaN during the start; the state
+    (n,) at the first stamp before its samples; and the first row whose state is causal.
     """
     steps = exponentials(model.A, np.diff(times, prepend=times[:1]), 0)[0]
     events = _events(model, K, times, streams)

@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cholesky, schur, solve_continuous_lyapunov, solve_sylvester
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.matrix_functions import modes
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.matrix_functions import SOUND, modes
+from ctsid_core.linear.types import Array, ComplexArray, Places
 
 # Poles this close to the imaginary axis, over |A|, have no Gramian worth the name; it is also how
 # far rounding moves a double pole.
@@ -30,9 +29,16 @@ def regular(T: Array) -> bool:
     return bool(np.linalg.cond(both) < 1 / np.finfo(float).eps)
 
 
-def pole_order(values: ComplexArray) -> NDArray[np.intp]:
+def pole_order(values: ComplexArray) -> Places:
     """Return the order of poles: by magnitude, |imag|, real part, imag."""
     return np.lexsort((values.imag, values.real, np.abs(values.imag), np.abs(values)))
+
+
+def state_changes(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Return the slopes of A + X A - A X, B + X B and C - C X, a column for each entry of X."""
+    one = np.eye(len(A))
+    A_slope: Array = np.kron(one, A.T) - np.kron(A, one)
+    return A_slope, np.asarray(np.kron(one, B.T)), np.asarray(-np.kron(C, one))
 
 
 def _signs(c: ComplexArray) -> complex:
@@ -45,12 +51,9 @@ def modal(A: Array, C: Array) -> tuple[Array, Array]:
     """
     Return T to real modal states, scaled and signed as `StateSpace.modal` says, and the new A.
 
-    Raises
-    ------
-    DataError
-        If A has no usable basis of eigenvectors.
+    Raises `DataError` if A has no usable basis of eigenvectors.
     """
-    found = modes(A, condition_limit=1e10)
+    found = modes(A, SOUND)
     if found is None:
         raise DataError('poles coincide too closely for a modal form (the eigenvectors of A are '
                         'dependent); use balanced() instead')
@@ -84,12 +87,6 @@ def _split(A: Array) -> tuple[Array, int]:
     return decouple @ Z.T, int(unstable)
 
 
-def _factors(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
-    # R R^T and L L^T: the Gramians of a stable system
-    return (_root(solve_continuous_lyapunov(A, -B @ B.T)),
-            _root(solve_continuous_lyapunov(A.T, -C.T @ C)))
-
-
 def _root(gramian: Array) -> Array:
     symmetric = (gramian + gramian.T) / 2
     try:
@@ -103,8 +100,10 @@ def _stable_part(A: Array, B: Array, C: Array) -> tuple[Array, int, Array, Array
     T, unstable = _split(A)
     inverse = np.linalg.inv(T)
     stable = slice(unstable, None)
-    R, L = _factors((T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable])
-    return T, unstable, R, L
+    A, B, C = (T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable]
+    # R R^T and L L^T are the Gramians
+    return (T, unstable, _root(solve_continuous_lyapunov(A, -B @ B.T)),
+            _root(solve_continuous_lyapunov(A.T, -C.T @ C)))
 
 
 def hankel(A: Array, B: Array, C: Array) -> Array:
@@ -119,13 +118,8 @@ def balancing(A: Array, B: Array, C: Array) -> Array:
     """
     Return T that balances the stable part, the unstable one first; shape (n, n).
 
-    Square-root method: A. C. Antoulas, "Approximation of Large-Scale Dynamical Systems",
-    SIAM 2005, section 7.3.
-
-    Raises
-    ------
-    DataError
-        If the stable part is not minimal.
+    Square-root method: A. C. Antoulas, "Approximation of Large-Scale Dynamical Systems", SIAM
+    2005, section 7.3. Raises `DataError` if the stable part is not minimal.
     """
     if not len(A):
         return np.empty((0, 0))

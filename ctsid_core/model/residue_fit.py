@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.least_squares import least_norm
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import SOUND, Modes, modes, phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import mode_responses
@@ -29,65 +30,30 @@ _TURNS = 2            # of fitting B and C; a third changes no digit of the fits
 
 
 @dataclass(frozen=True, eq=False)
-class ResidueFit:
-    """
-    B, C and D whose simulations are near the samples.
-
-    Parameters
-    ----------
-    B, C, D : ndarray, shapes (n, nu), (ny, n), (ny, nu)
-    """
-
-    B: Array
-    C: Array
-    D: Array
-
-
-@dataclass(frozen=True, eq=False)
 class _Output:
-    """
-    One output over all records, compressed by a QR factorisation.
+    """One output over all records, compressed by a QR factorisation."""
 
-    Parameters
-    ----------
-    re, im : ndarray, shape (rows, modes, S)
-        Responses of the modes to u, to an impulse at the start of each record, and to 1 in each.
-    direct : ndarray, shape (rows, d)
-        u if the output follows it at once, and 1 in each record.
-    y : ndarray, shape (rows, 1)
-        Over the output's size.
-    """
+    # (rows, modes, S): of the modes to u, to an impulse at the start of each record, to 1 in each
+    states: ComplexArray
+    direct: Array  # (rows, d): u if the output follows it at once, and 1 in each record
+    y: Array       # (rows, 1): over the output's size
 
-    re: Array
-    im: Array
-    direct: Array
-    y: Array
+    def fitted(self, states: ComplexArray, tolerance: float) -> tuple[ComplexArray, Array]:
+        """Return the coefficients of states, (rows, k), and of what acts at once."""
+        theta = least_norm(np.hstack((states.real, -states.imag, self.direct)).T, self.y.T,
+                           tolerance)[0]
+        k = states.shape[1]
+        return theta[:k] + 1j * theta[k:2 * k], theta[2 * k:]
 
 
 def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, trim: bool,
-              feedthrough: bool, tolerance: float) -> ResidueFit | None:
+              feedthrough: bool, tolerance: float) -> Matrices | None:
     """
     Return the model of given A whose simulations are near the samples of the outputs.
 
-    Each output counts by its own power; initial states and trim of each record are free.
-
-    Parameters
-    ----------
-    records : sequence of Record
-    A : ndarray, shape (n, n)
-    delay : tuple of float, length nu
-        [s]
-    trim : bool
-        Whether constants drive states and outputs.
-    feedthrough : bool
-        Whether u acts on y at once.
-    tolerance : float
-        Directions of regressors below this fraction of the largest are left out.
-
-    Returns
-    -------
-    Driven or None
-        None if the eigenvectors of A are dependent, or a mode grows beyond all bounds.
+    Each output counts by its own power; initial states and trim of each record are free. None if
+    the eigenvectors of A are dependent, or a mode grows beyond all bounds. Dead times are in s,
+    and directions of regressors below the tolerance times the largest are left out.
     """
     found = modes(A, SOUND)
     length = max(r.duration for r in records)
@@ -100,7 +66,8 @@ def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, 
         b = _fit_b(outputs, c, tolerance)
         c, direct = _fit_c(outputs, b, tolerance)
     D = direct[:, :nu] if feedthrough else np.zeros((len(outputs), nu))
-    return ResidueFit((found.right @ b[:, :nu]).real, sizes * (c @ found.left).real, sizes * D)
+    return plain_matrices(A, (found.right @ b[:, :nu]).real, sizes * (c @ found.left).real,
+                          sizes * D)
 
 
 def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], trim: bool,
@@ -130,9 +97,9 @@ def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], 
     width, outputs = modes_count * total, []
     for k, size in enumerate(sizes):
         small = np.linalg.qr(np.vstack(blocks[k]), mode='r')
-        re, im = (x.reshape(len(small), modes_count, total)
-                  for x in (small[:, :width], small[:, width:2 * width]))
-        outputs.append(_Output(re, im, small[:, 2 * width:-1], small[:, -1:] / size))
+        states = (small[:, :width] + 1j * small[:, width:2 * width]).reshape(
+            len(small), modes_count, total)
+        outputs.append(_Output(states, small[:, 2 * width:-1], small[:, -1:] / size))
     return sizes[:, np.newaxis], outputs
 
 
@@ -143,17 +110,12 @@ def _rank_one(outputs: Sequence[_Output], nu: int,
 
     Those of u only: trim of states, trim of outputs and initial states can stand for each other.
     """
-    shape = outputs[0].re.shape[1:]
-    width, residues, direct = int(np.prod(shape)), [], []
-    for own in outputs:
-        rows = len(own.y)
-        theta = least_norm(np.hstack((own.re.reshape(rows, -1), -own.im.reshape(rows, -1),
-                                      own.direct)).T, own.y.T, tolerance)[0]
-        residues.append((theta[:width] + 1j * theta[width:2 * width]).reshape(shape))
-        direct.append(theta[2 * width:])
-    reach = np.sqrt(np.sum(outputs[0].re ** 2 + outputs[0].im ** 2, axis=0)) + 1e-300
-    reach = reach[:, :nu]
-    each = np.array(residues)[:, :, :nu].transpose(1, 0, 2) * reach[:, np.newaxis]
+    residues, direct = zip(*(own.fitted(own.states.reshape(len(own.y), -1), tolerance)
+                             for own in outputs), strict=True)
+    first = outputs[0].states[:, :, :nu]
+    reach = np.sqrt(np.sum(first.real ** 2 + first.imag ** 2, axis=0)) + 1e-300
+    each = np.array(residues).reshape(-1, *outputs[0].states.shape[1:])[:, :, :nu]
+    each = each.transpose(1, 0, 2) * reach[:, np.newaxis]
     left, s, right = np.linalg.svd(each, full_matrices=False)
     c, b = left[:, :, 0].T, s[:, :1] * right[:, 0] / reach
     return np.asarray(c, dtype=complex), np.asarray(b, dtype=complex), np.array(direct)
@@ -161,32 +123,26 @@ def _rank_one(outputs: Sequence[_Output], nu: int,
 
 def _fit_b(outputs: Sequence[_Output], c: ComplexArray, tolerance: float) -> ComplexArray:
     """Return b, (modes, S), for given c."""
-    shape = outputs[0].re.shape[1:]
+    shape = outputs[0].states.shape[1:]
     width, free = int(np.prod(shape)), outputs[0].direct.shape[1]
     stacked = []
     for k, own in enumerate(outputs):
-        rows, weight = len(own.y), c[k][:, np.newaxis]
+        rows, weight, re, im = len(own.y), c[k][:, np.newaxis], own.states.real, own.states.imag
         apart = np.zeros((rows, free * len(outputs)))
         apart[:, free * k:free * (k + 1)] = own.direct
         stacked.append(np.hstack((
-            (own.re * weight.real - own.im * weight.imag).reshape(rows, -1),
-            -(own.re * weight.imag + own.im * weight.real).reshape(rows, -1), apart, own.y)))
+            (re * weight.real - im * weight.imag).reshape(rows, -1),
+            -(re * weight.imag + im * weight.real).reshape(rows, -1), apart, own.y)))
     both = np.vstack(stacked)
     theta = least_norm(both[:, :-1].T, both[:, -1:].T, tolerance)[0]
-    found: ComplexArray = (theta[:width] + 1j * theta[width:2 * width]).reshape(shape)
-    return found
+    return np.asarray((theta[:width] + 1j * theta[width:2 * width]).reshape(shape))
 
 
 def _fit_c(outputs: Sequence[_Output], b: ComplexArray,
            tolerance: float) -> tuple[ComplexArray, Array]:
     """Return c, (ny, modes), and what acts at once, for given b."""
-    found, direct, count = [], [], len(b)
-    for own in outputs:
-        state = np.einsum('tkm,km->tk', own.re + 1j * own.im, b)
-        theta = least_norm(np.hstack((state.real, -state.imag, own.direct)).T, own.y.T,
-                           tolerance)[0]
-        found.append(theta[:count] + 1j * theta[count:2 * count])
-        direct.append(theta[2 * count:])
+    found, direct = zip(*(own.fitted(np.einsum('tkm,km->tk', own.states, b), tolerance)
+                          for own in outputs), strict=True)
     return np.array(found), np.array(direct)
 
 

@@ -24,7 +24,7 @@ from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
 from ctsid_core.linear.recursion import chain
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.signals.record import Signal
+from ctsid_core.signals.record import Signal, channel_slices
 
 CHUNK = 4096  # intervals at a time where matrices are stored per interval
 _GROWTH = 5.0  # times e, that modes may grow which are simulated from their start
@@ -35,28 +35,14 @@ Pieces = Callable[[Sequence[Signal], Sequence[float], Array], Array]
 
 def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: Array) -> Array:
     """
-    Return the inputs and their derivatives just after each knot.
+    Return the inputs and their derivatives just after each knot, (degree + 1, K, nu).
 
-    Before its first and after its last stamp an input is held. Valid up to the next knot if all
-    stamps (later by the dead time) within the knots' span are knots.
-
-    Parameters
-    ----------
-    inputs : sequence of Signal
-    delay : sequence of float, length nu
-        Dead time of each channel [s].
-    knots : ndarray, shape (K,)
-        Increasing [s].
-
-    Returns
-    -------
-    ndarray, shape (degree + 1, K, nu)
-        Entry j is the j-th derivative [unit / s^j].
+    Before its first and after its last stamp an input is held. Valid up to the next of the
+    increasing knots (K,) [s] if all stamps, later by the dead times of the channels, are knots.
     """
-    parts, first = [], 0
-    for signal in inputs:
-        own = np.asarray(delay[first:first + signal.width])
-        first += signal.width
+    parts = []
+    for signal, places in zip(inputs, channel_slices(inputs), strict=True):
+        own = np.asarray(delay[places])
         part = np.zeros((4, len(knots), signal.width))
         for d in np.unique(own):
             channels = own == d
@@ -87,13 +73,10 @@ def _pieces(stamps: Array, values: Array, hold: str, knots: Array) -> Array:
 def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: Sequence[float],
             times: Array, x0: Array | None) -> tuple[Array, Array]:
     """
-    Return a solution of dx/dt = A x + B u(t - delay) + offset, exactly.
+    Return a solution x of dx/dt = A x + B u(t - delay) + offset, exactly, and its inputs.
 
     Parameters
     ----------
-    A : ndarray, shape (n, n)
-    B : ndarray, shape (n, nu)
-    offset : ndarray, shape (n,)
     inputs : sequence of Signal
         Together nu channels.
     delay : sequence of float, length nu
@@ -108,9 +91,8 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
 
     Returns
     -------
-    x : ndarray, shape (M, n)
-    u : ndarray, shape (M, nu)
-        Inputs at `times` after their dead time; at a jump the new value.
+    x, u : ndarray, shapes (M, n), (M, nu)
+        Inputs at `times` are after their dead time; at a jump the new value.
 
     Raises
     ------
@@ -147,12 +129,11 @@ def _check_times(inputs: Sequence[Signal], times: Array) -> None:
 
 def knots_between(inputs: Sequence[Signal], delay: Sequence[float], times: Array) -> Array:
     """Return `times` merged with the stamps of delayed inputs that lie between them [s]."""
-    stamps, first = [times], 0
-    for signal in inputs:
-        for d in set(delay[first:first + signal.width]):
+    stamps = [times]
+    for signal, places in zip(inputs, channel_slices(inputs), strict=True):
+        for d in set(delay[places]):
             late = signal.time + d
             stamps.append(late[(late > times[0]) & (late < times[-1])])
-        first += signal.width
     return np.unique(np.concatenate(stamps))
 
 
@@ -245,21 +226,8 @@ def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
     """
     Return a basis of all responses C e^(A t) x0, scaled so that none overflows.
 
-    Stable modes are 1 at the first time, unstable ones 1 at the last.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (ny, n)
-    times : ndarray, shape (M,)
-        [s]
-
-    Returns
-    -------
-    basis : ndarray, shape (M, ny, n)
-        One response per column.
-    states : ndarray, shape (n, n)
-        Column i is the state at `times[0]` that gives column i of the basis.
+    Stable modes are 1 at the first time, unstable ones 1 at the last. The basis, (M, ny, n), has a
+    response per column; column i of the second matrix is the state at `times[0]` that gives it.
     """
     found = modes(A)
     first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)

@@ -149,8 +149,7 @@ class StateSpace:
     @property
     def natural_frequency(self) -> Array:
         """Magnitude of each pole, shape (n,), in the order of `poles` [rad/s]."""
-        size: Array = np.abs(self.poles)
-        return size
+        return np.abs(self.poles)
 
     @property
     def damping(self) -> Array:
@@ -172,8 +171,7 @@ class StateSpace:
         Infinite where a pole at 0 is seen. For an unstable model it is a number all the same,
         but not the end of any step response.
         """
-        gain: Array = self.frequency_response(np.zeros(1))[0].real
-        return gain
+        return np.asarray(self.frequency_response(np.zeros(1))[0].real)
 
     def frequency_response(self, omega: ArrayLike) -> ComplexArray:
         """
@@ -383,15 +381,12 @@ class StateSpace:
         DataError
             If there is dead time, which scipy.signal does not know.
         """
-        self._refuse_delay('to_scipy')
+        if any(self.delay):
+            raise DataError(f'the model has dead times {self.delay} s, which scipy.signal cannot '
+                            'carry; use model.pade(3).to_scipy() for an approximation, or '
+                            'model.pade(0).to_scipy() to leave them out')
         from scipy.signal import StateSpace as ScipyStateSpace  # heavy: only when wanted
         return ScipyStateSpace(self.A, self.B, self.C, self.D)
-
-    def _refuse_delay(self, verb: str) -> None:
-        if any(self.delay):
-            raise DataError(f'the model has dead times {self.delay} s, which {verb}() cannot '
-                            f'carry; use model.pade(3).{verb}() for an approximation, or '
-                            f'model.pade(0).{verb}() to leave them out')
 
 
 def control_labels(names: Sequence[str]) -> list[str]:

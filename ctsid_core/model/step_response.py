@@ -32,20 +32,11 @@ _LONGEST = 3000.0   # time constants of the fastest pole: more cannot be seen
 
 @dataclass(frozen=True)
 class StepResponse:
-    """
-    Response of each output to a unit step of each input.
+    """Response of each output to a unit step of each input."""
 
-    Parameters
-    ----------
-    times : ndarray, shape (K,)
-        After the dead time of the input [s].
-    values, std : ndarray, shape (K, ny, nu)
-        The response and its standard deviation; NaN where that is not known.
-    """
-
-    times: Array
-    values: Array
-    std: Array
+    times: Array   # (K,): after the dead time of the input [s]
+    values: Array  # (K, ny, nu)
+    std: Array     # (K, ny, nu): standard deviation; NaN where it is not known
 
 
 def horizon(model: StateSpace) -> float:
@@ -65,17 +56,9 @@ def horizon(model: StateSpace) -> float:
 def step_response(model: StateSpace, covariance: Covariance | None = None, *,
                   length: float | None = None, count: int = 200) -> StepResponse:
     """
-    Return the step response (1) at equal steps of time, with its deviation (2).
+    Return the step response (1) at `count` equal steps of time, with its deviation (2).
 
-    Parameters
-    ----------
-    model : StateSpace
-    covariance : Covariance, optional
-        Of its entries.
-    length : float, optional
-        Time after the dead time [s]; as long as it moves if not given.
-    count : int
-        Number of times.
+    Over `length` after the dead time [s]; as long as it moves if not given.
     """
     times = np.linspace(0.0, length if length is not None else horizon(model), count)
     n, nu, ny = model.n, model.nu, model.ny

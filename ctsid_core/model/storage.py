@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError, StorageError
+from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.model_json import from_json, parse, to_json
 from ctsid_core.model.statespace import StateSpace
@@ -34,6 +35,8 @@ __all__ = ['from_json', 'load_estimate', 'load_metadata', 'load_model', 'load_se
 
 SERIES_FORMAT = 'ctsid-series'
 SERIES_VERSION = 1
+PER_POLE = ('re [rad/s]', 'im [rad/s]', 'std [rad/s]', 'natural_frequency [rad/s]',
+            'natural_frequency_std [rad/s]', 'damping', 'damping_std')
 
 
 def save_model(path: str | os.PathLike[str], estimate: Estimate | StateSpace,
@@ -171,46 +174,35 @@ def load_series(path: str | os.PathLike[str]) -> tuple[Estimate, ...]:
         raise StorageError(f'{path}: {error}') from error
 
 
-def _named(estimates: Sequence[Estimate], ny: int) -> list[str]:
-    names = next((m.output_names for m in (e.model or e.rejected_model for e in estimates) if m),
-                 ())
-    return [name or f'y{i + 1}' for i, name in enumerate((*names, *('',) * ny)[:ny])]
-
-
 def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
-    orders = [e.model.n if e.model else 0 for e in estimates]
+    order = max((e.model.n for e in estimates if e.model), default=0)
     ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
-    head = ['start_ns', 'end_ns', 'status', 'verdict', 'order']
-    for k in range(1, max(orders, default=0) + 1):
-        head += [f'pole{k}_re [rad/s]', f'pole{k}_im [rad/s]', f'pole{k}_std [rad/s]',
-                 f'pole{k}_natural_frequency [rad/s]', f'pole{k}_natural_frequency_std [rad/s]',
-                 f'pole{k}_damping', f'pole{k}_damping_std']
-    names = _named(estimates, ny)
-    head += [f'fit_{name} [%]' for name in names] + [f'held_out_fit_{name} [%]' for name in names]
-    head += columns
+    models = (e.model or e.rejected_model for e in estimates)
+    given = next((m.output_names for m in models if m), ())
+    names = [name or f'y{i + 1}' for i, name in enumerate((*given, *('',) * ny)[:ny])]
     stream = io.StringIO(newline='')
     writer = csv.writer(stream, lineterminator='\n')
-    writer.writerow(head)
-    for i, estimate in enumerate(estimates):
-        more = [float(values[i]) for values in columns.values()]
-        writer.writerow(_csv_row(estimate, max(orders), ny, more))
+    writer.writerow(('start_ns', 'end_ns', 'status', 'verdict', 'order',
+                     *(f'pole{k + 1}_{what}' for k in range(order) for what in PER_POLE),
+                     *(f'fit_{name} [%]' for name in names),
+                     *(f'held_out_fit_{name} [%]' for name in names), *columns))
+    for i, e in enumerate(estimates):
+        cells = (*_pole_cells(e, order), *_padded(e.fit, (ny,)), *_padded(e.held_out_fit, (ny,)),
+                 *(float(values[i]) for values in columns.values()))
+        writer.writerow((e.start_ns, e.end_ns, e.status.name, e.verdict.grade.name,
+                         e.model.n if e.model else '',
+                         *('' if np.isnan(x) else repr(float(x)) for x in cells)))
     return stream.getvalue().encode()
 
 
-def _csv_row(estimate: Estimate, order: int, ny: int, more: Sequence[float]) -> list[object]:
-    row: list[object] = [estimate.start_ns, estimate.end_ns, estimate.status.name,
-                         estimate.verdict.grade.name,
-                         estimate.model.n if estimate.model else '']
-    cells: list[float] = []
-    if estimate.model:
-        model, std = estimate.model, _padded(estimate.pole_std, (estimate.model.n,))
-        radial, damping = estimate.natural_frequency_std, estimate.damping_std
-        for k, pole in enumerate(model.poles):
-            cells += [pole.real, pole.imag, std[k], model.natural_frequency[k], radial[k],
-                      model.damping[k], damping[k]]
-    cells += [np.nan] * (7 * order - len(cells))
-    cells += [*_padded(estimate.fit, (ny,)), *_padded(estimate.held_out_fit, (ny,)), *more]
-    return row + ['' if np.isnan(x) else repr(float(x)) for x in cells]
+def _pole_cells(estimate: Estimate, order: int) -> Array:
+    """Return what `PER_POLE` says of each pole, NaN up to the largest order."""
+    m, cells = estimate.model, np.empty((0, len(PER_POLE)))
+    if m is not None:
+        cells = np.column_stack((
+            m.poles.real, m.poles.imag, _padded(estimate.pole_std, (m.n,)), m.natural_frequency,
+            estimate.natural_frequency_std, m.damping, estimate.damping_std))
+    return _padded(cells, (order, len(PER_POLE))).ravel()
 
 
 def _padded(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

@@ -7,8 +7,9 @@ Everything here compares at the outputs' own stamps; nothing is resampled.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,34 +26,17 @@ from ctsid_core.signals.record import Record, channel_slices
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """
-    Measured and computed outputs, and how well they agree.
+    """Measured and computed outputs, and how well they agree."""
 
-    Parameters
-    ----------
-    times : ndarray, shape (M,)
-        Merged stamps of all outputs within the record [s].
-    y : ndarray, shape (M, ny)
-        Measured; NaN where an output has no sample at that stamp.
-    y_hat : ndarray, shape (M, ny)
-        Computed. Of a prediction: NaN where an output has no sample, or cannot be predicted yet.
-    fit : ndarray, shape (ny,)
-        NRMSE fit of each output [%], see `fit`.
-    vaf : ndarray, shape (ny,)
-        Variance accounted for, of each output [%], see `vaf`.
-    x0 : ndarray, shape (n,)
-        State at `times[0]`.
-    notes : tuple of str
-        What else the reader should know.
-    """
-
-    times: Array
-    y: Array
+    times: Array  # (M,): merged stamps of all outputs within the record [s]
+    y: Array      # (M, ny): measured; NaN where an output has no sample at that stamp
+    # (M, ny): computed. Of a prediction: NaN where an output has no sample, or cannot be predicted
+    # yet
     y_hat: Array
-    fit: Array
-    vaf: Array
-    x0: Array
-    notes: tuple[str, ...] = ()
+    fit: Array    # (ny,): NRMSE fit of each output [%], see `fit`
+    vaf: Array    # (ny,): variance accounted for, of each output [%], see `vaf`
+    x0: Array     # (n,): state at `times[0]`
+    notes: tuple[str, ...] = ()  # what else the reader should know
 
 
 def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:
@@ -76,9 +60,8 @@ def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:
     DataError
         If the shapes differ.
     """
-    pairs = _pairs(y, y_hat)
-    return np.array([100 * (1 - _ratio(_norm(a - b), _norm(a - a.mean())))
-                     if len(a) > 1 else np.nan for a, b in pairs])
+    norm = np.linalg.norm
+    return _compared(y, y_hat, lambda a, b: (norm(a - b), norm(a - a.mean())))
 
 
 def vaf(y: ArrayLike, y_hat: ArrayLike) -> Array:
@@ -87,44 +70,28 @@ def vaf(y: ArrayLike, y_hat: ArrayLike) -> Array:
 
     Unlike `fit` it forgives a constant offset. Parameters, NaN and errors: as for `fit`.
     """
-    pairs = _pairs(y, y_hat)
-    return np.array([100 * (1 - _ratio(_variance(a - b), _variance(a)))
-                     if len(a) > 1 else np.nan for a, b in pairs])
+    return _compared(y, y_hat, lambda a, b: (
+        (a - b).var() if np.isfinite(b).all() else np.inf, a.var()))
 
 
-def _pairs(y: ArrayLike, y_hat: ArrayLike) -> list[tuple[Array, Array]]:
+def _compared(y: ArrayLike, y_hat: ArrayLike, sizes: Callable[[Array, Array], tuple[Any, Any]]
+              ) -> Array:
+    """Return 100 (1 - size of the error / size of the motion) of each output [%]."""
     a, b = np.asarray(y, dtype=float), np.asarray(y_hat, dtype=float)
     if a.shape != b.shape or a.ndim != 2:
         raise DataError(f'`y` has shape {a.shape} and `y_hat` {b.shape}; wanted are two of the '
                         'same shape (M, ny)')
-    good = ~(np.isnan(a) | np.isnan(b))
-    return [(a[rows, i], b[rows, i]) for i, rows in enumerate(good.T)]
+    found = np.full(a.shape[1], np.nan)
+    for i, known in enumerate(~(np.isnan(a) | np.isnan(b)).T):
+        with np.errstate(over='ignore'):  # a diverged simulation
+            error, motion = sizes(a[known, i], b[known, i]) if known.sum() > 1 else (0.0, 0.0)
+        if motion > 0:
+            found[i] = 100 * (1 - error / motion)
+    return found
 
 
-def _norm(x: Array) -> float:
-    with np.errstate(over='ignore'):  # a diverged simulation
-        return float(np.linalg.norm(x))
-
-
-def _variance(x: Array) -> float:
-    with np.errstate(over='ignore'):
-        return float(x.var()) if np.isfinite(x).all() else np.inf
-
-
-def _ratio(error: float, size: float) -> float:
-    return error / size if size > 0 else np.nan
-
-
-@dataclass(frozen=True)
-class _Samples:
-    """All output samples of a record, merged."""
-
-    times: Array
-    y: Array
-    streams: tuple[Stream, ...]
-
-
-def _samples(model: StateSpace, record: Record) -> _Samples:
+def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stream]]:
+    """Return the merged stamps of all outputs, their samples there, and where each has its own."""
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
     inside = [(s.time >= record.start) & (s.time <= record.end) for s in record.outputs]
@@ -135,22 +102,23 @@ def _samples(model: StateSpace, record: Record) -> _Samples:
             record.outputs, channel_slices(record.outputs), stamps, inside, strict=True):
         streams.append(Stream(places, np.searchsorted(times, own)))
         y[streams[-1].rows, places] = signal.values[rows]
-    return _Samples(times, y, tuple(streams))
+    return times, y, streams
 
 
-def _respond(model: StateSpace, record: Record, times: Array,
-             x0: Array | None) -> tuple[Array, Array]:
-    # Outputs of the model, and its state at times[0]
-    x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, x0)
+def _respond(model: StateSpace, record: Record, times: Array) -> tuple[Array, Array]:
+    # Outputs of a bounded solution of the model, and its state at times[0]
+    x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, None)
     with np.errstate(over='ignore', invalid='ignore'):
         y = x @ model.C.T + u @ model.D.T + model.y_trim
     return np.where(np.isnan(y), np.inf, y), x[0] if len(x) else np.zeros(model.n)
 
 
-def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'refit'] = 'model',
-               initial_state: Literal['estimate', 'zero'] = 'estimate') -> Validation:
+def simulation(model: StateSpace, record: Record, *,
+               trim: Literal['model', 'refit'] = 'model') -> Validation:
     """
-    Compare a record with the simulation of a model from its inputs alone.
+    Compare a record with the simulation of a model from its inputs and the best initial state.
+
+    That is the least-squares one, outputs weighted by their spread.
 
     Parameters
     ----------
@@ -160,8 +128,6 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
     trim : {'model', 'refit'}
         Offsets of the outputs: the model's, or fitted to this record on top of them (if the
         robot may have been trimmed otherwise).
-    initial_state : {'estimate', 'zero'}
-        State at the first output sample: least squares, outputs weighted by their spread, or 0.
 
     Returns
     -------
@@ -174,28 +140,20 @@ def simulation(model: StateSpace, record: Record, *, trim: Literal['model', 'ref
     DataError
         If the record's channels do not fit the model, or an option is unknown.
     """
-    for name, value, known in (('trim', trim, ('model', 'refit')),
-                               ('initial_state', initial_state, ('estimate', 'zero'))):
-        if value not in known:
-            raise DataError(f'`{name}` is {value!r}; choose one of {known}')
-    samples = _samples(model, record)
-    times, y = samples.times, samples.y
-    start = np.zeros(model.n) if initial_state == 'zero' else None
-    y_hat, x0 = _respond(model, record, times, start)
-    blocks, states = [], []
-    if initial_state == 'estimate':
-        with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
-            basis, state = free_response(model.A, model.C, times)
-        blocks.append(basis)
-        states.append(state)
+    if trim not in ('model', 'refit'):
+        raise DataError(f'`trim` is {trim!r}; choose model or refit')
+    times, y, _ = _samples(model, record)
+    y_hat, x0 = _respond(model, record, times)
+    with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
+        columns, states = free_response(model.A, model.C, times)
     if trim == 'refit':
-        blocks.append(np.broadcast_to(np.eye(model.ny), (len(times), model.ny, model.ny)))
-        states.append(np.zeros((model.n, model.ny)))
-    if blocks and len(times):
-        columns = np.concatenate(blocks, axis=2)
+        offsets = np.broadcast_to(np.eye(model.ny), (len(times), model.ny, model.ny))
+        columns = np.concatenate((columns, offsets), axis=2)
+        states = np.hstack((states, np.zeros((model.n, model.ny))))
+    if len(times):
         found = _least_squares(columns, y - y_hat, spread(y))
         with np.errstate(over='ignore', invalid='ignore'):
-            y_hat, x0 = y_hat + columns @ found, x0 + np.hstack(states) @ found
+            y_hat, x0 = y_hat + columns @ found, x0 + states @ found
         y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
     return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat))
 
@@ -208,8 +166,7 @@ def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:
         matrix, right = matrix[rows], right[rows]
         size = np.linalg.norm(matrix, axis=0)
     size[size == 0] = 1
-    solution: Array = np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size
-    return solution
+    return np.linalg.lstsq(matrix / size, right, rcond=1e-12)[0] / size
 
 
 def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validation:
@@ -244,17 +201,16 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
     if not isinstance(horizon_steps, int | np.integer) or horizon_steps < 1:
         raise DataError(f'`horizon_steps` is {horizon_steps!r}; wanted is a whole number of '
                         'samples, at least 1')
-    samples = _samples(model, record)
-    times, y = samples.times, samples.y
-    y_known, p0 = _respond(model, record, times, None)
+    times, y, streams = _samples(model, record)
+    y_known, p0 = _respond(model, record, times)
     y_hat = np.full_like(y, np.nan)
     noise = _noise(model, y[:start_rows(times, model.n)])
     K, note = predictor_gain(model, noise, record.duration)
     x0 = p0
     if K is not None and len(times):
-        xi, xi_0, started = filter_states(model, K, times, y - y_known, samples.streams)
+        xi, xi_0, started = filter_states(model, K, times, y - y_known, streams)
         x0 = p0 + xi_0
-        for stream in samples.streams:
+        for stream in streams:
             goal, origin = stream.rows[horizon_steps:], stream.rows[:-horizon_steps]
             goal, origin = goal[origin >= started], origin[origin >= started]
             ahead = exponentials(model.A, times[goal] - times[origin], 0)[0]
@@ -325,8 +281,7 @@ def residual_tests(model: StateSpace, record: Record, *,
     memory = 3 / slowest if slowest > 0 else np.inf
 
     def inputs_at(times: Array) -> Array:
-        last: Array = input_polynomials(record.inputs, model.delay, times)[0]
-        return last
+        return np.asarray(input_polynomials(record.inputs, model.delay, times)[0])
 
     white, independent = [], []
     for i in range(model.ny):

@@ -43,31 +43,18 @@ class Remedy(Enum):
 
 @dataclass(frozen=True)
 class Excitation:
-    """
-    How one input excites the plant, and how well the response to it is determined.
-
-    Parameters
-    ----------
-    name : str
-        Of the input.
-    low, high : float
-        Excited band [rad/s]: all but 2 % of the response to this input, differenced, lies in it;
-        NaN if there is none.
-    frequencies : float
-        Effective number of frequencies of its differences, every octave alike, as far as the
-        window resolves them; one sine has about 1.
-    own : float
-        Uncorrelated part: share of its power that is not correlated with other inputs, 0 to 1.
-    uncertainty : float
-        Standard deviation of the frequency response to it, over the response, averaged with the
-        power of the differenced response; above 1 nothing is known.
-    """
+    """How one input excites the plant, and how well the response to it is determined."""
 
     name: str
+    # Excited band [rad/s]: all but 2 % of the response to this input, differenced, lies in it
     low: float = float('nan')
     high: float = float('nan')
+    # Effective number of frequencies of its differences, every octave alike, as far as the window
+    # resolves them; one sine has about 1
     frequencies: float = 0.0
-    own: float = 0.0
+    own: float = 0.0        # share of its power that is not correlated with other inputs, 0 to 1
+    # Standard deviation of the frequency response to it, over the response, averaged with the
+    # power of the differenced response; above 1 nothing is known
     uncertainty: float = float('inf')
 
 

@@ -21,27 +21,15 @@ FEWEST = 50  # samples
 
 def whiteness(e: Array) -> float:
     """
-    Return the p-value of 'these residuals are independent of each other' (Ljung-Box).
+    Return the p-value of 'these residuals (N,) are independent of each other' (Ljung-Box).
 
-    Lags 1 to 20 are counted in samples, not in seconds: independent residuals are uncorrelated
-    at any spacing, so uneven stamps and gaps leave the level of the test as it is; they only
-    blur in time what it would find.
+    Lags 1 to 20 are counted in samples, not in seconds: independent residuals are uncorrelated at
+    any spacing, so uneven stamps and gaps leave the level of the test as it is; they only blur in
+    time what it would find. NaN for fewer than 50 samples or constant residuals.
 
-    Parameters
-    ----------
-    e : ndarray, shape (N,)
-        Residuals of one output in the order of their stamps.
-
-    Returns
-    -------
-    float
-        NaN for fewer than 50 samples or constant residuals.
-
-    References
-    ----------
-    .. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models",
-       Biometrika 65, 1978. No degrees of freedom are taken off for estimated parameters: of a
-       model's own record, the p-value is a little too large.
+    G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65,
+    1978. No degrees of freedom are taken off for estimated parameters: of a model's own record,
+    the p-value is a little too large.
     """
     count, e = len(e), e - e.mean() if len(e) else e
     power = float(e @ e)
@@ -57,31 +45,18 @@ def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
     """
     Return the p-value, per input, of 'these residuals are independent of the input's past'.
 
-    The statistic is the sum of the squared cross-correlations at lags from 0 to about `memory`.
-    It is ranked among the values it takes when the input is shifted against the residuals in
-    time, circularly and by more than these lags: shifted by a whole different time, the two have
-    nothing to do with each other but keep their own spectra. Coloured residuals and coloured
-    inputs are thereby allowed for without being modelled. Stamps: residuals go into cells of one
-    median interval (lags are right to half a cell), empty cells do not count, and the inputs are
-    known everywhere by their holds.
+    The statistic is the sum of the squared cross-correlations at lags from 0 to about `memory`
+    [s], at least 20 cells and at most a tenth of the record. It is ranked among the values it
+    takes when the input is shifted against the residuals in time, circularly and by more than
+    these lags: shifted by a whole different time, the two have nothing to do with each other but
+    keep their own spectra. Coloured residuals and coloured inputs are thereby allowed for without
+    being modelled. Residuals e (N,) at increasing times (N,) [s] go into cells of one median
+    interval (lags are right to half a cell), empty cells do not count, and the inputs are known
+    everywhere by their holds: `inputs_at` stamps (G,) gives (G, nu), after their dead time.
 
-    Parameters
-    ----------
-    times : ndarray, shape (N,)
-        Stamps of the residuals, increasing [s].
-    e : ndarray, shape (N,)
-    inputs_at : callable
-        From stamps (G,) to the inputs there, after their dead time, (G, nu).
-    memory : float
-        How far back inputs matter [s]; at least 20 cells and at most a tenth of the record are
-        tested.
-
-    Returns
-    -------
-    ndarray, shape (nu,)
-        NaN for fewer than 50 samples, constant residuals, or an input that does not move.
-        Conservative for the model's own record. Under feedback, residuals also act on *later*
-        inputs; the test looks at earlier ones only, but a slow loop smears one into the other.
+    NaN for fewer than 50 samples, constant residuals, or an input that does not move. Conservative
+    for the model's own record. Under feedback, residuals also act on *later* inputs; the test
+    looks at earlier ones only, but a slow loop smears one into the other.
     """
     if len(times) < FEWEST or not np.ptp(e) > 0:
         return np.full(inputs_at(times[:1]).shape[-1] if len(times) else 0, np.nan)

@@ -50,39 +50,18 @@ _STEPS = 10         # at most
 _SETTLED = 1e-12    # |X|: no further step
 
 
-def align(model: StateSpace, reference: StateSpace) -> StateSpace | None:
+def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
     """
-    Return the same system with its states as near to those of the reference as they can be.
+    Return T such that the states z = T x are as near to those of the reference as they can be.
 
-    Parameters
-    ----------
-    model, reference : StateSpace
-        With the same channels.
+    With it the model is equal to the reference (to rounding) if the two are similar, and changes
+    in proportion to the model, for a reference that is held. None if the orders differ, a state of
+    either is not seen in the outputs, or entries would change by several times the size of their
+    matrix: the two have too little in common. Raises `DataError` if the channels differ in number.
 
-    Returns
-    -------
-    StateSpace or None
-        Equal to the reference (to rounding) if the two are similar; changing with the model in
-        proportion, for a reference that is held. None if the orders differ, a state of either is
-        not seen in the outputs, or entries would change by several times the size of their
-        matrix: the two have too little in common.
-
-    Raises
-    ------
-    DataError
-        If the channels differ in number.
-
-    Notes
-    -----
     Inputs and outputs that are constant in either (a column of B or row of C is zero) do not
     count. K, D, trim and dead time do not count either.
     """
-    T = aligning(model, reference)
-    return None if T is None else model.transform(T)
-
-
-def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
-    """Return T of the states z = T x of `align`; the same arguments, None and errors."""
     reference.check_width('input', model.nu, reference.nu)
     reference.check_width('output', model.ny, reference.ny)
     if model.n != reference.n:
@@ -100,19 +79,14 @@ def aligning(model: StateSpace, reference: StateSpace) -> Array | None:
     return T if T is not None and realisation.regular(T) else None
 
 
-def reference_form(model: StateSpace) -> StateSpace:
+def referring(model: StateSpace) -> tuple[StateSpace, Array]:
     """
-    Return the same system in well-conditioned states, to align others with.
+    Return the same system in well-conditioned states z = T x, to align others with, and T.
 
     Balanced in units in which all inputs and all outputs count alike, with time weighted by
     exp(-s t) for plants that are not stable. If a state is not driven or not seen, the modal form;
     the states as they are, if poles coincide too closely for that as well.
     """
-    return referring(model)[0]
-
-
-def referring(model: StateSpace) -> tuple[StateSpace, Array]:
-    """Return `reference_form` and T of its states z = T x."""
     T = np.eye(model.n)
     if not model.n:
         return model, T
@@ -135,8 +109,7 @@ def _weights(reference: Array, model: Array) -> Array:
     # One per column: 1 / size in the reference; 0 for columns that are zero in either
     size = np.linalg.norm(reference, axis=0)
     used = (size > 0) & model.any(axis=0)
-    weights: Array = np.where(used, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    return weights
+    return np.where(used, 1.0 / np.where(size > 0, size, 1.0), 0.0)
 
 
 def _shift(reference: StateSpace, model: StateSpace) -> float:
@@ -176,13 +149,10 @@ def _moved(system: _System, T: Array) -> _System:
 
 def _step(system: _System, target: _System, sizes: tuple[float, ...]) -> Array:
     """Return X of a damped Gauss-Newton step on (2)."""
-    A, B, C = system
-    one = np.eye(len(A))
-    # To first order A becomes A + X A - A X, B becomes B + X B, C becomes C - C X.
-    slopes = (np.kron(one, A.T) - np.kron(A, one), np.kron(one, B.T), -np.kron(C, one))
+    slopes = realisation.state_changes(*system)
     M = np.vstack([slope / size for slope, size in zip(slopes, sizes, strict=True)])
     wanted = np.concatenate([(r - m).ravel() / size for m, r, size in zip(
         system, target, sizes, strict=True)])
     # Thanks to the damping the normal equations are as good as any, and they are the fastest.
-    X = np.linalg.solve(M.T @ M + _DAMPING ** 2 * np.eye(one.size), M.T @ wanted)
-    return np.asarray(X.reshape(A.shape))
+    X = np.linalg.solve(M.T @ M + _DAMPING ** 2 * np.eye(M.shape[1]), M.T @ wanted)
+    return np.asarray(X.reshape(system[0].shape))

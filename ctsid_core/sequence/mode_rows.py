@@ -18,22 +18,12 @@ NEAR = 0.5  # poles of neighbouring windows are the same if not further apart th
 
 def paired(old: ArrayLike, new: ArrayLike, floor: float = 0.0) -> dict[int, int]:
     """
-    Pair poles that may be the same one in two models.
+    Pair poles that may be the same one in two models: index of the old one to that of the new.
 
-    Parameters
-    ----------
-    old, new : array_like of complex
-        [rad/s]
-    floor : float
-        Poles smaller than this count as that large when their distance is judged: the resolution
-        of the data [rad/s].
-
-    Returns
-    -------
-    dict
-        Index of the old one to index of the new one, in the order of the old ones. None is
-        further off than NEAR times the larger of the two. Of all such pairings the one with the
-        least sum of distances over size, where a pole without partner costs NEAR.
+    In the order of the old ones. Poles smaller than `floor`, the resolution of the data [rad/s],
+    count as that large when their distance is judged. None is further off than NEAR times the
+    larger of the two. Of all such pairings the one with the least sum of distances over size,
+    where a pole without partner costs NEAR.
     """
     a, b = np.asarray(old, dtype=complex)[:, np.newaxis], np.asarray(new, dtype=complex)
     size = np.maximum(np.maximum(np.abs(a), np.abs(b)), max(floor, 1e-300))
@@ -46,41 +36,20 @@ def paired(old: ArrayLike, new: ArrayLike, floor: float = 0.0) -> dict[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """
-    The modes of a model, each in its row.
+    """The modes of a model, each in its row; conjugates have two rows and two identities."""
 
-    Parameters
-    ----------
-    identities : tuple of int, length n
-        Of two models' rows, those with the same identity are the same mode.
-    eigenvalues : ndarray, shape (n,)
-        Complex [rad/s]. Conjugates have two rows and two identities.
-    order : tuple of int, length n
-        Which of the model's `poles` stands in each row.
-    """
-
+    # of two models' rows, those with the same identity are the same mode
     identities: tuple[int, ...] = ()
     eigenvalues: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=complex))
-    order: tuple[int, ...] = ()
+    order: tuple[int, ...] = ()  # which of the model's `poles` stands in each row
 
 
 def follow(rows: Rows, poles: ComplexArray, floor: float, first: int) -> Rows:
     """
     Return the rows of the next model.
 
-    A mode keeps its identity and, unless rows above it vanish, its row. New modes take the rows
-    of those that are gone, then further rows at the end.
-
-    Parameters
-    ----------
-    rows : Rows
-        Of the model before; empty if there is none.
-    poles : ndarray, shape (n,)
-        [rad/s]
-    floor : float
-        As for `paired` [rad/s].
-    first : int
-        The first identity that is free.
+    A mode keeps its identity and, unless rows above it vanish, its row. New modes take the rows of
+    those that are gone, then further rows at the end; `first` is the first identity that is free.
     """
     same = _same(rows.eigenvalues, poles, floor)
     fresh = [k for k in range(len(poles)) if k not in same.values()]

@@ -15,13 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.identify import identify
 from ctsid_core.judge.rules import in_sequence, rejected_over_change
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
@@ -37,39 +36,24 @@ _SAME_STAMP = 0.5e-9  # [s] stamps have whole nanoseconds
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """
-    The estimate of one window, in sequence with the windows before it.
+    """The estimate of one window, in sequence with the windows before it."""
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Its model, if accepted, in the states of this realisation.
-    realisation : int
-        Matrices with the same number have the same states. Counts up from 1 whenever the states
-        start anew (another order, or a plant too unlike); 0 before the first model.
-    modes : tuple of int, length n
-        The identity of each row of the eigenvalues: the same number is the same mode, in all
-        realisations. Empty if there is no accepted model.
-    eigenvalues : ndarray, shape (n,)
-        Complex [rad/s]. A mode keeps its row as long as the modes above it are there.
-    eigenvalue_std : ndarray, shape (n,)
-        As `Estimate.pole_std`, in the order of `eigenvalues` [rad/s].
-    fresh_fit : ndarray, shape (ny,)
-        How well the last accepted model, from an earlier window, simulates that part of this
-        window which it has not seen [%]: 100 (1 - rms(error there) / rms(y - mean y)), with the
-        mean and rms of y over the whole window, and the model's own trim. NaN if there is no
-        earlier model, or fewer than 10 samples are new.
-    fresh_start_ns, fresh_end_ns : int
-        The part tested, absolute [ns]; 0 if none was.
-    """
-
-    estimate: Estimate
+    estimate: Estimate       # its model, if accepted, in the states of this realisation
+    # Matrices with the same number have the same states. Counts up from 1 whenever the states
+    # start anew (another order, or a plant too unlike); 0 before the first model.
     realisation: int = 0
+    # Length n: the identity of each row of the eigenvalues: the same number is the same mode, in
+    # all realisations. Empty if there is no accepted model.
     modes: tuple[int, ...] = ()
+    # (n,) [rad/s]: a mode keeps its row as long as the modes above it are there
     eigenvalues: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=complex))
+    # As `Estimate.pole_std`, in the order of `eigenvalues`
     eigenvalue_std: Array = field(default_factory=lambda: np.empty(0))
+    # (ny,): how well the last accepted model, from an earlier window, simulates that part of this
+    # one which it has not seen [%]: 100 (1 - rms(error there) / rms(y - mean y)), with mean and
+    # rms of y over the whole window. NaN without such a model, or for fewer than 10 new samples.
     fresh_fit: Array = field(default_factory=lambda: np.empty(0))
-    fresh_start_ns: int = 0
+    fresh_start_ns: int = 0  # the part tested, absolute [ns]; 0 if none was
     fresh_end_ns: int = 0
 
 
@@ -96,11 +80,7 @@ class Tracker:
     Parameters
     ----------
     settings : Settings, optional
-
-    Attributes
-    ----------
-    settings : Settings
-        May be replaced between windows.
+        The attribute of that name may be replaced between windows.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -128,31 +108,22 @@ class Tracker:
             If `cancelled` said so.
         """
         past, settings = self._past, self.settings
-        test = _fresh(past, record, settings)
-        return self._joined(past, test, record, identify(record, settings, cancelled=cancelled))
+        estimate = identify(record, settings, cancelled=cancelled)
+        return self._joined(past, settings, record, estimate)
 
     def join(self, record: Record, estimate: Estimate) -> Tracked:
         """
-        Take a window that is identified already, as by another process.
+        Take a window that another process has identified: the same bits as of `take`.
 
-        What a window is identified from does not depend on those before it, so that several can
-        be identified at a time; they have to be joined in their order. The same bits as of `take`.
-
-        Parameters
-        ----------
-        record : Record
-        estimate : Estimate
-            Of `identify` for this record and these settings.
-
-        Raises
-        ------
-        DataError
-            As of `take`.
+        What a window is identified from does not depend on those before it, so that several can be
+        identified at a time; they have to be joined in their order. `estimate` is that of
+        `identify` for this record and these settings. Raises `DataError` as `take` does.
         """
-        past = self._past
-        return self._joined(past, _fresh(past, record, self.settings), record, estimate)
+        return self._joined(self._past, self.settings, record, estimate)
 
-    def _joined(self, past: _Past, test: _Test, record: Record, estimate: Estimate) -> Tracked:
+    def _joined(self, past: _Past, settings: Settings, record: Record,
+                estimate: Estimate) -> Tracked:
+        test = _fresh(past, record, settings)
         estimate = self._reject_straddling(estimate)
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
@@ -178,7 +149,7 @@ class Tracker:
         A change near the ends of a window hardly shows in it, and its model may be wrong all the
         same; but it stood in the middle of a window before.
         """
-        straddles = _straddled(estimate, self._changed_ns)
+        straddles = _time(estimate, _EDGE) < self._changed_ns < estimate.end_ns
         if estimate.status is Status.CHANGED:
             # The first window to show it dates it best: later ones take it for later.
             found_ns = _time(estimate, estimate.statistics['change_share'])
@@ -191,11 +162,6 @@ class Tracker:
 
 def _time(estimate: Estimate, share: float) -> int:
     return estimate.start_ns + round(share * (estimate.end_ns - estimate.start_ns))
-
-
-def _straddled(estimate: Estimate, at_ns: int) -> bool:
-    """Whether data from both sides of an instant made an estimate."""
-    return _time(estimate, _EDGE) < at_ns < estimate.end_ns
 
 
 def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: float
@@ -211,9 +177,9 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
     rows = follow(past.rows, aligned.poles, resolution, past.next_mode)
     estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned),
                        covariance=estimate.covariance and estimate.covariance.transform(T))
+    next_mode = max((past.next_mode, *(1 + mode for mode in rows.identities)))
     return estimate, _Past(realisation, reference, aligned, estimate.pole_std, estimate.end_ns,
-                           rows,
-                           max((past.next_mode, *(1 + mode for mode in rows.identities))))
+                           rows, next_mode)
 
 
 def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:
@@ -225,8 +191,7 @@ def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Arra
     if len(estimate.pole_std) != model.n:
         return np.full(model.n, np.nan)
     away = np.abs(aligned.poles[:, np.newaxis] - model.poles)
-    std: Array = estimate.pole_std[linear_sum_assignment(away)[1]]
-    return std
+    return np.asarray(estimate.pole_std[linear_sum_assignment(away)[1]])
 
 
 def _moved(past: _Past, estimate: Estimate) -> float:
@@ -263,28 +228,23 @@ def _fresh(past: _Past, record: Record, settings: Settings) -> _Test:
     except np.linalg.LinAlgError:  # of the data's making: no caller must die of it
         return none
     new = found.times > (past.end_ns - record.epoch_ns) * 1e-9 + _SAME_STAMP
-    pairs = list(zip(found.y.T, found.y_hat.T, strict=True))
-    fit = np.array([_fit(y, y_hat, new) for y, y_hat in pairs])
+    fit, ratio = np.array([_compared(y, y_hat, new) for y, y_hat in zip(
+        found.y.T, found.y_hat.T, strict=True)]).T
     if np.isnan(fit).all():
         return none
-    ratio = np.array([_rms(y - y_hat, new) / _rms(y - y_hat, ~new) for y, y_hat in pairs])
     return _Test(fit, ratio, max(start_ns, past.end_ns), end_ns)
 
 
-def _fit(y: Array, y_hat: Array, new: NDArray[np.bool_]) -> float:
-    """Return the fit of one output on its new samples [%]; rows where y is NaN do not count."""
-    known = ~np.isnan(y)
-    error = (y - y_hat)[known & new]
-    spread = float(y[known].std()) if known.any() else 0.0
-    if len(error) < _FEWEST or not spread > 0:
-        return np.nan
-    with np.errstate(over='ignore'):  # a model that explodes
-        return 100 * (1 - float(np.sqrt(np.mean(error ** 2))) / spread)
+def _compared(y: Array, y_hat: Array, new: Mask) -> tuple[float, float]:
+    """Return the fit of one output on its new samples [%], and the error there over the rest's."""
+    spread = float(y[~np.isnan(y)].std()) if not np.isnan(y).all() else 0.0
+    error, before = (_rms(y - y_hat, rows) for rows in (new, ~new))
+    return (100 * (1 - error / spread) if spread > 0 else np.nan,
+            error / before if error > 0 and before > 0 else np.nan)
 
 
-def _rms(error: Array, rows: NDArray[np.bool_]) -> float:
-    """Return the root mean square of errors on some rows; NaN for too few or a perfect model."""
+def _rms(error: Array, rows: Mask) -> float:
+    """Return the root mean square of errors on some rows, where known; NaN for too few."""
     found = error[rows & ~np.isnan(error)]
-    with np.errstate(over='ignore'):
-        rms = float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan
-    return rms if rms > 0.0 else np.nan
+    with np.errstate(over='ignore'):  # a model that explodes
+        return float(np.sqrt(np.mean(found ** 2))) if len(found) >= _FEWEST else np.nan

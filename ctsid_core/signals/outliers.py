@@ -9,7 +9,7 @@ samples are interpolated and weighted as they would be without.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,21 +33,11 @@ SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whethe
 
 @dataclass(frozen=True, eq=False)
 class Spikes:
-    """
-    Corrupt samples of one signal.
+    """Corrupt samples of one signal."""
 
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (N, m)
-        Which samples are corrupt.
-    instead : ndarray, shape (N, m)
-        The values, with those of corrupt samples bridged from their neighbours.
-    too_many : tuple of int
-        Channels with so many far samples that none was taken for corrupt.
-    """
-
-    mask: Mask
-    instead: Array
+    mask: Mask      # (N, m): which samples are corrupt
+    instead: Array  # (N, m): the values, with corrupt samples bridged from their neighbours
+    # channels with so many far samples that none was taken for corrupt
     too_many: tuple[int, ...] = ()
 
     @property
@@ -59,24 +49,12 @@ class Spikes:
 def spikes(time: Array, values: Array, sure: float = SURE, *,
            inputs: Array | None = None, closely: bool = False) -> Spikes:
     """
-    Find the corrupt samples of channels that share their stamps.
+    Find the corrupt samples of channels (N, m) that share their increasing stamps (N,).
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        Increasing [s].
-    values : ndarray, shape (N, m)
-    sure : float
-        Robust standard deviations beyond which a sample is corrupt.
-    inputs : ndarray, shape (N, nu), optional
-        Held inputs at the stamps, that channels may follow at once.
-    closely : bool
-        Whether to look for small bursts even if no sample stands out.
-
-    Notes
-    -----
-    Of white Gaussian noise with 10000 samples, about one record in 170 has a suspect; it then has
-    to pass the judgement, too.
+    They lie beyond `sure` robust standard deviations; `inputs` (N, nu) are held ones, that
+    channels may follow at once; `closely`: look for small bursts even if no sample stands out. Of
+    white Gaussian noise with 10000 samples, about one record in 170 has a suspect; it then has to
+    pass the judgement, too.
     """
     mask = np.zeros(values.shape, dtype=bool)
     if len(time) < FEWEST:
@@ -103,40 +81,13 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
     return Spikes(mask, instead, tuple(too_many))
 
 
-def despiked(signal: Signal, sure: float = SURE, inputs: Array | None = None
-             ) -> tuple[Signal, Spikes]:
-    """Return a signal with its spikes bridged (itself if there are none), and the spikes."""
-    found = spikes(signal.time, signal.values, sure, inputs=inputs)
-    return (replace(signal, values=found.instead) if found.any else signal), found
-
-
-def no_spikes(signal: Signal) -> Spikes:
-    """Return that a signal has no spikes."""
-    return Spikes(np.zeros(signal.values.shape, dtype=bool), signal.values)
-
-
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
            record: Record) -> tuple[list[str], dict[str, float]]:
     """
-    Say how many samples of which channels are corrupt, and where.
+    Return sentences on which samples of which channels are corrupt, and their numbers.
 
-    Parameters
-    ----------
-    kind : str
-        'input' or 'output'.
-    names : sequence of str
-        Of all channels.
-    signals : sequence of Signal
-    found : sequence of Spikes
-        Of each signal.
-    record : Record
-        Samples within its interval count; times are from its start.
-
-    Returns
-    -------
-    notes : list of str
-    counts : dict of str to float
-        Corrupt samples of each channel that has any, by 'corrupt_samples.' and its name.
+    Numbers by 'corrupt_samples.' and the name. `kind` is 'input' or 'output', `names` are of all
+    channels. Samples within the interval of the record count; times are from its start.
     """
     notes, counts, rest = [], {}, iter(names)
     for signal, spiky in zip(signals, found, strict=True):

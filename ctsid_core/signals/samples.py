@@ -24,31 +24,13 @@ AFTER: Mapping[Hold, int] = {'zoh': 0, 'linear': 1, 'smooth': 3}  # a held value
 
 @dataclass(frozen=True)
 class Group:
-    """
-    Channels of one role that always come together, under one stamp.
+    """Channels of one role that always come together, under one stamp."""
 
-    Parameters
-    ----------
-    name : str
-        What `SlidingWindow.push` calls it.
-    width : int
-        Number of channels m.
-    role : {'input', 'output'}
-    hold : {'zoh', 'linear', 'smooth'}
-        What is known between the samples.
-    names, units : tuple of str, length m or empty
-
-    Raises
-    ------
-    DataError
-        If any of these cannot be.
-    """
-
-    name: str
-    width: int
+    name: str                    # what `SlidingWindow.push` calls it
+    width: int                   # number of channels m
     role: Literal['input', 'output']
-    hold: Hold
-    names: tuple[str, ...] = ()
+    hold: Hold                   # what is known between the samples
+    names: tuple[str, ...] = ()  # m of them, or none
     units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -65,71 +47,38 @@ class Group:
 
 @dataclass(frozen=True)
 class GroupCounts:
-    """
-    Counts of the samples of one group since the beginning.
-
-    Parameters
-    ----------
-    accepted, late, duplicate, astray, bad_stamp, non_finite, wrong_width : int
-        Numbers of samples: all but the accepted ones were dropped. Of samples with equal stamps
-        the first is kept. A bad stamp is zero, negative, or beyond the year 2116.
-    worst_late, worst_astray : float
-        How far behind (negative) or ahead of (positive) the newest stamp of all groups the worst
-        late sample and the worst stray one were [s].
-    """
+    """Counts of the samples of one group since the beginning: all but accepted were dropped."""
 
     accepted: int = 0
     late: int = 0
-    duplicate: int = 0
+    duplicate: int = 0         # of equal stamps the first is kept
     astray: int = 0
-    bad_stamp: int = 0
+    bad_stamp: int = 0         # zero, negative, or beyond the year 2116
     non_finite: int = 0
     wrong_width: int = 0
+    # how far behind (negative) the newest stamp of all groups the worst was [s]
     worst_late: float = 0.0
-    worst_astray: float = 0.0
+    worst_astray: float = 0.0  # likewise, or ahead (positive) [s]
 
 
 @dataclass(frozen=True)
 class Counts:
-    """
-    What became of the samples, and of the windows, since the beginning.
-
-    Parameters
-    ----------
-    groups : mapping of str to GroupCounts
-    windows : int
-        Windows handed out.
-    empty : int
-        Windows skipped because no group had any sample in them.
-    resets : int
-        How often the stamps jumped back for good.
-    """
+    """What became of the samples, and of the windows, since the beginning."""
 
     groups: Mapping[str, GroupCounts]
-    windows: int
-    empty: int
-    resets: int
+    windows: int  # handed out
+    empty: int    # skipped because no group had any sample in them
+    resets: int   # how often the stamps jumped back for good
 
 
 @dataclass(frozen=True)
 class Rows:
-    """
-    Samples of one group, a row each, in the order in which they come.
-
-    Parameters
-    ----------
-    group : str
-    stamps : ndarray of int64, shape (N,)
-        Absolute [ns].
-    values : ndarray, shape (N, m)
-    sound : ndarray of bool, shape (N,)
-        Which have values; others are counted as of a wrong width.
-    """
+    """Samples of one group, a row each, in the order in which they come."""
 
     group: str
-    stamps: NDArray[np.int64]
-    values: Array
-    sound: NDArray[np.bool_]
+    stamps: NDArray[np.int64]  # (N,), absolute [ns]
+    values: Array              # (N, m)
+    sound: NDArray[np.bool_]   # (N,): which have values; others count as of a wrong width
 
     def __getitem__(self, rows: slice) -> Rows:
         return Rows(self.group, self.stamps[rows], self.values[rows], self.sound[rows])
@@ -155,10 +104,6 @@ class Samples:
     Buffer of one group: in the order of stamps, one sample per stamp; and what was dropped.
 
     A part of `SlidingWindow`, which decides what is taken.
-
-    Parameters
-    ----------
-    group : Group
     """
 
     __slots__ = ('after', 'discarded', 'dropped', 'first', 'group', 'newest', 'stamps', 'values',
@@ -183,14 +128,6 @@ class Samples:
         self.first: int | None = None
         self.newest = STAMP_MAX  # so that the first sample is not taken for an ordinary one
 
-    def append(self, stamp_ns: int, values: Sequence[float]) -> None:
-        """Take a sample that is newer than all others."""
-        self.stamps.append(stamp_ns)
-        self.values.extend(values)
-        self.newest = stamp_ns
-        if self.first is None:
-            self.first = stamp_ns
-
     def in_order(self, rows: Rows) -> bool:
         """Whether all rows are whole and finite, and each is newer than all before it."""
         return bool(self.newest < rows.stamps[0] and (rows.stamps[1:] > rows.stamps[:-1]).all()
@@ -206,13 +143,11 @@ class Samples:
     def insert(self, stamp_ns: int, values: Sequence[float]) -> bool:
         """Put a sample at its place; return False if its stamp is taken."""
         index = bisect_left(self.stamps, stamp_ns)
-        if index == len(self.stamps):
-            self.append(stamp_ns, values)
-            return True
-        if self.stamps[index] == stamp_ns:
+        if index < len(self.stamps) and self.stamps[index] == stamp_ns:
             return False
         self.stamps.insert(index, stamp_ns)
         self.values[index * self.width:index * self.width] = array('d', values)
+        self.newest = self.stamps[-1]
         self.first = min(stamp_ns, self.first or stamp_ns)
         return True
 
@@ -249,14 +184,8 @@ class Samples:
         """
         Return the samples of a window with their context, relative to its start.
 
-        Parameters
-        ----------
-        epoch_ns, end_ns : int
-            The window, absolute [ns].
-        lead_ns : int
-            History that an input wants before it [ns].
-        grace_ns : int
-            Samples after the window are its context to this long after it [ns].
+        An input has `lead_ns` of history before it, and samples to `grace_ns` after it are
+        context.
         """
         history = lead_ns if self.group.role == 'input' else 0
         low = max(bisect_left(self.stamps, epoch_ns - history) - BEFORE, 0)

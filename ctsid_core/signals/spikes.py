@@ -20,9 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array, Mask, Places
 
 MOST = 0.05             # part of a channel's samples beyond which they are not 'a few'
 SURE = 6.0              # robust standard deviations off the curve beyond which samples are bad
@@ -45,24 +44,12 @@ _STILL = 0.25           # part of differences that vanish, beyond which the othe
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """
-    What judges the samples of one channel.
+    """What judges the samples of one channel."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-    weights : ndarray, shape (4, N - 4)
-        See `weights_of`.
-    sure : float
-        Robust standard deviations beyond which a sample is corrupt.
-    least : float
-        How far off a corrupt sample is at least.
-    """
-
-    time: Array
-    weights: Array
-    sure: float
-    least: float
+    time: Array     # (N,)
+    weights: Array  # (4, N - 4), see `weights_of`
+    sure: float     # robust standard deviations beyond which a sample is corrupt
+    least: float    # how far off a corrupt sample is at least
 
     def sharp(self, x: Array, without: Array, run: slice, local: float) -> bool:
         """Return whether a run stands out sharply, and nothing does any more without it."""
@@ -122,16 +109,14 @@ def weights_of(t: Array) -> Array:
     nodes = np.array([t[:-4], t[1:-3], t[3:-1], t[4:]]) - t[2:-2]
     a, b, c, d = nodes
     ab, ac, ad, bc, bd, cd = b - a, c - a, d - a, c - b, d - b, d - c
-    weights: Array = np.array([b * c * d / (ab * ac * ad), -a * c * d / (ab * bc * bd),
-                               a * b * d / (ac * bc * cd), -a * b * c / (ad * bd * cd)])
-    return weights
+    return np.array([b * c * d / (ab * ac * ad), -a * c * d / (ab * bc * bd),
+                     a * b * d / (ac * bc * cd), -a * b * c / (ad * bd * cd)])
 
 
 def _prediction_residual(x: Array, weights: Array) -> Array:
     """Return how far samples are from what their neighbours predict; without two at each end."""
     w = weights
-    off: Array = x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:])
-    return off
+    return np.asarray(x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:]))
 
 
 def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
@@ -188,8 +173,7 @@ def followed(x: Array, inputs: Array, weights: Array) -> Array:
         rest = np.abs(off - columns @ found)
         limit = max(2.0 * _MAD * float(np.median(rest)), np.finfo(float).tiny)
         weight = limit / np.maximum(rest, limit)
-    part: Array = inputs @ found
-    return part
+    return np.asarray(inputs @ found)
 
 
 def resolution(x: Array) -> float:
@@ -249,7 +233,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     return _Verdict(run, far, without[run], float(np.max(spread)))
 
 
-def _curve(t: Array, x: Array, side: NDArray[np.intp], run: slice, degree: int,
+def _curve(t: Array, x: Array, side: Places, run: slice, degree: int,
            least: float) -> tuple[Array, Array]:
     """Return the curve through good samples at those of a run, and the deviation from it."""
     centre, width = 0.5 * (t[side[0]] + t[side[-1]]), 0.5 * (t[side[-1]] - t[side[0]])

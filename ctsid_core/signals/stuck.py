@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.types import Array
-from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.record import Record, Signal, channel_slices
 
 _SHARE = 0.08         # of the window in one run
 _TIMES = 3.0          # as long as the second longest run
@@ -36,19 +36,17 @@ class Stuck:
 
 def stuck_outputs(record: Record) -> tuple[Stuck, ...]:
     """Return the outputs of a record that are stuck for a part of it."""
-    found, first = [], 0
-    for signal in record.outputs:
+    found = []
+    for signal, channels in zip(record.outputs, channel_slices(record.outputs), strict=True):
         inside = (signal.time >= record.start) & (signal.time <= record.end)
         times, values = signal.time[inside], signal.values[inside]
-        for i in range(signal.width):
-            run = _longest_run(times, values[:, i], record.duration)
+        for output, y in enumerate(values.T, channels.start):
+            run = _longest_run(times, y, record.duration)
             if run is None:
                 continue
             start, end = times[run]
-            if _is_noise(values[:run[0], i], values[run[1] + 1:, i]) or _inputs_move(
-                    record, start, end):
-                found.append(Stuck(first + i, start - record.start, end - record.start))
-        first += signal.width
+            if _is_noise(y[:run[0]], y[run[1] + 1:]) or _inputs_move(record, start, end):
+                found.append(Stuck(output, start - record.start, end - record.start))
     return tuple(found)
 
 
@@ -83,5 +81,4 @@ def _inputs_move(record: Record, start: float, end: float) -> bool:
 def _spread(signal: Signal, start: float, end: float) -> Array:
     inside = (signal.time >= start) & (signal.time <= end)
     values = signal.values[inside]
-    spread: Array = values.std(axis=0) if len(values) > 1 else np.zeros(signal.width)
-    return spread
+    return values.std(axis=0) if len(values) > 1 else np.zeros(signal.width)

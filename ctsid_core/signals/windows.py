@@ -24,6 +24,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import count
 from math import isfinite
 from operator import index
 from typing import NamedTuple
@@ -32,7 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.errors import DataError
-from ctsid_core.signals.record import Record, Signal, common_interval
+from ctsid_core.linear.types import Places
+from ctsid_core.signals.record import Record, common_interval
 from ctsid_core.signals.samples import STAMP_MAX, Counts, Group, Rows, Samples, check_groups
 
 _GRACE = 10  # wait for the samples after a window at most this fraction of its length
@@ -48,36 +51,6 @@ class _Stray(NamedTuple):
     stamp_ns: int
     values: tuple[float, ...]
     offset_ns: int
-
-
-class _Batch:
-    """Samples of several groups, of which most are ordinary: those are taken all at once."""
-
-    def __init__(self, window: SlidingWindow, order: NDArray[np.intp], rows: Sequence[Rows]
-                 ) -> None:
-        self.window, self.order, self.rows = window, order, rows
-        self.places = [np.flatnonzero(order == number) for number in range(len(rows))]
-        self.stamps = np.empty(len(order), np.int64)
-        for places, part in zip(self.places, rows, strict=True):
-            self.stamps[places] = part.stamps
-
-    def take(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Take the samples of a range, in halves if not all are ordinary; return the dropped."""
-        if first == last:
-            return []
-        spans = [np.searchsorted(places, (first, last)).tolist() for places in self.places]
-        parts = [part[low:high] for part, (low, high) in zip(self.rows, spans, strict=True)]
-        if self.window.append_rows([part for part in parts if len(part.stamps)],
-                                   self.stamps[first:last]):
-            return []
-        if last - first > _FEW:
-            middle = (first + last) // 2
-            return self.take(first, middle) + self.take(middle, last)
-        samples = [part.samples() for part in parts]
-        rows = [iter(range(*span)) for span in spans]
-        pushed = ((number, next(rows[number]), self.window.push(*next(samples[number])))
-                  for number in self.order[first:last].tolist())
-        return [(number, row) for number, row, taken in pushed if not taken]
 
 
 class SlidingWindow:
@@ -194,34 +167,39 @@ class SlidingWindow:
                             f'be a sample ({error}); give int nanoseconds and a sequence of '
                             'floats') from error
 
-    def push_rows(self, order: NDArray[np.intp], rows: Sequence[Rows]
+    def push_rows(self, order: Places, rows: Sequence[Rows]
                   ) -> list[tuple[int, int]]:
         """
         Take many samples: the same as `push` of one after another.
 
-        Parameters
-        ----------
-        order : ndarray of int, shape (N,)
-            Which of the `rows` each sample is of: it is the next one there.
-        rows : sequence of Rows
-
-        Returns
-        -------
-        list of (int, int)
-            Which samples were dropped: which of the `rows`, and which row of it.
+        `order`, (N,), says which of the `rows` each sample is of: it is the next one there.
+        Returns which were dropped: which of the `rows`, and which row of it.
         """
-        return _Batch(self, order, rows).take(0, len(order))
+        stamps = np.empty(len(order), np.int64)
+        for number, part in enumerate(rows):
+            stamps[order == number] = part.stamps
+        return self._take_rows(order, rows, stamps, [0] * len(rows)) if len(order) else []
 
-    def append_rows(self, rows: Sequence[Rows], stamps: NDArray[np.int64]) -> bool:
-        """
-        Take samples if every one of them is ordinary, see `push`; return whether they were taken.
+    def _take_rows(self, order: Places, rows: Sequence[Rows], stamps: NDArray[np.int64],
+                   first: Sequence[int]) -> list[tuple[int, int]]:
+        """Take samples, in halves if not all are ordinary; `first` is the number of each row."""
+        if self._append_rows([part for part in rows if len(part.stamps)], stamps):
+            return []
+        if len(order) > _FEW:
+            half = len(order) // 2
+            counts = np.bincount(order[:half], minlength=len(rows)).tolist()
+            early = [part[:n] for part, n in zip(rows, counts, strict=True)]
+            late = [part[n:] for part, n in zip(rows, counts, strict=True)]
+            later = [a + n for a, n in zip(first, counts, strict=True)]
+            return self._take_rows(order[:half], early, stamps[:half], first) + self._take_rows(
+                order[half:], late, stamps[half:], later)
+        samples, numbers = [part.samples() for part in rows], [count(a) for a in first]
+        pushed = ((number, next(numbers[number]), self.push(*next(samples[number])))
+                  for number in order.tolist())
+        return [(number, row) for number, row, taken in pushed if not taken]
 
-        Parameters
-        ----------
-        rows : sequence of Rows
-        stamps : ndarray of int64, shape (N,)
-            Of all of them, in order.
-        """
+    def _append_rows(self, rows: Sequence[Rows], stamps: NDArray[np.int64]) -> bool:
+        """Take samples if every one is ordinary, see `push`; return whether they were taken."""
         newest = np.maximum.accumulate(stamps)
         before = np.concatenate(([self._newest], newest[:-1]))
         length, delay = self._length, self._max_delay
@@ -268,13 +246,12 @@ class SlidingWindow:
         start = self._start()
         if start is None:
             return None
-        signals = [(track.group.role, track.cut(start, self._lead, self._newest, self._grace))
-                   for track in self._tracks.values()]
+        record = self._record(start, self._newest)
         try:
-            end = common_interval([signal for _, signal in signals])[1]
+            end = common_interval((*record.inputs, *record.outputs))[1]
         except DataError:
             return None
-        return _record(signals, start, end) if end > 0 else None
+        return replace(record, end=end) if end > 0 else None
 
     def latest(self) -> Record | None:
         """
@@ -286,8 +263,7 @@ class SlidingWindow:
         start = self._low - self._length
         if first is None or start < first:
             return None
-        return _record([(track.group.role, track.cut(start, self._lead, self._low, self._grace))
-                        for track in self._tracks.values()], start, self._length / 1e9)
+        return self._record(start, self._low)
 
     def _examine(self, track: Samples, stamp_ns: int, values: Sequence[float]) -> bool:
         """Take or drop a sample that is not ordinary."""
@@ -356,15 +332,14 @@ class SlidingWindow:
         """Cut the next window that is due now that stamps to `passed` are complete."""
         while (start := self._start()) is not None and start + self._length <= passed:
             end = start + self._length
-            if not (final or self._complete(end, passed)):
+            if not (final or passed >= end + self._grace or all(
+                    track.has_after(end, passed) for track in self._tracks.values())):
                 break
             self._next = start + self._stride
             if any((stamp := track.stamp_from(start)) is not None and stamp <= end
                    for track in self._tracks.values()):
                 self._windows += 1
-                record = _record([(track.group.role,
-                                   track.cut(start, self._lead, end, self._grace))
-                                  for track in self._tracks.values()], start, self._length / 1e9)
+                record = self._record(start, end)
                 self._discard(passed)
                 return record
             self._skip(end, passed)
@@ -376,17 +351,13 @@ class SlidingWindow:
             self._check = max(start + self._length - 1, passed + self._grace // 512)
         return None
 
-    def _complete(self, end: int, passed: int) -> bool:
-        return passed >= end + self._grace or all(
-            track.has_after(end, passed) for track in self._tracks.values())
-
     def _skip(self, end: int, passed: int) -> None:
         """Count the empty window that ends at `end` and all the empty ones that follow it."""
         stamps = (track.stamp_from(end + 1) for track in self._tracks.values())
         target = min([passed, *(stamp for stamp in stamps if stamp is not None)])
-        count = max(-((end - target) // self._stride), 1)
-        self._empty += count
-        self._next = end - self._length + count * self._stride
+        skipped = max(-((end - target) // self._stride), 1)
+        self._empty += skipped
+        self._next = end - self._length + skipped * self._stride
 
     def _discard(self, passed: int) -> None:
         """Forget what neither a window nor the search for duplicates needs any more."""
@@ -396,15 +367,16 @@ class SlidingWindow:
         for track in self._tracks.values():
             track.discard(needed)
 
-
-def _record(signals: Sequence[tuple[str, Signal]], epoch_ns: int, end: float) -> Record:
-    return Record(tuple(signal for role, signal in signals if role == 'input'),
-                  tuple(signal for role, signal in signals if role == 'output'),
-                  0.0, end, epoch_ns)
+    def _record(self, start: int, end: int) -> Record:
+        """Return the record of the samples in [start, end] [ns]."""
+        inputs, outputs = (tuple(track.cut(start, self._lead, end, self._grace)
+                                 for track in self._tracks.values() if track.group.role == role)
+                           for role in ('input', 'output'))
+        return Record(inputs, outputs, 0.0, (end - start) / 1e9, start)
 
 
 def _nanoseconds(name: str, seconds: float, least: int) -> int:
     if not (isfinite(seconds) and least <= round(seconds * 1e9) < STAMP_MAX):
-        raise DataError(f'`{name}` is {seconds!r} s; give a {"positive" if least else "number"} '
-                        f'of seconds{"" if least else ", zero or more"}')
+        raise DataError(f'`{name}` is {seconds!r} s; give a number of seconds, '
+                        f'{"more than zero" if least else "zero or more"}')
     return round(seconds * 1e9)

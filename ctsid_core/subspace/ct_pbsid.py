@@ -38,48 +38,40 @@ from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.hermite import by_delay
 from ctsid_core.bases.laguerre import Direction, coefficients, reach
 from ctsid_core.bases.records import Joint
-from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
-from ctsid_core.subspace.interface import MethodModel, plain_matrices
+from ctsid_core.subspace.interface import SLOWEST, MethodModel
 from ctsid_core.subspace.pbsid_equations import Levels, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried
 _LONGEST = 0.4            # of the record that functions may reach at most, if the pole is chosen
-_SLOW = 10.0              # least pole tried, over the length of the record
 _MOST = 20000             # instants of a record
 
 
-def by_projection(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
-    """Return the models by Laguerre projections, of every order, pole and past left open."""
-    return models(part, settings, orders, 'ahead')
-
-
-def models(part: Joint, settings: Settings, orders: Sequence[int],
-           direction: Direction) -> list[MethodModel]:
+def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
+                  direction: Direction = 'ahead') -> list[MethodModel]:
     """
     Return the models of every order, pole and past left open.
 
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    orders : sequence of int
-    direction : {'ahead', 'back'}
-        Whether what follows an instant is projected, or what precedes it: Laguerre filters.
+    'ahead': what follows an instant is projected; 'back': what precedes it, by Laguerre filters.
     """
     records, found = [p.record for p in part.parts], []
     pasts = [settings.past] if settings.past else _PASTS
+    longest = max(r.duration for r in records)
     for a in _poles(records, settings, min(pasts)):
-        most = max((p for p in pasts if _fits(records, a, p)), default=0)
-        if most == 0:
+        # Functions have to decay within the records, with as much time to spare.
+        fitting = [p for p in pasts if longest > 2.0 * reach(p + 2) / a]
+        if not fitting:
             continue
-        levels = laguerre_levels(records, settings, a, most + 2, direction)
-        for p in (p for p in pasts if p <= most):
-            found += _realised(_first(levels, p), settings.replace(
+        levels = laguerre_levels(records, settings, a, max(fitting) + 2, direction)
+        nz = len(levels.scale)
+        for p in fitting:
+            first = replace(levels, rows=levels.rows[-(p + 2):, :, :(p + 2) * nz])
+            found += _realised(first, settings.replace(
                 laguerre_pole=a, past=p, future=settings.future or p), orders, direction)
     return found
 
@@ -104,14 +96,9 @@ def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[flo
     if settings.laguerre_pole:
         return [settings.laguerre_pole]
     length = max(r.duration for r in records)
-    low = max(reach(past + 2) / _LONGEST, _SLOW) / length
+    low = max(reach(past + 2) / _LONGEST, SLOWEST) / length
     high = max(max(output_band(r) for r in records), 4.0 * low)
     return [float(a) for a in np.geomspace(low, high, _POLES)]
-
-
-def _fits(records: Sequence[Record], a: float, past: int) -> bool:
-    """Return whether the functions decay within the records, with as much time to spare."""
-    return max(r.duration for r in records) > 2.0 * reach(past + 2) / a
 
 
 def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, count: int,
@@ -119,22 +106,8 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     """
     Return the Laguerre coefficients of records, compressed by one QR factorisation.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Too short ones are left out.
-    settings : Settings
-        Of which `delay` and `trim` matter here.
-    a : float
-        Laguerre pole [rad/s].
-    count : int
-        Number of functions, p + 2.
-    direction : {'ahead', 'back'}
-
-    Returns
-    -------
-    Levels
-        At index m the function of order count - 1 - m; a row for each input and output.
+    Of `count` = p + 2 functions of pole a [rad/s]; at index m that of order count - 1 - m, with a
+    row for each input and output. Too short records are left out.
     """
     blocks = [block for record in records
               if (block := _block(record, settings, a, count, direction)).shape[2]]
@@ -145,12 +118,6 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     compressed = triangle(z.reshape(-1, z.shape[2]).T).T
     nu, ny = records[0].nu, records[0].ny
     return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
-
-
-def _first(levels: Levels, past: int) -> Levels:
-    """Return the levels of the first functions only: the oldest rows and columns."""
-    nz = len(levels.scale)
-    return replace(levels, rows=levels.rows[-(past + 2):, :, :(past + 2) * nz])
 
 
 def _block(record: Record, settings: Settings, a: float, count: int,
@@ -166,42 +133,18 @@ def _block(record: Record, settings: Settings, a: float, count: int,
 
 
 def instants(record: Record, length: float, direction: Direction) -> Array:
-    """
-    Return the instants from which a record is seen [s].
-
-    Parameters
-    ----------
-    record : Record
-    length : float
-        How far the functions reach [s].
-    direction : {'ahead', 'back'}
-    """
+    """Return the instants [s] from which a record is seen by functions that reach `length` [s]."""
     def inside(t: Array) -> Array:
         low = record.start + (length if direction == 'back' else 0.0)
         high = record.end - (length if direction == 'ahead' else 0.0)
-        found: Array = t[(t >= low) & (t <= high)]
-        return found
+        return t[(t >= low) & (t <= high)]
 
     at = min((inside(signal.time) for signal in record.outputs), key=len)
     return at[::-(-len(at) // _MOST) or 1]
 
 
 def to_continuous(m: Matrices, a: float, direction: Direction) -> Matrices:
-    """
-    Map a model back from the Laguerre domain.
-
-    Parameters
-    ----------
-    m : Matrices
-        A_o, B_o, C_o, D_o and K_o.
-    a : float
-        Laguerre pole [rad/s].
-    direction : {'ahead', 'back'}
-
-    References
-    ----------
-    [HD] eq. 4.
-    """
+    """Map A_o, B_o, C_o, D_o, K_o of Laguerre pole a [rad/s] back to a model ([HD] eq. 4)."""
     c, ones = np.sqrt(2.0 * a), np.eye(len(m.A))
     b, sign = (a, -1.0) if direction == 'ahead' else (-a, 1.0)
     try:

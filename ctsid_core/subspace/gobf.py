@@ -20,11 +20,16 @@ from ctsid_core.errors import SettingsError
 from ctsid_core.linear.types import ComplexArray
 from ctsid_core.model.residue_fit import simulated
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.gobf_equations import filter_records, observe, realise, sample_times
-from ctsid_core.subspace.interface import MethodModel, plain_matrices
+from ctsid_core.subspace.gobf_equations import (
+    dynamics,
+    filter_records,
+    observe,
+    realise,
+    sample_times,
+)
+from ctsid_core.subspace.interface import SLOWEST, MethodModel
 
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
-_SLOWEST = 10.0                 # times the inverse of the record's length: the least largest pole
 _FUNCTIONS = 8
 _SHARE = 0.8                    # of the fewest samples, that rows of the equations may be
 
@@ -33,16 +38,7 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
     """
     Return models of all orders that the chain can hold, for each pole sequence that comes in.
 
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    orders : sequence of int
-
-    Raises
-    ------
-    SettingsError
-        If the pole sequence of the settings is none.
+    Raises `SettingsError` if the pole sequence of the settings is none.
     """
     records = [p.record for p in part.parts]
     delay = settings.delays(records[0].nu)
@@ -58,14 +54,12 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
         for n in orders:
             if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
                 continue
-            m = realise(seen, n, feedthrough=settings.feedthrough)
-            fitted = simulated(
-                records, m.A, delay, trim=settings.trim, feedthrough=settings.feedthrough,
-                tolerance=settings.rank_tolerance)
-            best = fitted or m
+            A, _ = dynamics(own, seen.left[:, :n])
+            fitted = simulated(records, A, delay, trim=settings.trim,
+                               feedthrough=settings.feedthrough, tolerance=settings.rank_tolerance)
             found.append(MethodModel(
-                plain_matrices(m.A, best.B, best.C, best.D), _used(settings, own, n),
-                seen.singular_values, seen.condition))
+                fitted or realise(seen, n, feedthrough=settings.feedthrough),
+                _used(settings, own, n), seen.singular_values, seen.condition))
     return found
 
 
@@ -84,7 +78,7 @@ def _chains(part: Joint, settings: Settings, order: int) -> list[Chain]:
     size = settings.tm_functions or max(
         _FUNCTIONS, 2 * -(-(settings.order or min(order, 6)) // records[0].ny))
     band = max(output_band(record) for record in records)
-    least = _SLOWEST / part.length
+    least = SLOWEST / part.length
     tops = sorted({max(band * fraction, least) for fraction in _FRACTIONS}, reverse=True)
     return [legendre(top / (size - 0.5), size) for top in tops]
 

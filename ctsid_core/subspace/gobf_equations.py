@@ -28,11 +28,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctsid_core.bases.kinks import interpolation_errors
+from ctsid_core.bases.kinks import interpolation_errors, of_one_degree
 from ctsid_core.bases.takenaka_malmquist import Chain, respond
 from ctsid_core.linear.least_squares import solve
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
@@ -44,84 +44,24 @@ KINKS = 2             # integrals of held inputs whose kinks are worth it
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """
-    Signals through a chain, compressed by one QR factorisation.
-
-    Parameters
-    ----------
-    chain : Chain
-    inputs : ndarray, shape (N, k, columns)
-        u; an impulse at the start of each record (its initial state); the constant 1 over each
-        record (trim), if wanted; kinks.
-    y : ndarray, shape (N, ny, columns)
-    counts : tuple of int
-        How many of the inputs are u, impulses, constants, kinks.
-    """
+    """Signals through a chain, compressed by one QR factorisation."""
 
     chain: Chain
-    inputs: Array
-    y: Array
-    counts: tuple[int, int, int, int]
-
-    @property
-    def driving(self) -> int:
-        """How many inputs drive the states: all but the kinks."""
-        return sum(self.counts[:3])
-
-    def direct(self, feedthrough: bool) -> list[int]:
-        """Return which inputs act on the outputs at once."""
-        nu, impulses, ones, kinks = self.counts
-        first = nu + impulses
-        return [*range(nu * feedthrough), *range(first, first + ones + kinks)]
+    inputs: Array  # (N, k, columns): u, impulses (initial states), constants 1 (trim), kinks
+    y: Array       # (N, ny, columns)
+    counts: tuple[int, int, int, int]  # how many of the inputs are u, impulses, constants, kinks
 
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """
-    What lemma 3 of [TM] gives.
-
-    Parameters
-    ----------
-    filtered : Filtered
-    left : ndarray, shape (N ny, r)
-        Left singular vectors of L22; the outputs run fastest.
-    singular_values : ndarray, shape (r,)
-    scale : ndarray, shape (ny,)
-        What the outputs were divided by.
-    condition : float
-        Of the chain's states of the inputs, dependent directions left out.
-    rank_tolerance : float
-    """
+    """What lemma 3 of [TM] gives."""
 
     filtered: Filtered
-    left: Array
-    singular_values: Array
-    scale: Array
-    condition: float
+    left: Array             # (N ny, r): left singular vectors of L22; the outputs run fastest
+    singular_values: Array  # (r,)
+    scale: Array            # (ny,): what the outputs were divided by
+    condition: float        # of the chain's states of the inputs, dependent directions left out
     rank_tolerance: float
-
-
-@dataclass(frozen=True)
-class Realised:
-    """
-    A model.
-
-    Parameters
-    ----------
-    A, B, C, D : ndarray
-        Shapes (n, n), (n, nu), (ny, n), (ny, nu).
-    x0 : ndarray, shape (n, records)
-        State at the start of each record.
-    x_trim, y_trim : ndarray, shapes (n, 0 or records), (ny, 0 or records)
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    x0: Array
-    x_trim: Array
-    y_trim: Array
 
 
 def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
@@ -130,15 +70,12 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
+    Each record of the one plant has an initial state and, with `trim`, a constant of its own.
+
     Parameters
     ----------
-    records : sequence of Record
-        Of one plant; each with an initial state and a trim of its own.
-    chain : Chain
     delay : tuple of float, length nu
         Dead time of the inputs [s].
-    trim : bool
-        Whether a constant drives states and outputs, too.
     feedthrough : bool
         Whether u acts on y at once, so that y is as uneven as u.
     pieces : callable
@@ -178,15 +115,10 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     missed = interpolation_errors(u[:, :, uneven], knots, record.outputs, pieces, kinks,
                             0 if feedthrough else 1)
     ones = np.ones((1, len(knots), 1))
-    w = respond(chain, _side_by_side((u, ones, missed, y)), knots)[np.searchsorted(knots, times)]
+    signals = np.concatenate(of_one_degree((u, ones, missed, y)), axis=2)
+    w = respond(chain, signals, knots)[np.searchsorted(knots, times)]
     impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
     return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
-
-
-def _side_by_side(parts: tuple[Array, ...]) -> Array:
-    degree = max(map(len, parts))
-    return np.concatenate([np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:]))))
-                           for p in parts], axis=2)
 
 
 def _compressed(chain: Chain, rows: Array, counts: tuple[int, int, int, int]) -> Filtered:
@@ -205,17 +137,9 @@ def sample_times(record: Record) -> Array:
 
 def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
     """
-    Return the column space of O.
+    Return the column space of O ([TM] lemma 3).
 
-    Parameters
-    ----------
-    filtered : Filtered
-    rank_tolerance : float
-        Directions of the inputs below this fraction of the largest are left out.
-
-    References
-    ----------
-    [TM] lemma 3.
+    Directions of the inputs below `rank_tolerance` of the largest are left out.
     """
     U = filtered.inputs.reshape(-1, filtered.inputs.shape[2])
     scale = np.sqrt(np.sum(filtered.y ** 2, axis=(0, 2)))
@@ -231,42 +155,20 @@ def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
                          float(s[0] / s[rank - 1]) if rank else 1.0, rank_tolerance)
 
 
-def realise(found: Observability, n: int, *, feedthrough: bool) -> Realised:
-    """
-    Realise a model of order n.
-
-    Parameters
-    ----------
-    found : Observability
-    n : int
-        Less than N ny.
-    feedthrough : bool
-        Whether u acts on y at once.
-
-    References
-    ----------
-    [TM] eq. 10 to 15, with the corrections above.
-    """
+def realise(found: Observability, n: int, *, feedthrough: bool) -> Matrices:
+    """Realise a model of order n < N ny ([TM] eq. 10 to 15, with the corrections above)."""
     A, C = dynamics(found.filtered.chain, found.left[:, :n])
-    B, D, x0, x_trim, y_trim = _input_matrices(found, n, feedthrough)
-    size = found.scale
-    return Realised(A, B, size[:, np.newaxis] * C, size[:, np.newaxis] * D, x0, x_trim,
-                    size[:, np.newaxis] * y_trim)
+    B, D = _input_matrices(found, n, feedthrough)
+    size = found.scale[:, np.newaxis]
+    return plain_matrices(A, B, size * C, size * D)
 
 
 def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     """
-    Return A and C of an extended observability matrix.
+    Return A and C of an extended observability matrix (N ny, n), up to a change of states.
 
-    Parameters
-    ----------
-    chain : Chain
-    theta : ndarray, shape (N ny, n)
-        Of (6), up to a change of states; the outputs run fastest.
-
-    References
-    ----------
-    [TM] eq. 11 to 14. Of N ny rows, those of the first N - 1 functions differ from the next.
+    [TM] eq. 11 to 14; the outputs run fastest. Of N ny rows, those of the first N - 1 functions
+    differ from the next.
     """
     sigma, n = chain.poles, theta.shape[1]
     seen = np.tensordot(chain.turn, theta.reshape(chain.size, -1, n), axes=1)
@@ -274,32 +176,26 @@ def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     pole = sigma[:, np.newaxis, np.newaxis]
     M = (seen / root)[:-1] - (seen / root)[1:]
     R = (pole.conj() * seen / root)[:-1] + (pole * seen / root)[1:]
-    A = _real_least_squares(np.asarray(M.reshape(-1, n), complex),
-                            np.asarray(R.reshape(-1, n), complex))
+    left, right = (np.vstack((x.real.reshape(-1, n), x.imag.reshape(-1, n))) for x in (M, R))
+    A: Array = np.linalg.lstsq(left, right, rcond=None)[0]
     C = seen[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
     return A, np.asarray(C.real)
 
 
-def _real_least_squares(M: NDArray[np.complex128], R: NDArray[np.complex128]) -> Array:
-    both = np.vstack((M.real, M.imag)), np.vstack((R.real, R.imag))
-    found: Array = np.linalg.lstsq(*both, rcond=None)[0]
-    return found
-
-
-def _input_matrices(found: Observability, n: int,
-            feedthrough: bool) -> tuple[Array, Array, Array, Array, Array]:
+def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Array, Array]:
     """
-    Return B, D, initial state and trim, of states and of scaled outputs.
+    Return B and D, of scaled outputs.
 
     [TM] eq. 15: with free states, what is left of (6) beside the columns of Theta_1 is linear in
     them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
     """
     filtered, chain = found.filtered, found.filtered.chain
-    theta, ny, inputs = found.left[:, :n], len(found.scale), filtered.driving
-    other = found.left[:, n:]
+    theta, other, ny = found.left[:, :n], found.left[:, n:], len(found.scale)
+    nu, impulses, ones, kinks = filtered.counts
+    inputs = nu + impulses + ones                  # drive the states
+    direct = [*range(nu * feedthrough), *range(nu + impulses, inputs + kinks)]  # act at once
     # Z_k w: what the k-th block row of O B - b D is multiplied with
     moved = np.einsum('kij,jml->kiml', chain.commuting(), filtered.inputs)
-    direct = filtered.direct(feedthrough)
     rows = other.reshape(chain.size, ny, -1)
     state = -np.einsum('kpn,ipr,kiml->nmrl', theta.reshape(chain.size, ny, n), rows,
                        moved[:, :, :inputs], optimize=True)
@@ -312,5 +208,4 @@ def _input_matrices(found: Observability, n: int,
     B = unknown[0, :n * inputs].reshape(n, inputs)
     D = np.zeros((ny, filtered.inputs.shape[1]))
     D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
-    nu, to = filtered.counts[0], filtered.counts[0] + filtered.counts[1]
-    return B[:, :nu], D[:, :nu], B[:, nu:to], B[:, to:], D[:, to:inputs]
+    return B[:, :nu], D[:, :nu]

@@ -9,23 +9,16 @@ shift beta and of the past window p, from the length and the band of the data.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.records import Joint
-from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrices import plain_matrices
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.interface import MethodModel, plain_matrices
-from ctsid_core.subspace.pbsid_equations import (
-    Levels,
-    Subspace,
-    Tuning,
-    realise,
-    regress,
-    stack_levels,
-)
+from ctsid_core.subspace.interface import SLOWEST, MethodModel
+from ctsid_core.subspace.pbsid_equations import Subspace, Tuning, realise, regress, stack_levels
 
 _PASTS = (2, 3, 4, 6, 8, 12)
 _LENGTHS = 4                  # values of p tried: the shortest that can hold the order
@@ -37,23 +30,19 @@ class Subspaces:
     """
     The regressions of one projection, computed when asked for.
 
-    Parameters
-    ----------
-    projection : Projection
-    settings : Settings
-        Values other than 0 of beta, gamma, past and future are kept as they are.
+    Settings other than 0 of beta, gamma, past and future are kept as they are.
     """
 
     def __init__(self, projection: Projection, settings: Settings) -> None:
         self.projection = projection
         self.settings = settings
         self.of = lru_cache(maxsize=None)(self._regress)
-        self._levels = lru_cache(maxsize=None)(self._stack)
+        self._levels = lru_cache(maxsize=None)(partial(stack_levels, projection))
 
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
         top, settings = max(float(np.abs(p.s[-1])) for p in self.projection.records), self.settings
-        slow = 10.0 / self.projection.length
+        slow = SLOWEST / self.projection.length
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))
         pasts = [settings.past] if settings.past else \
@@ -76,7 +65,7 @@ class Subspaces:
         ny = len(self.projection.y)
         rows = (p + 1) * (ny + len(self.projection.u) + len(self.projection.tail)
                           + max(len(self.projection.ones), 1))
-        return p * ny > n and 2 * len(self.projection.s) >= 2 * rows
+        return p * ny > n and len(self.projection.s) >= rows
 
     def _regress(self, tuning: Tuning) -> Subspace:
         # One factorisation serves the past windows up to 6, which most searches stay within.
@@ -85,20 +74,9 @@ class Subspaces:
                        feedthrough=self.settings.feedthrough,
                        rank_tolerance=self.settings.rank_tolerance)
 
-    def _stack(self, beta: float, gamma: float, top: int) -> Levels:
-        return stack_levels(self.projection, beta, gamma, top)
-
 
 def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
-    """
-    Return models of all orders that the lines can hold, for every tuning left open.
-
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    orders : sequence of int
-    """
+    """Return models of all orders that the lines can hold, for every tuning left open."""
     layout, _ = part.layout(settings)
     subspaces = Subspaces(part.project(settings, layout), settings)
     found = []
@@ -106,13 +84,10 @@ def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
         for tuning in subspaces.tunings(n):
             subspace = subspaces.of(tuning)
             if n < len(subspace.singular_values):
+                m = realise(subspace, n)
                 found.append(MethodModel(
-                    _plain(realise(subspace, n)), settings.replace(
+                    plain_matrices(m.A, m.B, m.C, m.D, m.K), settings.replace(
                         order=n, beta=tuning.beta, gamma=tuning.gamma, past=tuning.past,
                         future=tuning.future),
                     subspace.singular_values, subspace.condition))
     return found
-
-
-def _plain(m: Matrices) -> Matrices:
-    return plain_matrices(m.A, m.B, m.C, m.D, m.K)

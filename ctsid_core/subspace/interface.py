@@ -6,64 +6,35 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from ctsid_core.bases.records import Joint
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
 
+SLOWEST = 10.0      # least pole to look for, times the length of the record
+
 
 @dataclass(frozen=True, eq=False)
 class MethodModel:
-    """
-    A continuous-time model of the moving channels, one of those that a method offers.
+    """A continuous-time model of the moving channels, one of those that a method offers."""
 
-    Parameters
-    ----------
-    matrices : Matrices
-        A, B, C, D and K (zero if the method has none), by `plain_matrices`: what belongs to the
-        ends and the trim of the records is added by the caller.
-    settings : Settings
-        Those given, with the order and whatever the method chose filled in: with these the method
-        makes this model, and no other.
-    singular_values : ndarray
-        Whose drop shows the order.
-    condition : float
-        Condition number of the regression.
-    """
-
-    matrices: Matrices
+    matrices: Matrices      # by `plain_matrices`: K is zero if the method has none
+    # with the order and whatever the method chose filled in: they give this model
     settings: Settings
-    singular_values: Array
-    condition: float
+    singular_values: Array  # whose drop shows the order
+    condition: float        # condition number of the regression
 
 
 @dataclass(frozen=True)
 class Method:
-    """
-    A row of the table of methods.
+    """A row of the table of methods."""
 
-    Parameters
-    ----------
-    models : callable
-        From the records, the settings and the orders that are wanted to all models that the
-        method has to offer: of every order and every tuning that the settings leave open. Orders
-        that the data are too short for are left out.
-    looks_for_dead_time : bool
-        Whether dead times that are not given are looked for; else they count as 0.
-    refines : bool
-        Whether its models are taken to the maximum of the likelihood; else they stay as they are
-        made, and the likeliest is taken.
-    """
-
+    # From the records, the settings and the orders that are wanted to all models that the method
+    # has to offer: of every order and every tuning that the settings leave open. Orders that the
+    # data are too short for are left out.
     models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
+    # whether dead times that are not given are looked for; else they count as 0
     looks_for_dead_time: bool = False
+    # Whether its models are taken to the maximum of the likelihood; else they stay as they are
+    # made, and the likeliest is taken.
     refines: bool = False
-
-
-def plain_matrices(A: Array, B: Array, C: Array, D: Array, K: Array | None = None) -> Matrices:
-    """Return a model without anything that belongs to single records."""
-    n, ny = len(A), len(C)
-    return Matrices(A=A, B=B, C=C, D=D, K=np.zeros((n, ny)) if K is None else K,
-                    tail=np.empty((n, 0)), x_trim=np.empty((n, 0)), y_trim=np.empty((ny, 0)))

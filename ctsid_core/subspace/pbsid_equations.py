@@ -35,65 +35,32 @@ NEGLIGIBLE = 1e-7     # innovations below this fraction of the outputs carry no 
 
 @dataclass(frozen=True)
 class Tuning:
-    """
-    Parameters of one regression.
+    """Parameters of one regression."""
 
-    Parameters
-    ----------
-    beta, gamma : float
-        Shift and radius of the operator ([HD] eq. 37) [rad/s].
-    past, future : int
-        Window lengths p and f, f <= p.
-    """
-
-    beta: float
-    gamma: float
-    past: int
-    future: int
+    beta: float   # shift of the operator ([HD] eq. 37) [rad/s]
+    gamma: float  # its radius [rad/s]
+    past: int     # window p
+    future: int   # window f <= p
 
 
 @dataclass(frozen=True)
 class Levels:
-    """
-    Signals at the powers of the inverse operator, compressed: their products stay the same.
+    """Signals at the powers of the inverse operator, compressed: their products stay the same."""
 
-    Parameters
-    ----------
-    rows : ndarray, shape (p + 2 or more, nz, columns)
-        z g^m at index m.
-    scale : ndarray, shape (nz,)
-        What the rows of z were divided by.
-    counts : tuple of int
-        Rows of u, tail, ones, y.
-    """
-
-    rows: Array
-    scale: Array
-    counts: tuple[int, int, int, int]
+    rows: Array                        # (p + 2 or more, nz, columns): z g^m at index m
+    scale: Array                       # (nz,): what the rows of z were divided by
+    counts: tuple[int, int, int, int]  # rows of u, tail, ones, y
 
 
 @dataclass(frozen=True)
 class Subspace:
-    """
-    A regression from which models of any order are realised.
-
-    Parameters
-    ----------
-    levels : Levels
-    left : ndarray, shape (f ny, r)
-        Left singular vectors of Gamma^f K^p Z (eq. 50).
-    singular_values : ndarray, shape (r,)
-    gamma_k : ndarray, shape (f ny, p nz)
-        Gamma^f K^p (eq. 48).
-    condition : float
-        Condition number of the scaled regressors of eq. 46, dependent directions left out.
-    """
+    """A regression from which models of any order are realised."""
 
     levels: Levels
-    left: Array
-    singular_values: Array
-    gamma_k: Array
-    condition: float
+    left: Array             # (f ny, r): left singular vectors of Gamma^f K^p Z (eq. 50)
+    singular_values: Array  # (r,)
+    gamma_k: Array          # (f ny, p nz): Gamma^f K^p (eq. 48)
+    condition: float        # of the scaled regressors of eq. 46, dependent directions left out
     tuning: Tuning
     feedthrough: bool
     rank_tolerance: float
@@ -102,20 +69,9 @@ class Subspace:
 def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
             rank_tolerance: float) -> Subspace:
     """
-    Estimate the extended observability times controllability matrix.
+    Estimate the extended observability times controllability matrix ([HD] eq. 43 to 50).
 
-    Parameters
-    ----------
-    levels : Levels
-        Of the tuning's beta and gamma, to level p + 1 at least.
-    tuning : Tuning
-    feedthrough : bool
-        Whether u acts on y at once.
-    rank_tolerance : float
-
-    References
-    ----------
-    [HD] eq. 43 to 50.
+    From levels of the tuning's beta and gamma, to level p + 1 at least.
     """
     p, f = tuning.past, tuning.future
     nz, ny = len(levels.scale), levels.counts[3]
@@ -131,17 +87,7 @@ def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
 
 
 def stack_levels(projection: Projection, beta: float, gamma: float, top: int) -> Levels:
-    """
-    Return the levels z g^0 .. z g^top, compressed by one QR factorisation.
-
-    Parameters
-    ----------
-    projection : Projection
-    beta, gamma : float
-        [HD] eq. 37 [rad/s].
-    top : int
-        p + 1 of the longest past window that is wanted.
-    """
+    """Return the levels z g^0 .. z g^top ([HD] eq. 37), compressed by one QR factorisation."""
     blocks = (projection.u, projection.tail, projection.ones, projection.y)
     z = np.vstack(blocks)
     scale = np.sqrt(np.sum(as_real(z) ** 2, axis=1))
@@ -167,16 +113,8 @@ def _direct(level: Array, counts: tuple[int, int, int, int], feedthrough: bool) 
 
 def realise(subspace: Subspace, n: int) -> Matrices:
     """
-    Realise a model of order n.
+    Realise a model of order n, at most the number of singular values.
 
-    Parameters
-    ----------
-    subspace : Subspace
-    n : int
-        At most the number of singular values.
-
-    References
-    ----------
     [HD] eq. 51 to 54; eq. 54 multiplied by the inverse operator.
     """
     p, tolerance = subspace.tuning.past, subspace.rank_tolerance

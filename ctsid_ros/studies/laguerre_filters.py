@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.ct_pbsid import models
+from ctsid_core.subspace.ct_pbsid import by_projection
 from ctsid_core.subspace.interface import Method, MethodModel
 
 
 def by_filtering(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
     """Return the models by Laguerre filters, of every order, pole and past left open."""
-    return models(part, settings, orders, 'back')
+    return by_projection(part, settings, orders, 'back')
 
 
 FILTERS = Method(by_filtering)
