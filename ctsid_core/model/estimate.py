@@ -53,24 +53,50 @@ class Choice:
 
 @dataclass(frozen=True)
 class RecordShare:
-    """What belongs to one of several records alone."""
+    """
+    What belongs to one of several records alone.
 
-    number: int          # of the record among those given, from 1
-    start_ns: int        # its interval, absolute [ns]
+    Parameters
+    ----------
+    number : int
+        Of the record among those given, from 1.
+    start_ns, end_ns : int
+        Its interval, absolute [ns].
+    x_trim, y_trim : ndarray, shapes (n,), (ny,)
+        Its trim, in the state coordinates of the model.
+    fit : ndarray, shape (ny,)
+        Simulation fit (NRMSE) of each output on it [%].
+    weight : float
+        By which its noise is smaller than that of all records (geometric mean); 1 unless they
+        differ so much that it matters.
+    """
+
+    number: int
+    start_ns: int
     end_ns: int
-    x_trim: Array        # its trim, in the state coordinates of the model
+    x_trim: Array
     y_trim: Array
-    fit: Array           # (ny,): simulation fit (NRMSE) of each output on it [%]
-    weight: float = 1.0  # its noise is smaller than the geometric mean by this; 1 if about alike
+    fit: Array
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)
 class OrderTried:
-    """One order that the search tried."""
+    """
+    One order that the search tried.
+
+    Parameters
+    ----------
+    order : int
+    criterion : float
+        Schwarz's criterion, above that of the most likely order.
+    fit : float
+        Simulation fit of the worst output, on the window itself [%].
+    """
 
     order: int
-    criterion: float  # Schwarz's, above that of the most likely order
-    fit: float        # simulation fit of the worst output, on the window itself [%]
+    criterion: float
+    fit: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +220,15 @@ class Estimate:
         """
         Return the standard deviations of magnitude (over the magnitude) and phase [rad].
 
-        At frequencies omega (M,) [rad/s]: two arrays of shape (M, ny, nu); NaN where unknown.
+        Parameters
+        ----------
+        omega : array_like, shape (M,)
+            Frequencies [rad/s].
+
+        Returns
+        -------
+        ResponseDeviation
+            Two arrays of shape (M, ny, nu); NaN where unknown.
         """
         model = self.model or self.rejected_model
         if model is None or self.covariance is None:
@@ -214,9 +248,15 @@ class Estimate:
 
     def trimmed(self, model: StateSpace, number: int) -> StateSpace:
         """
-        Return `model` or `rejected_model` at the trim of one of several records.
+        Return a model of this estimate at the trim of one of several records.
 
-        Records are numbered as given, from 1; of one that was not used, the model's trim stays.
+        Parameters
+        ----------
+        model : StateSpace
+            `model`, or `rejected_model`.
+        number : int
+            Of the record among those given, from 1; of one that was not used, the model's trim
+            stays.
         """
         for record in self.records:
             if record.number == number:

@@ -172,8 +172,16 @@ class SlidingWindow:
         """
         Take many samples: the same as `push` of one after another.
 
-        `order`, (N,), says which of the `rows` each sample is of: it is the next one there.
-        Returns which were dropped: which of the `rows`, and which row of it.
+        Parameters
+        ----------
+        order : ndarray of int, shape (N,)
+            Which of the `rows` each sample is of: it is the next one there.
+        rows : sequence of Rows
+
+        Returns
+        -------
+        list of (int, int)
+            Which samples were dropped: which of the `rows`, and which row of it.
         """
         stamps = np.empty(len(order), np.int64)
         for number, part in enumerate(rows):
