@@ -916,6 +916,9 @@ def test_data_that_no_model_explains_are_rejected_with_the_reason(ctsid, shared,
     for text in (out, Path('res/report.md').read_text(encoding='utf-8')):
         assert ' '.join(text.split()).count(estimate.verdict.reason) == 1
     assert 'no further data are needed' not in Path('res/report.md').read_text(encoding='utf-8')
+    drawn = Path('res/report.html').read_text(encoding='utf-8')
+    for title in ('Measured and simulated', 'Frequency response'):
+        assert f'{title}: rejected model' in drawn
     code, out, err = ctsid('simulate', 'res/model.json', bag)
     assert (code, out) == (1, '')
     assert f'no accepted model (UNEXPLAINED): {estimate.verdict.reason}' in err

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 import math
 
 import numpy as np
@@ -72,6 +72,12 @@ def output_section(shown: Shown, settings: Settings, estimate: Estimate | None =
     return Section(f'Measured and {how.split()[0]}{shown.which}', (
         *words, Gallery(tuple(output_figures(shown.model, shown.record, shown.parts, shown.offset,
                                              settings, marks)))))
+
+
+def marked(sections: Iterable[Section], estimate: Estimate) -> list[Section]:
+    """Return the drawn sections of a model, those of a rejected one with a title that says so."""
+    return [replace(one, title=f'{one.title}: rejected model') if not estimate.ok else one
+            for one in sections]
 
 
 def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]], list[str]]:

@@ -411,6 +411,7 @@ def _shown(outcome: Outcome) -> list[tuple[int, Record]]:
 def _drawn(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     from ctsid_core.model.validation import simulation
     from ctsid_ros.report.model_page import (
+        marked,
         output_section,
         raw_section,
         residual_sections,
@@ -431,7 +432,7 @@ def _drawn(outcome: Outcome, truth: StateSpace | None) -> list[Section]:
     last = shown[0].parts[-1]
     own = replace(shown[0], record=tested[0][1])
     sections += residual_sections(own, simulation(own.model, own.record, trim='refit'), last.fit)
-    return [*sections, sampling]
+    return [*marked(sections, estimate), sampling]
 
 
 def _of_record(outcome: Outcome, number: int) -> Shown:

@@ -274,6 +274,7 @@ class _Report:
         from ctsid_ros.report.document import Explorer, Figure, Gallery
         from ctsid_ros.report.model_page import (
             Shown,
+            marked,
             output_section,
             raw_section,
             residual_sections,
@@ -297,12 +298,11 @@ class _Report:
         part = simulated(self.model, record, f'Window {self.number}, of which the model is',
                          estimate, estimate.fit)
         shown = Shown(record, self.model, (part,), offset)
-        sections.append(output_section(shown, settings, estimate))
-        sections += response_sections({'identified': (self.model, estimate.covariance)}, shown,
-                                      estimate, self.truth)
-        sections += residual_sections(shown, simulation(self.model, record, trim='refit'),
-                                      part.fit)
-        return [*sections, sampling_section(record, offset, self.played.counts)]
+        drawn = [output_section(shown, settings, estimate), *response_sections(
+            {'identified': (self.model, estimate.covariance)}, shown, estimate, self.truth),
+            *residual_sections(shown, simulation(self.model, record, trim='refit'), part.fit)]
+        return [*sections, *marked(drawn, estimate),
+                sampling_section(record, offset, self.played.counts)]
 
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         from dataclasses import asdict

@@ -184,6 +184,7 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
     from ctsid_ros.report.headline import repeat_section
     from ctsid_ros.report.model_page import (
         Shown,
+        marked,
         output_section,
         residual_sections,
         response_sections,
@@ -211,10 +212,10 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
     metadata = origin(outcome.data.config, args.bag, {'start': outcome.first,
                                                       'end': outcome.last})
     numbers = [*_sections(outcome, args, notes), repeat_section(run, metadata)]
-    drawn = [output_section(shown, outcome.data.config.settings),
-             *residual_sections(shown, found, found.fit, fits),
-             *response_sections({'the model': (model, estimate.covariance)}, shown),
-             sampling_section(record, offset, outcome.data.counts)]
+    drawn = [*marked((output_section(shown, outcome.data.config.settings),
+                      *residual_sections(shown, found, found.fit, fits),
+                      *response_sections({'the model': (model, estimate.covariance)}, shown)),
+                     estimate), sampling_section(record, offset, outcome.data.counts)]
     title = f'{bag_name([args.model])} on {bag_name(args.bag)}'
     folder = make_folder(args.out, args.bag, 'simulate', force=args.force)
     write_report(folder, {REPORT: to_markdown(title, numbers, first),
