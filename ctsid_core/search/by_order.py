@@ -24,6 +24,7 @@ import numpy as np
 
 from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.output_error import (
+    FEWER,
     ROUGHLY,
     ROUNDING,
     STEPS,
@@ -241,7 +242,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
     for start in _different(fits, each):
-        reached = climb(samples, start, free, least=ROUGHLY,
+        reached = climb(samples, start, free, steps=FEWER, least=ROUGHLY,
                         rival=needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
             best = reached

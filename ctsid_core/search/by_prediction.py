@@ -28,7 +28,7 @@ from scipy.linalg import logm
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
-from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -43,7 +43,6 @@ from ctsid_core.signals.record import Record, Signal
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
-_STEPS = 15                 # of a climb, at most: more predict no better
 _NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
 _HALVINGS = 2               # ... and how often closer ones are
 _AHEAD = 7e3                # work of predictions for each sample
@@ -171,7 +170,7 @@ def _nearby(joint: Samples, start: Fit, free: Free, record: Record,
             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
     try:
-        top = climb(joint, start, free, steps=_STEPS, least=ROUGHLY)
+        top = climb(joint, start, free, steps=FEWER, least=ROUGHLY)
     except np.linalg.LinAlgError:
         top = start
     return _judged(joint, top, free, record, corrupt) \
