@@ -34,9 +34,9 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 
-_INSTANTS = tuple(np.linspace(0.12, 0.88, 9).tolist())      # parts at which it is divided
+_INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
-_CLOSER = (0.04, 0.02, 0.01)               # steps from the best of them, one after another
+_CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
@@ -109,7 +109,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         return best
     for place in range(len(samples.records)):
         best = max(best, _as_predicted(samples, fit.model, free, place, predictor),
-                   key=lambda change: change.cost)
+                   key=lambda change: (change.cost, change.gain))
     return best
 
 
@@ -121,7 +121,8 @@ def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
     if found.gain <= 0.0:
         return found
     size = _divided(_only(samples, place), model, model, free, place, found.share, certain=True)
-    return size if size.left < (_LEFT if size.cost < _MUCH else _BESIDE) else Change()
+    return size if size.left < (_LEFT if size.cost < _MUCH else _BESIDE) else \
+        Change(place, found.share, gain=found.gain)
 
 
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
@@ -140,16 +141,17 @@ def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
     """Return the most likely division of the only record."""
     found = max((_divided(one, model, whole, free, place, share)
-                 for share in _likely(one, model, free)), key=_gain, default=Change())
-    for step in _CLOSER if found.cost > NOTED else ():
+                 for share in _likely(one, model, free)), key=_clean, default=Change())
+    for step in _CLOSER if found.gain > 0.0 else ():
         found = max(found, *(_divided(one, model, whole, free, place, share)
                              for share in (found.share - step, found.share + step)
-                             if _EDGE <= share <= 1.0 - _EDGE), key=_gain)
+                             if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
     return found
 
 
-def _gain(change: Change) -> float:
-    return change.gain
+def _clean(change: Change) -> tuple[float, float]:
+    """Return less the more is left: beside the instant errors are coloured, and count little."""
+    return -change.left if change.gain > 0.0 else -np.inf, change.gain
 
 
 def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:

@@ -100,15 +100,18 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if not found or settings.order not in (0, *found):
         return None
     order = settings.order or choose(found)
-    why = ''
+    least, why = order, ''
     if not settings.order:
-        order, why = _neighbour(samples, found, order, free, settings.held_out)
+        share = 0.0 if settings.edges == 'paper' else settings.held_out
+        order, why = _neighbour(samples, found, order, free, share)
+    # What the response or data held out have added, D does not take back.
+    likely = {n: one for n, one in found.items() if n >= order > least} or found
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
         part, corrupt, samples, found[order], free, seen)
     if own.feedthrough:
-        with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings)
+        with_D, free = _direct(part, seen, samples, likely, best, free, subspace, settings)
         others, best = _with(others, best, with_D), with_D
     half = found.get(best.fit.model.n // 2)
     simpler = half.fit.model if half else None
@@ -125,7 +128,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
-                    _choices(part, settings, best, free, why), notes, whole=whole,
+                    _choices(part, settings, best, free, why * (best.fit.model.n == order)),
+                    notes, whole=whole,
                     hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
@@ -144,16 +148,17 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int, free: Fre
         return np.inf if unsure(unseen.expected, own).any() else \
             float(np.sqrt(np.mean(unseen.error ** 2)))
 
-    why = ''
+    beside = [n for n in (chosen - 1, chosen, chosen + 1) if n in found]
+    why = {chosen - 1: ', and one less, for data held out say so', chosen: '',
+           chosen + 1: ', and one more, for data held out say so'}
     if chosen + 1 in found and responds_otherwise(samples, found[chosen], found[chosen + 1]):
-        chosen, why = chosen + 1, ', and one more, for its response is another one'
+        chosen += 1
+        why[chosen] = ', and one more, for its response is another one'
     if not (limit := error(chosen) - ENOUGH) < np.inf or samples.effort.beyond(SEARCH):
-        return chosen, why
-    errors = {n: error(n) for n in (chosen - 1, chosen + 1) if n in found}
-    best = min(errors, key=lambda n: errors[n], default=chosen)
-    if errors.get(best, np.inf) < limit:
-        return best, f', and one {"more" if best > chosen else "less"}, for data held out say so'
-    return chosen, why
+        return chosen, why[chosen]
+    errors = {n: error(n) for n in beside if n != chosen}
+    best = min((n for n in errors if errors[n] < limit), key=lambda n: errors[n], default=chosen)
+    return best, why[best]
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
