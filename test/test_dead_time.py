@@ -202,3 +202,16 @@ def test_the_error_is_near_its_bound(delay, rate, order):
     assert np.all(ratio[:2] < 1.4)
     assert inside >= 0.85
     assert other <= 2
+
+
+def test_a_dead_time_that_is_as_long_as_any_looked_for_is_noted():
+    """States stand in for the rest of 1.1 s where a tenth of 10 s is looked for."""
+    rng = np.random.default_rng(0)
+    t, early = np.arange(0.0, 10.0, 0.02), np.arange(-5.0, 0.0, 0.02)
+    u = np.repeat(rng.standard_normal((len(t) // 40 + 1, 1)), 40, axis=0)[:len(t)]
+    plant = StateSpace([[-2.0]], [[2.0]], [[1.0]], delay=(1.1,))
+    whole = Signal(np.concatenate((early, t)), np.concatenate((np.zeros((len(early), 1)), u)),
+                   'zoh')
+    y = plant.simulate([whole], t) + 0.02 * rng.standard_normal((len(t), 1))
+    found = identify(Record((Signal(t, u, 'zoh'),), (Signal(t, y),), 0.0, t[-1]))
+    assert any('is the longest that is looked for, 0.998 s' in note for note in found.notes)

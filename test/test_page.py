@@ -21,7 +21,7 @@ import pytest
 import yaml
 
 from ctsid_core.model.covariance import Covariance
-from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
@@ -261,6 +261,19 @@ def test_a_rejection_says_what_to_try_next(status, command):
     run = Run('', ('my bag',), 'p.yaml', 'model.json', (1.0, 11.0), ('--start', '1'))
     assert headline(given, run).command == command
     assert headline(given, run).grade == 'REJECT'
+
+
+def test_a_record_that_changes_is_divided_where_it_lies():
+    """Times of a command count from the start of the recording, not of the record."""
+    none = np.zeros(1)
+    records = tuple(RecordShare(n, int(s * 1e9), int((s + 5.0) * 1e9), none, none, none)
+                    for n, s in ((1, 100.0), (2, 120.0)))
+    given = Estimate(status=Status.CHANGED, settings=Settings(), records=records, start_ns=int(
+        100e9), end_ns=int(125e9), statistics={'change_share': 0.4, 'change_record': 2.0})
+    assert headline(given, Run('', ('bag',), 'p.yaml', 'model.json', (1.0, 26.0))).command == (
+        'ctsid identify bag --params p.yaml --start 21.0 --duration 2.0')
+    assert headline(given, Run('', ('a', 'b'), 'p.yaml', 'model.json')).command == (
+        'ctsid replay b --params p.yaml')
 
 
 def test_advice_after_an_interval_is_on_that_interval(folder):

@@ -46,7 +46,7 @@ def fourier_grid(reach: float, top: float) -> Grid:
     """
     Return the coarsest grid for stamps |x| <= reach and frequencies from 0 to `top` [rad].
 
-    ComplexArray are then periodic in x with 2 `reach`.
+    Sums are then periodic in x with 2 `reach`.
     """
     count = int(np.ceil(top * reach / np.pi)) + 1
     size = int(next_fast_len(2 * _FINENESS * (count - 1), real=True))

@@ -77,7 +77,7 @@ def conclude(solution: Solution) -> Estimate:
                *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds,
                     'change_cost': change.cost, 'change_share': _share(part, change),
-                    **_fits_beside(change)},
+                    **_fits_beside(change), **_record_of(part, change)},
         records=_shares(solution) if part.several else ())
 
 
@@ -202,6 +202,12 @@ def _share(part: Joint, change: Change) -> float:
     own = part.parts[change.record]
     at = own.record.start + change.share * own.record.duration
     return float((at - own.whole.start) / own.whole.duration)
+
+
+def _record_of(part: Joint, change: Change) -> dict[str, float]:
+    """Return which of several records changes, as they are numbered."""
+    return {'change_record': float(part.numbers[change.record])} \
+        if part.several and change.record >= 0 else {}
 
 
 def _fits_beside(change: Change) -> dict[str, float]:

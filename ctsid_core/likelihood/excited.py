@@ -53,7 +53,7 @@ def input_spectra(samples: Samples,
 
 
 def response_difference(samples: Samples, one: ModalModel, other: ModalModel) -> float:
-    """Return by how much two responses differ over the first, of the worst input and output."""
+    """Return by how much two responses differ over the first, of all outputs: the worst input."""
     omega, weight = input_spectra(samples, one.delay)[:2]
     a, b = (_response(m, omega) for m in (one, other))
     power, apart = (np.einsum('fj,fij->ij', weight, np.abs(x) ** 2) for x in (a, a - b))

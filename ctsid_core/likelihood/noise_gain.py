@@ -18,6 +18,7 @@ Ljung, System Identification, 2nd edition, section 4.3 (innovations form) and 10
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -210,8 +211,9 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
     K, R = np.zeros_like(m.K), np.diag(fit.power[record] * samples.size ** 2)
     samples.effort.spend(_WORK + _PER_NUMBER * m.K.size * float(len(parts[0]) * len(parts)))
     if len(m.A) and np.max(np.linalg.eigvals(m.A).real) < 0.0:
-        K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step,
-                          samples.effort)
+        with suppress(np.linalg.LinAlgError):       # none has a gain in continuous time: K is zero
+            K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step,
+                              samples.effort)
     return replace(m, K=K), R * step
 
 

@@ -182,8 +182,7 @@ class Covariance:
         X = np.linalg.solve(system, model.B + 0 * s)
         dA, dB, dC, dD = (part[:, np.newaxis] for part in e[:4])
         G = model.C @ X + model.D
-        return L @ (dA @ X + dB) + dC @ X + dD \
-- (s * G) * e.delay[:, np.newaxis, np.newaxis]
+        return L @ (dA @ X + dB) + dC @ X + dD - (s * G) * e.delay[:, np.newaxis, np.newaxis]
 
     def response_differences(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
         """
@@ -199,7 +198,7 @@ class Covariance:
                      for share, other in self.rivals]
         apart = [np.where(np.isfinite(row), row, 0.0) for row in apart]
         return np.concatenate(
-(self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
+            (self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
 
 
 def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:

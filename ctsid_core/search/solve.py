@@ -129,7 +129,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free, why * (best.fit.model.n == order)),
-                    notes, whole=whole,
+                    (*notes, *_longest(part, best, free)), whole=whole,
                     hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
@@ -195,6 +195,15 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     """Return a model at the maximum of the likelihood of other samples."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
     return tried(samples, climb(samples, start, free), free)
+
+
+def _longest(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
+    """Return which dead times are as long as any that is looked for, in words."""
+    return tuple(
+        f'the dead time of input {name} is the longest that is looked for, {free.longest:.3g} s, '
+        'and states may stand in for more; give `delay`, or take a longer window'
+        for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
+        if late and delay >= free.longest)
 
 
 def _left_out(found: dict[int, Tried], order: int, settings: Settings,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import shlex
 
@@ -162,6 +162,14 @@ def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
     if not math.isfinite(share):
         return 'models of short windows, before and after', run.command('replay')
     start, end = run.span
+    if several := [r for r in estimate.records
+                   if r.number == estimate.statistics.get('change_record')]:
+        if len(run.bags) > 1:
+            return 'models of short windows of the recording that changes', replace(
+                run, bags=run.bags[several[0].number - 1:][:1]).command('replay')
+        # Times of a command count from the start of the recording, as the span does.
+        start, end = (start + 1e-9 * (t - estimate.start_ns)
+                      for t in (several[0].start_ns, several[0].end_ns))
     at = start + share * (end - start)
     return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
         'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
