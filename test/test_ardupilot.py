@@ -96,7 +96,7 @@ def test_times_that_cannot_be_are_left_out(tmp_path):
               for time in (0, 1_000_000, 1_010_000, 2**63, 1_020_000)]
     path = tmp_path / 'a.bin'
     path.write_bytes(b''.join(parts))
-    assert 'topic GYR: 2 messages left out whose times are zero or cannot be' in notes(path)
+    assert 'topic GYR: 2 messages left out whose times are zero or impossible' in notes(path)
     with open_bag(path) as bag:
         assert bag.topics['GYR'].count == 3
 

@@ -133,7 +133,7 @@ def test_dropouts_are_counted_and_impossible_times_left_out(tmp_path):
     path = tmp_path / 'drop.ulg'
     path.write_bytes(log.bytes())
     assert 'the logger dropped messages 2 times, for 0.4 s in all' in notes(path)
-    assert 'topic gyro: 2 messages left out whose times are zero or cannot be' in notes(path)
+    assert 'topic gyro: 2 messages left out whose times are zero or impossible' in notes(path)
     assert [value for (value,) in numbers(path, 'gyro', 'x')] == [1.0e6, 1.01e6, 1.02e6]
 
 

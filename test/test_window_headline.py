@@ -178,7 +178,7 @@ def test_one_quantity_is_one_number_in_json_table_page_report_and_model_file(tol
     assert stored.fit[0] == windows[best - 1]['fit'][0]
     assert f'fit of rate [%] {percent(stored.fit[0])}' in found['words']
     assert f'next fit [%] {percent(windows[best - 1]["next_fit"][0])}' in found['words']
-    assert f'accepted windows {found["json"]["accepted"]} of {len(rows)}' in found['words']
+    assert f'windows with a model {found["json"]["accepted"]} of {len(rows)}' in found['words']
 
 
 def windows_of(*gains: float, std: float = 0.01) -> Windows:

@@ -147,7 +147,7 @@ def left_out(path: Path, topic: str, sound: NDArray[np.bool_]) -> list[str]:
     """Return the note on messages whose times are not sound, if there are any."""
     count = len(sound) - int(np.count_nonzero(sound))
     what = 'message left out whose time is' if count == 1 else 'messages left out whose times are'
-    return [f'{path.name}: topic {topic}: {count} {what} zero or cannot be'] if count else []
+    return [f'{path.name}: topic {topic}: {count} {what} zero or impossible'] if count else []
 
 
 def _blocks(series: Sequence[Series], wanted: Wanted, note: Note) -> Iterator[Block]:

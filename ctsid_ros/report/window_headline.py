@@ -39,7 +39,7 @@ def window_headline(first: Headline, windows: Windows, place: int, which: str, r
     kept_words = (f'{_kept(kept)} window {place + 1} ({span}{_side(kept, seen, windows, place)}), '
                   f'{which}: {first.sentence}')
     sentence = ' '.join((*all_of_it.changed, _counts(windows), *all_of_it.failed, kept_words))
-    facts = (('accepted windows', f'{sum(e.ok for e in windows.estimates)} of '
+    facts = (('windows with a model', f'{sum(e.ok for e in windows.estimates)} of '
               f'{len(windows.estimates)}'),
              *([('changes at [s]', ', '.join(f'{c.time:.1f}' for c in seen[:_MOST])
                  + ', ...' * (len(seen) > _MOST))] if seen else []))
