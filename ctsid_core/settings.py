@@ -177,6 +177,11 @@ class Settings:
         """Return a copy with the given fields changed; raises `SettingsError` like `Settings`."""
         return replace(self, **changes)
 
+    @property
+    def share_held_out(self) -> float:
+        """Share of a record that is held out: none where windows have the paper's edges."""
+        return 0.0 if self.edges == 'paper' else self.held_out
+
     def delays(self, nu: int) -> tuple[float, ...]:
         """
         Return the dead time of each of `nu` inputs [s]; 0 where it is to be found from the data.

@@ -24,7 +24,7 @@ from plants import (
 import pytest
 from scipy.linalg import expm
 
-from ctsid_core import Record, Settings, Status, identify
+from ctsid_core import Grade, Record, Settings, Status, identify
 
 CLOSED_LOOP = Settings(feedthrough=False)
 
@@ -174,3 +174,22 @@ def test_a_gain_that_grows_by_half_is_seen_wherever_it_does(share):
     found = identify(Record.from_arrays(t, u[:, None], t, y[:, None], input_hold='zoh'))
     assert found.status is Status.CHANGED
     assert abs(found.statistics['change_share'] - share) < 0.015
+
+
+def test_a_change_that_only_predictions_tell_is_not_good():
+    """Its gain doubles under a controller; gusts of 2 % of the motion leave one state too few."""
+    rng, step, n = np.random.default_rng(1), 0.02, 2000
+    t = step * np.arange(n)
+    moves = expm(step * np.block([[np.array([[0.0, 1.0], [-4.0, -1.2]]), np.array([[0.0], [1.0]])],
+                                  [np.zeros((1, 3))]]))[:2]
+    wanted = np.repeat(rng.standard_normal(n // 25 + 1), 25)[:n]
+    x, gust, keeps, u, y = np.zeros(2), 0.0, np.exp(-step / 0.5), np.zeros(n), np.zeros(n)
+    for k in range(n):
+        y[k] = x[0] + 0.002 * rng.standard_normal()
+        u[k] = 2.0 * (wanted[k] - y[k])
+        gust = keeps * gust + 0.3 * np.sqrt(1.0 - keeps ** 2) * rng.standard_normal()
+        x = moves @ np.append(x, (8.0 if t[k] > 14.4 else 4.0) * u[k] + gust)
+    found = identify(Record.from_arrays(t, u[:, None], t, y[:, None], input_hold='zoh'),
+                     CLOSED_LOOP)
+    assert found.verdict.grade is Grade.WEAK
+    assert found.verdict.reason.startswith('Predictions tell that the plant changed about 14.')

@@ -42,6 +42,20 @@ def test_an_order_that_is_given_is_fitted_as_well_as_by_brute_force(family, orde
     assert fit > reached - 0.3
 
 
+@pytest.mark.parametrize(('family', 'seed', 'number', 'by_criterion'), [
+    ('backlash', 22, 3, 2), ('turbulence-strong', 13, 3, 1)])
+def test_data_held_out_choose_among_neighbouring_orders(family, seed, number, by_criterion):
+    """The criterion takes what the smaller one leaves for a few samples; D takes nothing back."""
+    given = experiment(family, seed, number)
+    found, asked = identify(given.record), identify(given.record, Settings(held_out=0.0))
+    assert asked.settings.order == by_criterion
+    assert found.settings.order == by_criterion + 1
+    fits = [np.mean(simulated(e.model or e.rejected_model, given.test)) for e in (found, asked)]
+    assert fits[0] > fits[1] + 1.0
+    order, = (c for c in found.choices if c.name == 'order')
+    assert order.why.endswith('and one more, for data held out say so')
+
+
 def test_states_that_imitate_a_jump_are_not_called_good():
     """Nine of them leave so little that two models are hardly better: the response is unsure."""
     given = experiment('no-gain-jump', 3, 4)

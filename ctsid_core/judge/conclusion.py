@@ -52,8 +52,8 @@ def conclude(solution: Solution) -> Estimate:
     covariance, own = _covariances(solution, model, moving)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
-    share = solution.settings.held_out if solution.settings.edges != 'paper' else 0.0
-    unseen = held_out(samples, fit, solution.free, share, solution.refit)
+    unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
+                      solution.refit)
     simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
     change = Change() if solution.refit or simulating is None else \
         most_likely_change(*simulating, solution.simpler,

@@ -182,7 +182,7 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
 
 
 def _summary(e: Evidence) -> str:
-    unsure = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
+    deviation = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
                  if j not in e.fixed_inputs)
     held = np.nanmax(e.held_out, initial=-np.inf)
     unseen = f'and the part held out to {np.floor(100 * (1 - float(held))):.0f} % ' \
@@ -192,7 +192,7 @@ def _summary(e: Evidence) -> str:
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
             f'{np.floor(100 * (1 - float(np.nanmax(e.error)))):.0f} % {unseen}of the motion; the '
-            f'response to each input is known to {_percent(unsure)}.{untested}')
+            f'response to each input is known to {_percent(deviation)}.{untested}')
 
 
 def _listed(names: tuple[str, ...]) -> str:

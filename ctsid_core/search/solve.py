@@ -100,18 +100,17 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if not found or settings.order not in (0, *found):
         return None
     order = settings.order or choose(found)
-    least, why = order, ''
+    likeliest, why = order, ''
     if not settings.order:
-        share = 0.0 if settings.edges == 'paper' else settings.held_out
-        order, why = _neighbour(samples, found, order, free, share)
-    # What the response or data held out have added, D does not take back.
-    likely = {n: one for n, one in found.items() if n >= order > least} or found
+        order, why = _neighbour(samples, found, order, free, settings.share_held_out)
+    # A state that the response or data held out have added, D does not take back.
+    allowed = {n: one for n, one in found.items() if order <= likeliest or n >= order}
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
         part, corrupt, samples, found[order], free, seen)
     if own.feedthrough:
-        with_D, free = _direct(part, seen, samples, likely, best, free, subspace, settings)
+        with_D, free = _direct(part, seen, samples, allowed, best, free, subspace, settings)
         others, best = _with(others, best, with_D), with_D
     half = found.get(best.fit.model.n // 2)
     simpler = half.fit.model if half else None
@@ -154,7 +153,7 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int, free: Fre
     if chosen + 1 in found and responds_otherwise(samples, found[chosen], found[chosen + 1]):
         chosen += 1
         why[chosen] = ', and one more, for its response is another one'
-    if not (limit := error(chosen) - ENOUGH) < np.inf or samples.effort.beyond(SEARCH):
+    if samples.effort.beyond(SEARCH) or not (limit := error(chosen) - ENOUGH) < np.inf:
         return chosen, why[chosen]
     errors = {n: error(n) for n in beside if n != chosen}
     best = min((n for n in errors if errors[n] < limit), key=lambda n: errors[n], default=chosen)
