@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
+from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.solve import free_of
 from ctsid_core.settings import LONGEST_DELAY
@@ -144,3 +145,15 @@ def test_a_dead_time_does_not_stand_in_for_a_state_that_is_certain():
     estimate = identify(given.record)
     assert estimate.model.n == 2
     assert response_off(given, estimate.model, estimate)[0] < 5.0
+
+
+def test_a_dead_time_that_ends_at_zero_leaves_the_poles_at_their_best():
+    """As good as a climb that has no dead time: a bound must not spoil the other directions."""
+    record = experiment('no-pole-jump', 2, 7).record
+    samples = samples_of([record], [[None]])
+    free = Free(False, True, (True,), 0.1, -1e-7, 100.0)
+    none = replace(free, delays=(False,))
+    late, held = (climb(samples, fit_at(samples, np.array([-8.67 + 0j]), np.array([delay]), one),
+                        one) for one, delay in ((free, 0.038), (none, 0.0)))
+    assert late.model.delay[0] == 0.0
+    assert late.cost < held.cost + 0.01
