@@ -37,6 +37,7 @@ _STEPS = 10
 _HALVINGS = 6
 _LEAST = 0.02         # part of the errors' size that innovations must be smaller, to be worth K
 _FIXED_POINT = 20
+_SETTLED = 1e-6       # relative error of what K does from sample to sample
 _LIMIT = 0.999        # largest magnitude of the predictor's modes
 _WORK, _PER_NUMBER = 6e7, 4e3           # work: at least, and for each entry of K and sample
 
@@ -113,10 +114,16 @@ def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
     step : float
         [s]
     """
-    K = update / step
-    for _ in range(_FIXED_POINT if K.any() else 0):
+    K, size = update / step, float(np.linalg.norm(update))
+    pace, left = 1.0, np.inf
+    for _ in range(_FIXED_POINT if size > 0.0 else 0):
         mean = exponentials(A - K @ C, np.array([step]), 1)[1][0]
-        K = 0.5 * K + 0.5 * np.linalg.solve(mean, update)
+        rest = update - mean @ K
+        before, left = left, float(np.linalg.norm(rest))
+        if left < _SETTLED * size:
+            break
+        pace *= 1.0 if left < before else 0.5
+        K = K + pace * np.linalg.solve(mean, rest)
         if not np.isfinite(K).all():
             raise np.linalg.LinAlgError('a predictor has no gain in continuous time')
     return K

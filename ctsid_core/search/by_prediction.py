@@ -36,7 +36,7 @@ from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.by_order import MORE, Tried, tried
+from ctsid_core.search.by_order import MORE, SEARCH, Tried, parameters, tried
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
@@ -45,7 +45,7 @@ AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
 _NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
 _HALVINGS = 2               # ... and how often closer ones are
-_AHEAD = 7e3                # work of predictions for each sample
+_PLANT, _AHEAD = 2.5e7, 7e3 # work of a plant, and of its predictions for each sample
 _FINAL = 2                  # orders that are climbed with all samples
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
@@ -113,9 +113,13 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     thin = joint.thinned(_SEARCHED)
     found = _orders(thin, starts, own, record, corrupt, order)
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
-    last = [_climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own, record,
-                     corrupt) for fit in (one.found.fit for one in likely)]
-    known = [one for one in last if one is not None]
+    known: list[PredictionFit] = []
+    for fit in (one.found.fit for one in likely):
+        if known and joint.effort.over:
+            break
+        best = _climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own,
+                        record, corrupt)
+        known += [] if best is None else [best]
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
@@ -132,35 +136,29 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
         with suppress(np.linalg.LinAlgError):
             if order in (0, n):
                 begun[n] = fit_at(joint, start.poles, delay, free, _near(start, joint, delay))
+    price = float(np.log(joint.counts.max()))
+    best = min(begun, key=lambda n: begun[n].cost + price * parameters(joint, begun[n], free),
+               default=0)
     found: dict[int, PredictionFit] = {}
-    best = order or _promising(joint, begun, free, record, corrupt)
-    n = order or max(best - MORE, 1)
-    while n in starts and not joint.effort.over and (not found or n <= best + MORE):
-        one = _climbed(joint, begun[n], free, record, corrupt) if n in begun else None
+    looked: set[int] = set()
+    while not found or not joint.effort.beyond(SEARCH):
+        near = [n for n in begun if n not in looked and abs(n - best) <= MORE]
+        if not near:
+            break
+        n = min(near, key=lambda n: abs(n - best))
+        looked.add(n)
+        one = _climbed(joint, begun[n], free, record, corrupt)
         if one is not None:
             found[n] = one
-            if best not in found or one.information < found[best].information:
-                best = n
-        n += 1
+            best = min(found, key=lambda n: found[n].information)
     return found
-
-
-def _promising(joint: Samples, begun: dict[int, Fit], free: Free, record: Record,
-               corrupt: tuple[Mask | None, ...]) -> int:
-    """Return the order whose start predicts best, of those for which there is time."""
-    known: dict[int, float] = {}
-    for n, fit in begun.items():
-        one = None if joint.effort.over else _judged(joint, fit, free, record, corrupt)
-        if one is not None:
-            known[n] = one.information
-    return min(known, key=lambda n: known[n], default=1)
 
 
 def _climbed(joint: Samples, start: Fit, free: Free, record: Record,
              corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
     """Return the best predictor near a start or near a filter of its plant; None: no plant."""
     best = _nearby(joint, start, free, record, corrupt)
-    filtered = _filter(joint, best, free) if best is not None else None
+    filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
     other = _nearby(joint, filtered, free, record, corrupt) if filtered is not None else None
     return min((one for one in (best, other) if one is not None),
                key=lambda one: one.information, default=None)
@@ -231,7 +229,7 @@ def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
         plant = plant_of(fit, joint, len(joint.records) - 1, unstable)
         if plant is None:
             continue
-        joint.effort.spend(_AHEAD * max(len(s.time) for s in record.outputs))
+        joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in record.outputs))
         try:
             errors = prediction_errors(plant, delay[:nu], record, HORIZONS, corrupt)
         except np.linalg.LinAlgError:

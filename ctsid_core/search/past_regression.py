@@ -30,6 +30,7 @@ _WEIGHTS = 60         # of a prediction, at most: more would fit the noise
 _ROWS = 4             # equations for each weight, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
 _RIDGE = 1e-8         # of the power of the signals
+_WORK = 4.0           # for each number and column of the regression, in operations
 _SHORTEST = 1e-3      # of a state that is left after a sample, at least
 
 
@@ -96,6 +97,7 @@ def _at(samples: Samples, step: float, highest: int, delay: Array,
     size = np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0)) + 1e-300
     stacked = np.vstack([np.hstack([z[past - i:len(z) - i] for i in range(past + 1)])
                          for z in (z / size for z in signals)])
+    samples.effort.spend(_WORK * stacked.size * stacked.shape[1])
     R = triangle(stacked)
     now, before, after = R[:, :width], R[:, width:], R[:, :-width]
     ridge = np.sqrt(_RIDGE * len(stacked)) * np.eye(before.shape[1])

@@ -14,7 +14,7 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
 from ctsid_core.likelihood.residuals import residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import entry_changes
@@ -37,6 +37,7 @@ from ctsid_core.search.by_order import (
 )
 from ctsid_core.search.by_prediction import (
     HORIZONS,
+    PredictionFit,
     information,
     is_stable,
     prediction_errors,
@@ -94,6 +95,11 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples = seen()
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
+    predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
+    # In closed loop predictions say where a simulation may be that is as likely.
+    if predicted is not None and (solved := _likelier(
+            part, settings, corrupt, samples, _beside(samples, predicted, free), free, predicted)):
+        return solved
     subspace = _Subspace(part, own, effort)
     found = search_orders(samples, free, subspace.poles, order=settings.order,
                           max_order=settings.max_order, known_delay=given)
@@ -114,7 +120,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         others, best = _with(others, best, with_D), with_D
     half = found.get(best.fit.model.n // 2)
     simpler = half.fit.model if half else None
-    if solved := _by_prediction(part, settings, corrupt, samples, best, free):
+    if own.feedthrough and _moved_otherwise(samples, best.fit):
+        predicted = _predicted(part, settings, corrupt, samples, free)
+    if predicted is not None and (solved := _likelier(
+            part, settings, corrupt, samples, best, free, predicted)):
         return replace(solved, simpler=simpler)
     climbed = _climbed(samples, best, free)
     best, free = _without_needless(samples, climbed, free)
@@ -273,29 +282,43 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     return tuple(found)
 
 
-def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
-                   best: Tried, free: Free) -> Solution | None:
-    """Return a model by its predictions where these are far better than a simulation's."""
-    own, errors = own_delays(part, settings), residuals(samples, best.fit)
-    power = best.fit.power.mean(axis=0)
-    coloured = np.sqrt(np.maximum(power - white_part(errors) ** 2, 0.0))
-    if own.feedthrough and not coloured.max() > _OPEN_LOOP or samples.effort.beyond(SEARCH):
-        return None
-    last, record = part.last, part.parts[part.last].record
-    rows, start = tuple(corrupt[last]), replace(free, delays=own.unknown_delays(samples.nu))
+def _moved_otherwise(samples: Samples, fit: Fit) -> bool:
+    """Return whether errors that are not noise are so large that the outputs' past may tell."""
+    coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
+    return coloured.max() > _OPEN_LOOP ** 2 and not samples.effort.beyond(SEARCH)
+
+
+def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
+               free: Free) -> PredictionFit | None:
+    """Return the model that predicts best, if it is to be looked at: in open loop an unstable."""
+    own = own_delays(part, settings)
+    start = replace(free, delays=own.unknown_delays(samples.nu))
     found = solve_by_prediction(samples, start, order=settings.order,
                                 max_order=settings.max_order,
-                                known_delay=np.array(own.delays(samples.nu)), record=record,
-                                corrupt=rows)
-    stable = found is not None and is_stable(found.matrices)
+                                known_delay=np.array(own.delays(samples.nu)),
+                                record=part.parts[part.last].record,
+                                corrupt=tuple(corrupt[part.last]))
     # In open loop a stable plant is what simulates best.
-    if found is None or own.feedthrough and stable:
-        return None
+    return None if found is None or own.feedthrough and is_stable(found.matrices) else found
+
+
+def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried:
+    """Return the best simulation near a model by its predictions."""
+    poles = np.linalg.eigvals(found.matrices.A).astype(complex)
+    poles = np.minimum(poles.real, free.limit) + 1j * poles.imag
+    start = fit_at(samples, poles, found.found.fit.model.delay[:samples.nu], free)
+    return tried(samples, climb(samples, start, free, steps=FEWER, least=ROUGHLY), free)
+
+
+def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples, best: Tried,
+              free: Free, found: PredictionFit) -> Solution | None:
+    """Return a model by its predictions where these are likelier than a simulation's."""
+    errors, last = residuals(samples, best.fit), part.last
     rival, _ = with_noise(samples, best.fit, errors, last)
     own_price = information(found.errors, samples, found.found.parameters)
     if own_price > information(prediction_errors(
-            rival, best.fit.model.delay, record, HORIZONS, rows), samples,
-            best.parameters + int(np.count_nonzero(rival.K))):
+            rival, best.fit.model.delay, part.parts[last].record, HORIZONS, tuple(corrupt[last])),
+            samples, best.parameters + int(np.count_nonzero(rival.K))):
         return None
     delay = found.found.fit.model.delay[:samples.nu]
     return Solution(
@@ -304,7 +327,8 @@ def _by_prediction(part: Joint, settings: Settings, corrupt: Corrupt, samples: S
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
                 'than those of the best model that simulates'),), plant=found.matrices,
-        simulating=(samples, best.fit, free) if stable else None, errors_ahead=found.errors)
+        simulating=(samples, best.fit, free) if is_stable(found.matrices) else None,
+        errors_ahead=found.errors)
 
 
 def _names(part: Joint) -> list[str]:
