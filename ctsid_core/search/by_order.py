@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.likelihood.excited import response_difference
+from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.output_error import (
     FEWER,
     ROUGHLY,
@@ -50,6 +51,10 @@ _EACH = 2             # starts of each kind that climb to orders 1 and 2; to oth
 _ANOTHER = 0.01       # of a response: differences that matter if they are certain
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
+_FEWEST_SAMPLES = 300  # of a stream, that are always looked at
+_LATER = 14           # evaluations of all samples that have to be after the search,
+_MODES = 3            # of so many modes,
+_FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
 
@@ -121,6 +126,18 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
         steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
+
+
+def affordable(samples: Samples) -> int:
+    """Return how many samples of a stream the budget suffices for; keep what they need later."""
+    most, effort = max(int(np.max(samples.counts.sum(axis=0))), 1), samples.effort
+    if not effort.budget:
+        return most
+    while most > _FEWEST_SAMPLES and _LATER * evaluation_work(
+            samples.thinned(most), _MODES) > _FOR_LATER * effort.worth(effort.budget):
+        most = int(0.8 * most)
+    effort.keep(_LATER * evaluation_work(samples.thinned(most), _MODES))
+    return most
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:

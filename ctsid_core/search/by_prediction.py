@@ -36,7 +36,7 @@ from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.by_order import MORE, SEARCH, Tried, parameters, tried
+from ctsid_core.search.by_order import MORE, SEARCH, Tried, affordable, parameters, tried
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
@@ -110,6 +110,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     starts = regressed(samples, step, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
+    joint = joint.thinned(affordable(joint))
     thin = joint.thinned(_SEARCHED)
     found = _orders(thin, starts, own, record, corrupt, order)
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]

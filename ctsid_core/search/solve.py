@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
 from ctsid_core.likelihood.residuals import residuals, white_part
@@ -26,6 +25,7 @@ from ctsid_core.search.by_order import (
     SEARCH,
     Tried,
     advantage,
+    affordable,
     choose,
     criterion,
     explains,
@@ -64,10 +64,6 @@ _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 
-_FEWEST_SAMPLES = 300  # of a stream, that are always looked at
-_LATER = 14           # evaluations of all samples that have to be after the search,
-_MODES = 3            # of so many modes,
-_FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
 _PROJECTION, _PER_SAMPLE, _REGRESSION = 2.5e7, 1e4, 2e7      # work of HD-PBSID
 
 Corrupt = list[list[Mask | None]]
@@ -87,7 +83,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """
     own = own_delays(part, settings)
     corrupt = corrupt_rows(part)
-    records, most = [p.record for p in part.parts], _affordable(part, corrupt, settings, effort)
+    records = [p.record for p in part.parts]
+    most = affordable(samples_of(records, corrupt, effort=effort))
 
     def seen(ahead: float = 0.0) -> Samples:
         return samples_of(records, corrupt, ahead, effort).thinned(most)
@@ -184,19 +181,6 @@ def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
     shares = (weights / weights.sum()).tolist()[1:]
     return tuple((share, one.fit.model) for share, (_, one) in zip(shares, others, strict=True)
                  if share > _NEGLIGIBLE)
-
-
-def _affordable(part: Joint, corrupt: Corrupt, settings: Settings, effort: Effort) -> int:
-    """Return how many samples of a stream the budget suffices for; keep what they need later."""
-    samples = samples_of([p.record for p in part.parts], corrupt)
-    most = max(int(np.max(samples.counts.sum(axis=0))), 1)
-    if not settings.budget:
-        return most
-    while most > _FEWEST_SAMPLES and _LATER * evaluation_work(
-            samples.thinned(most), _MODES) > _FOR_LATER * effort.worth(settings.budget):
-        most = int(0.8 * most)
-    effort.keep(_LATER * evaluation_work(samples.thinned(most), _MODES))
-    return most
 
 
 def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
