@@ -93,10 +93,11 @@ def test_unstable_plant_with_process_noise(q, bound, seeds):
         assert (np.abs(e.mean(axis=0)) < e.std(axis=0)).all()
 
 
-@pytest.mark.parametrize(('family', 'number', 'measure'), [
-    ('cart-pole', 3, 1.02), *slow(('rates-4x3', 4, 1.5))])
-def test_robots_under_their_controllers_are_predicted_as_by_the_true_filter(family, number,
-                                                                            measure):
+@pytest.mark.parametrize(('family', 'number', 'budget', 'measure'), [
+    ('cart-pole', 3, 0.0, 1.02), ('cart-pole', 3, 0.5, 1.02), ('cart-pole', 0, 0.5, 1.02),
+    *slow(('rates-4x3', 4, 0.0, 1.5))])
+def test_robots_under_their_controllers_are_predicted_as_by_the_true_filter(
+        family, number, budget, measure):
     """
     Two integrators and a pole that grows by e^60, and modes that seem to grow and do not.
 
@@ -104,7 +105,7 @@ def test_robots_under_their_controllers_are_predicted_as_by_the_true_filter(fami
     times the errors of the filter that knows the robot.
     """
     given = experiment(family, 7, number)
-    estimate = identify(given.record, given.settings)
+    estimate = identify(given.record, given.settings.replace(budget=budget))
     model = estimate.model or estimate.rejected_model
     own, best = (np.array(prediction_errors(m, given.test)) for m in (model, given.truth))
     assert (own < measure * best).all()

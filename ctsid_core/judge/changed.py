@@ -140,6 +140,8 @@ def _only(samples: Samples, place: int) -> Samples:
 def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
     """Return the most likely division of the only record."""
+    if one.effort.over:
+        return Change()
     found = max((_divided(one, model, whole, free, place, share)
                  for share in _likely(one, model, free)), key=_clean, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
