@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from xml.etree import ElementTree
 
+from marks import slow
 import numpy as np
 import pytest
 
@@ -134,8 +135,8 @@ def test_a_study_tells_how_far_all_of_it_is(tmp_path):
 
 
 @pytest.mark.parametrize(('study', 'said'), [
-    ('closed-loop', 'experiments of 1 run, in 1 process'),
-    ('hd-vs-ct', '12 experiments of 1 run, in 1 process')])
+    ('hd-vs-ct', '12 experiments of 1 run, in 1 process'),
+    *slow(('closed-loop', 'experiments of 1 run, in 1 process'))])
 def test_studies_say_what_they_do_and_end_at_the_last_run(study, said, tmp_path, capsys,
                                                          monkeypatch):
     monkeypatch.setattr('ctsid_ros.progress._PATIENCE', 0.0)
