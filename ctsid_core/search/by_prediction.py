@@ -137,7 +137,7 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
         with suppress(np.linalg.LinAlgError):
             if order in (0, n):
                 begun[n] = fit_at(joint, start.poles, delay, free, _near(start, joint, delay))
-    price = float(np.log(joint.counts.max()))
+    price = float(np.log(np.max(joint.counts)))
     best = min(begun, key=lambda n: begun[n].cost + price * parameters(joint, begun[n], free),
                default=0)
     found: dict[int, PredictionFit] = {}

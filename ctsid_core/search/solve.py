@@ -117,7 +117,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         others, best = _with(others, best, with_D), with_D
     half = found.get(best.fit.model.n // 2)
     simpler = half.fit.model if half else None
-    if own.feedthrough and _moved_otherwise(samples, best.fit):
+    if own.feedthrough and _unexplained(samples, best.fit):
         predicted = _predicted(part, settings, corrupt, samples, free)
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, samples, best, free, predicted)):
@@ -266,10 +266,10 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     return tuple(found)
 
 
-def _moved_otherwise(samples: Samples, fit: Fit) -> bool:
+def _unexplained(samples: Samples, fit: Fit) -> bool:
     """Return whether errors that are not noise are so large that the outputs' past may tell."""
     coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return coloured.max() > _OPEN_LOOP ** 2 and not samples.effort.beyond(SEARCH)
+    return bool(np.max(coloured) > _OPEN_LOOP ** 2) and not samples.effort.beyond(SEARCH)
 
 
 def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
