@@ -101,6 +101,7 @@ def project_record(record: Record, settings: Settings, nmax: int,
     """
     bounds = np.linspace(record.start, record.end, max(settings.parts, 1) + 1)
     parts = []
+    hermite_lines(nmax)         # made once for each size, which takes as long as a projection
     for start, end in pairwise(bounds.tolist()):
         check()
         parts.append(_project_part(record, settings, nmax, start, end))

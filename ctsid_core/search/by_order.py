@@ -18,6 +18,7 @@ Model errors are neither white nor new information, and states that imitate them
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,8 @@ _EACH = 2             # starts of each kind that climb to orders 1 and 2; to oth
 _ANOTHER = 0.01       # of a response: differences that matter if they are certain
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
+_POINT = 0.4          # ... and its look at where to begin
+_NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 14           # evaluations of all samples that have to be after the search,
 _MODES = 3            # of so many modes,
@@ -104,20 +107,29 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     thin = samples.thinned(_SEARCHED)
     grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
-                    fastest=free.fastest)
+                    fastest=free.fastest, finest=min(
+                        s.period for r in samples.records for s in r.streams))
     found: dict[int, Tried] = {}
-    for n in range(1, (order or max_order) + 1):
-        best = _best_of(n, found, thin, grid, subspace, free, known_delay,
-                        np.inf if order or not found else _rival(found, thin, n))
-        if best is not None:
-            found[n] = tried(thin, best, free)
-        if samples.effort.beyond(SEARCH) and found:
+    looked: set[int] = set()
+    best = 1
+    while not found or not samples.effort.beyond(SEARCH):
+        # The nearest first: one after the other from 1 upwards, unless a start points further.
+        near = [n for n in range(1, (order or max_order) + 1) if n not in looked
+                and (order or abs(n - best) <= MORE)]
+        if not near:
             break
-        if order or not found:
+        n = min(near, key=lambda n: abs(n - best))
+        looked.add(n)
+        fit = _best_of(n, found, thin, grid, subspace, free, known_delay,
+                       np.inf if order or not found else _rival(found, thin, n))
+        if fit is None:
             continue
-        chosen = choose(found)
-        if n >= chosen + MORE or found[max(found)].rms < _CLEAN:
+        found[n] = tried(thin, fit, free)
+        if found[max(found)].rms < _CLEAN:
             break
+        best = choose(found)
+        if samples.several and looked == {1} and not order:
+            best = max(best, _pointed(found, subspace, grid, free, known_delay, max_order))
     if thin is samples:
         return found
     chosen = order or choose(found)
@@ -126,6 +138,31 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
         steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
+
+
+def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, free: Free,
+             known: Array, max_order: int) -> int:
+    """Return the smallest order whose start by HD-PBSID is nearly as good as any larger one's."""
+    samples, delay = grid.samples, found[1].fit.model.delay
+    near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
+    costs: dict[int, float] = {}
+    for n in range(3, max_order + 1):
+        if samples.effort.beyond(_POINT):
+            break
+        starts = list(_by_subspace(n, subspace, grid, free, delay, known))
+        with suppress(np.linalg.LinAlgError):
+            if starts:
+                costs[n] = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free).cost
+    return min((n for n in costs if costs[n] < min(costs.values()) + near), default=1)
+
+
+def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free, delay: Array,
+                 known: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
+    """Yield starts by HD-PBSID; small models of several inputs have any dead times."""
+    for late in (delay, known)[:1 + (len(known) > 1 and bool(np.any(delay != known)))]:
+        for poles in subspace(n, late):
+            poles = poles * np.minimum(1.0, free.fastest / np.maximum(np.abs(poles), 1e-300))
+            yield grid.score(poles, late), 'subspace', poles, late
 
 
 def affordable(samples: Samples) -> int:
@@ -308,6 +345,4 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
                     yield one.score, kind, np.append(poles, one.pole), delay
                     break
     delay = found[n - 1].fit.model.delay if n - 1 in found else known
-    for poles in subspace(n, delay):
-        poles = poles * np.minimum(1.0, free.fastest / np.maximum(np.abs(poles), 1e-300))
-        yield grid.score(poles, delay), 'subspace', poles, delay
+    yield from _by_subspace(n, subspace, grid, free, delay, known)

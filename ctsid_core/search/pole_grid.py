@@ -27,6 +27,7 @@ _PAIRS = 12           # natural frequencies of pairs at each damping
 _DAMPING = (0.02, 0.1, 0.4, 0.8)
 _CELLS = 4000         # of time, at most
 _RIDGE = 1e-9         # of the inner products of a candidate's columns
+_PER_CELL = 150.0     # work: of each pole, input and cell of time
 _LOOK, _PER_POLE = 3e6, 300.0           # work: of any look, and for each pole, input and sample
 
 
@@ -63,19 +64,23 @@ class PoleGrid:
         Of dead times [s].
     fastest : float
         Largest magnitude of a pole [rad/s].
+    finest : float
+        Interval of time at which inputs are looked at [s].
     """
 
     def __init__(self, samples: Samples, *, feedthrough: bool, trim: bool, longest: float,
-                 fastest: float) -> None:
-        self._samples, self._feedthrough, self._trim = samples, feedthrough, trim
+                 fastest: float, finest: float) -> None:
+        self.samples, self._feedthrough, self._trim = samples, feedthrough, trim
         slow = 1.0 / samples.length
         sizes = np.geomspace(2.0 * np.pi * slow, fastest, _PAIRS)
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._ranked: dict[tuple[bytes, bytes], list[Candidate]] = {}
-        self._cells = [_Cells(r, longest) for r in samples.records]
+        self._cells = [_Cells(r, longest, finest) for r in samples.records]
         self._kinds = (self.poles.imag == 0.0, self.poles.imag > 0.0)
+        samples.effort.spend(_PER_CELL * len(self.poles) * samples.nu * float(
+            sum(cells.count for cells in self._cells)))
         self._shapes = [[_Shape(cells, self.poles[kind]) for kind in self._kinds]
                         for cells in self._cells]
 
@@ -108,9 +113,9 @@ class PoleGrid:
                 shapes: list[list[_Shape]] | list[None]) -> Array:
         # The power of all records together decides here: residues are theirs together.
         count = len(self.poles) if shapes[0] is not None else 1
-        self._samples.effort.spend(_LOOK + _PER_POLE * count * (self._samples.nu + 1) * float(
-            np.max(self._samples.counts.sum(axis=0))))
-        power, number = np.zeros((count, self._samples.ny)), np.zeros(self._samples.ny)
+        self.samples.effort.spend(_LOOK + _PER_POLE * count * (self.samples.nu + 1) * float(
+            np.max(self.samples.counts.sum(axis=0))))
+        power, number = np.zeros((count, self.samples.ny)), np.zeros(self.samples.ny)
         for cells, shape in zip(self._cells, shapes, strict=True):
             base = [_Shape(cells, poles[kind]) for kind in (poles.imag == 0.0, poles.imag > 0.0)
                     if kind.any()]
@@ -145,11 +150,11 @@ class PoleGrid:
 class _Cells:
     """The inputs of a record, averaged over the cells of a uniform grid of time."""
 
-    def __init__(self, record: RecordSamples, longest: float) -> None:
+    def __init__(self, record: RecordSamples, longest: float, finest: float) -> None:
         self.record = record
         first = record.start - longest
-        finest = min(s.period for s in record.streams)
         count = int(np.clip((record.end - first) / finest, 16, _CELLS))
+        self.count = count
         self._edges = np.linspace(first, record.end, count + 1)
         self._step = float(self._edges[1] - self._edges[0])
         self._means = np.vstack([cell_means(s, self._edges) for s in record.inputs])

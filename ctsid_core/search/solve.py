@@ -134,7 +134,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free, why * (best.fit.model.n == order)),
-                    (*notes, *_longest(part, best, free)), whole=whole,
+                    (*notes, *_longest(part, samples, best, free)), whole=whole,
                     hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
@@ -189,13 +189,13 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     return tried(samples, climb(samples, start, free), free)
 
 
-def _longest(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
-    """Return which dead times are as long as any that is looked for, in words."""
+def _longest(part: Joint, samples: Samples, best: Tried, free: Free) -> tuple[str, ...]:
+    """Return which dead times are, to a sample, as long as any that is looked for, in words."""
     return tuple(
         f'the dead time of input {name} is the longest that is looked for, {free.longest:.3g} s, '
         'and states may stand in for more; give `delay`, or take a longer window'
         for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
-        if late and delay >= free.longest)
+        if late and delay > free.longest - samples.interval)
 
 
 def _left_out(found: dict[int, Tried], order: int, settings: Settings,
@@ -351,8 +351,7 @@ class _Subspace:
 
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
-        self._made: Subspaces | None = None
-        self._tried = False
+        self._made: dict[bool, Subspaces | None] = {}
 
     def poles(self, n: int, delay: Array) -> list[ComplexArray]:
         """Return the poles of models of order n, with given dead times."""
@@ -360,7 +359,8 @@ class _Subspace:
 
     def subspace(self, n: int) -> Subspace | None:
         """Return the regression of the middle one of HD-PBSID's tunings for order n."""
-        made = self._projected(np.array(self._own.delays(len(self._part.parts[0].u))))
+        made = next(iter(self._made.values())) if self._made else self._projected(
+            np.array(self._own.delays(len(self._part.parts[0].u))))
         tunings = made.some_tunings(n) if made is not None else []
         return made.of(tunings[len(tunings) // 2]) if made is not None and tunings else None
 
@@ -383,20 +383,25 @@ class _Subspace:
         return [p[p.imag >= 0.0] for p in found]
 
     def _projected(self, delay: Array) -> Subspaces | None:
-        """Return the regressions, with the dead times that the first call gives."""
-        if self._tried:
-            return self._made
-        self._tried, own = True, self._own.replace(delay=tuple(delay.tolist()))
+        """
+        Return the regressions, with dead times as they are given or as first found.
+
+        Small models of several inputs have any dead times: those given are a start, too.
+        """
+        given = bool(np.array_equal(delay, self._own.delays(len(delay))))
+        if given in self._made:
+            return self._made[given]
+        self._made[given], own = None, self._own.replace(delay=tuple(delay.tolist()))
         self._effort.spend(_PROJECTION + _PER_SAMPLE * sum(
             float(len(s.time)) for p in self._part.parts for s in p.record.outputs))
         try:
             layout, _ = self._part.layout(own)
             projection = self._part.project(own.replace(parts=max(layout.sizes)[1]), layout,
                                             self._effort.check)
-            self._made = Subspaces(projection, own)
+            self._made[given] = Subspaces(projection, own)
         except np.linalg.LinAlgError:
             pass
-        return self._made
+        return self._made[given]
 
 
 def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:

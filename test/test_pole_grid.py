@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where searches begin: poles ranked on a few samples, and orders that HD-PBSID points to."""
+
+import numpy as np
+from plants import held, match, plant
+import pytest
+
+from ctsid_core import Settings, identify
+from ctsid_core.likelihood.output_error import Free, fit_at
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.search.pole_grid import PoleGrid
+
+# A slow and a fast pair, 3 inputs, 2 outputs; inputs are held for 0.4 s, which the fast one sees.
+A = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, -1.5, 0.0, 0.0],
+              [0.0, 0.0, 0.0, 12.0], [0.0, 0.0, -12.0, -12.0]])
+B = np.array([[0.0, 0.0, 0.0], [0.6, -0.9, 1.1], [0.0, 0.0, 0.0], [9.0, 7.0, -6.0]])
+C = np.array([[1.0, 0.3, 0.8, -0.5], [-0.4, 0.9, 1.2, 0.6]])
+POLES = np.linalg.eigvals(A)[np.linalg.eigvals(A).imag > 0.0]
+
+
+def long(seed: int):
+    return held(np.random.default_rng(seed), plant(A, B, C), 2.5, 50.0, snr=20, duration=150.0)
+
+
+def test_a_long_record_is_ranked_by_all_that_its_inputs_do():
+    """One of 25 samples is read; what an input does between them counts all the same."""
+    record = long(0)
+    few = samples_of([record], [[None]]).thinned(300)
+    grid = PoleGrid(few, feedthrough=False, trim=True, longest=1.0, fastest=100.0, finest=0.02)
+    free = Free(False, True, (False,) * 3, 1.0, -1e-6, 100.0)
+    none, count = np.zeros(3), float(few.counts.sum())
+    for poles in (POLES, POLES * (0.7 + 0.1j)):
+        # Residues of any rank explain a little more than the model's own.
+        ranked, exact = grid.score(poles, none), fit_at(few, poles, none, free).cost
+        assert -0.3 * count < ranked - exact < 0.1 * count
+    assert grid.score(POLES, none) < grid.score(POLES * (0.7 + 0.1j), none) - count
+
+
+@pytest.mark.parametrize('budget', [0.0, 1.0])
+def test_a_long_record_of_several_inputs_has_its_order_and_no_dead_time(budget):
+    found = identify(long(1), Settings(budget=budget))
+    assert found.good
+    assert found.model.n == 4
+    assert np.max(found.model.delay) < 0.02
+    both = np.linalg.eigvals(A)
+    assert match(found.model.poles, both) == pytest.approx(both, rel=0.02)
