@@ -8,8 +8,9 @@ hardly more parameters explain more. The states and the trim at the start of a s
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone, as far as the noise lets see. Gusts stay beside a change:
-where predictions, whose errors are white, tell of a large one, more may be left.
+leaves, noise apart, has to be gone, as far as the noise lets see. Of a model that was found by its
+predictions these tell, for their errors are white where gusts stay in those of simulations; how
+much it matters is what the plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
@@ -42,8 +43,6 @@ _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
-_MUCH = 15.0          # points that one has to miss, if predictions told of the change in gusts,
-_BESIDE = 0.4         # for so much to be left
 NOTED = 2.0           # points that one model has to miss, to be worth a word
 
 
@@ -96,20 +95,19 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     simpler : ModalModel, optional
         The best one of half its order.
     predictor : tuple of Samples, Fit and Free, optional
-        Its errors are white where those of a simulation are not: what it says counts, too.
+        Of a model that was found by its predictions: they tell then.
     """
     best = Change()
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return best
-    for model in (fit.model,) if simpler is None else (fit.model, simpler):
-        for place in range(len(samples.records)):
+    for place in range(len(samples.records)):
+        if predictor is not None:
+            best = max(best, _as_predicted(samples, fit.model, free, place, predictor),
+                       key=lambda change: (change.cost, change.gain))
+            continue
+        for model in (fit.model,) if simpler is None else (fit.model, simpler):
             best = max(best, _of_record(samples, model, fit.model, free, place),
                        key=lambda change: change.cost)
-    if predictor is None:
-        return best
-    for place in range(len(samples.records)):
-        best = max(best, _as_predicted(samples, fit.model, free, place, predictor),
-                   key=lambda change: (change.cost, change.gain))
     return best
 
 
@@ -121,7 +119,7 @@ def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
     if found.gain <= 0.0:
         return found
     size = _divided(_only(samples, place), model, model, free, place, found.share, certain=True)
-    return size if size.left < (_LEFT if size.cost < _MUCH else _BESIDE) else \
+    return size if size.left < _LEFT else \
         Change(place, found.share, gain=found.gain)
 
 

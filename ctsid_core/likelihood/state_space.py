@@ -14,6 +14,7 @@ from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Entries
 
@@ -42,6 +43,32 @@ def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
     return Matrices(A=T @ A @ inverse, B=T @ B, C=C @ inverse, D=model.D * size[:, np.newaxis],
                     K=np.zeros((n, ny)), tail=(T @ x0)[:, np.newaxis], x_trim=np.zeros((n, 1)),
                     y_trim=(model.y0[record] * size)[:, np.newaxis])
+
+
+def modal_of(m: Matrices, samples: Samples, delay: Array,
+             condition_limit: float = CONDITION_LIMIT) -> ModalModel | None:
+    """
+    Return the modal model of matrices, at rest and without trim; None if modes are too alike.
+
+    Parameters
+    ----------
+    m : Matrices
+    samples : Samples
+        By the size of whose outputs it is divided.
+    delay : ndarray, shape (nu,)
+        [s]
+    condition_limit : float
+        Largest condition of the eigenvectors.
+    """
+    found = modes(m.A, condition_limit)
+    if found is None:
+        return None
+    order = np.argsort(found.values.imag > 0.0, kind='stable')             # pairs after real poles
+    size, records = samples.size[:, np.newaxis], len(samples.records)
+    return ModalModel(found.values[order], (found.left @ m.B)[order],
+                      (m.C @ found.right)[:, order] / size,
+                      np.zeros((records, len(order)), dtype=complex), m.D / size,
+                      np.zeros((records, samples.ny)), delay)
 
 
 def _modal(poles: ComplexArray, b: ComplexArray, c: ComplexArray,

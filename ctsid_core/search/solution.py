@@ -52,8 +52,8 @@ class Solution:
     errors_ahead : ndarray, shape (horizons, ny)
         Of its predictions, over the motion.
     simulating : tuple of Samples, Fit and Free, or None
-        Of the best model that simulates, if it is another one of a stable plant: there shows
-        whether the plant changes.
+        Of a stable plant that was found by its predictions, as it simulates: there shows what a
+        change costs.
     simpler : ModalModel or None
         The best one of half its order that simulates.
     rivals : tuple of (float, ModalModel)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +14,18 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import (
+    FEWER,
+    ROUGHLY,
+    Fit,
+    Free,
+    climb,
+    fit_at,
+    fit_states,
+)
 from ctsid_core.likelihood.residuals import residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
-from ctsid_core.likelihood.state_space import entry_changes
+from ctsid_core.likelihood.state_space import entry_changes, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
@@ -94,8 +103,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
     # In closed loop predictions say where a simulation may be that is as likely.
-    if predicted is not None and (solved := _likelier(
-            part, settings, corrupt, samples, _beside(samples, predicted, free), free, predicted)):
+    if predicted is not None and (rival := _beside(samples, predicted, free)) and (
+            solved := _likelier(part, settings, corrupt, samples, rival, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
     found = search_orders(samples, free, subspace.poles, order=settings.order,
@@ -115,13 +124,11 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, allowed, best, free, subspace, settings)
         others, best = _with(others, best, with_D), with_D
-    half = found.get(best.fit.model.n // 2)
-    simpler = half.fit.model if half else None
     if own.feedthrough and _unexplained(samples, best.fit):
         predicted = _predicted(part, settings, corrupt, samples, free)
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, samples, best, free, predicted)):
-        return replace(solved, simpler=simpler)
+        return solved
     climbed = _climbed(samples, best, free)
     best, free = _without_needless(samples, climbed, free)
     others = _with(others, climbed, best)
@@ -129,6 +136,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0:
         samples = seen(late)
         best = _climbed(samples, best, free)
+    half = found.get(best.fit.model.n // 2)
+    simpler = None if half is None else half.fit.model
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
@@ -286,12 +295,14 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
     return None if found is None or own.feedthrough and is_stable(found.matrices) else found
 
 
-def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried:
-    """Return the best simulation near a model by its predictions."""
+def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
+    """Return the best simulation near a model by its predictions, or None."""
     poles = np.linalg.eigvals(found.matrices.A).astype(complex)
     poles = np.minimum(poles.real, free.limit) + 1j * poles.imag
-    start = fit_at(samples, poles, found.found.fit.model.delay[:samples.nu], free)
-    return tried(samples, climb(samples, start, free, steps=FEWER, least=ROUGHLY), free)
+    with suppress(np.linalg.LinAlgError):
+        start = fit_at(samples, poles, found.found.fit.model.delay[:samples.nu], free)
+        return tried(samples, climb(samples, start, free, steps=FEWER, least=ROUGHLY), free)
+    return None
 
 
 def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples, best: Tried,
@@ -305,13 +316,15 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sample
             samples, best.parameters + int(np.count_nonzero(rival.K))):
         return None
     delay = found.found.fit.model.delay[:samples.nu]
+    # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
+    plant = modal_of(found.matrices, samples, delay) if is_stable(found.matrices) else None
     return Solution(
         _used(part, settings, len(found.matrices.A), delay), part, found.samples,
         found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
                 'than those of the best model that simulates'),), plant=found.matrices,
-        simulating=(samples, best.fit, free) if is_stable(found.matrices) else None,
+        simulating=None if plant is None else (samples, fit_states(samples, plant, free), free),
         errors_ahead=found.errors)
 
 

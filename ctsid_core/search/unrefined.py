@@ -16,10 +16,9 @@ import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples, samples_of
-from ctsid_core.linear.matrix_functions import modes
+from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.by_order import tried
 from ctsid_core.search.solution import Solution, own_delays
@@ -126,16 +125,10 @@ def _fitted(one: MethodModel, samples: Samples, own: Settings, free: Free) -> Fi
     m = one.matrices
     if not all(np.isfinite(x).all() for x in (m.A, m.B, m.C, m.D)):
         return None
-    found = modes(m.A, _WORST)
-    if found is None or np.max(found.values.real, initial=0.0) * samples.length > 20.0:
+    model = modal_of(m if own.feedthrough else replace(m, D=np.zeros_like(m.D)), samples,
+                     np.array(own.delays(samples.nu)), _WORST)
+    if model is None or np.max(model.poles.real, initial=0.0) * samples.length > 20.0:
         return None
-    own_order = np.argsort(found.values.imag > 0.0, kind='stable')        # pairs after real poles
-    model = ModalModel(
-        found.values[own_order], (found.left @ m.B)[own_order],
-        (m.C @ found.right)[:, own_order] / samples.size[:, np.newaxis],
-        np.zeros((len(samples.records), len(found.values)), dtype=complex),
-        m.D / samples.size[:, np.newaxis] * own.feedthrough,
-        np.zeros((len(samples.records), samples.ny)), np.array(own.delays(samples.nu)))
     with np.errstate(over='ignore', invalid='ignore'):
         try:
             return fit_states(samples, model, free)
