@@ -29,8 +29,9 @@ def steady(A: Array, B: Array, C: Array, drive: Array, noise: Array, delay: floa
     delay : float
         [s]
     """
-    P = solve_continuous_are(A.T, C.T, drive + NO_NOISE * np.eye(len(A)), noise,
-                             balanced=False)
+    # In units of the measurement noise: else Schur's form is lost where it is very small.
+    whitened = np.linalg.solve(np.linalg.cholesky(noise), C)
+    P = solve_continuous_are(A.T, whitened.T, drive + NO_NOISE * np.eye(len(A)), np.eye(len(C)))
     K = P @ C.T @ np.linalg.inv(noise)
     return StateSpace(A, B, C, K=K, delay=(delay,) * B.shape[1], noise=noise)
 
