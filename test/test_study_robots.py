@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 from scipy.signal import StateSpace as ScipyPlant
 from scipy.signal import cont2discrete, dlsim
 
@@ -15,6 +16,7 @@ from ctsid_core import Estimate, Grade, Record, Settings, StateSpace, Status, Ve
 from ctsid_ros.studies.robots import sitting, study
 from ctsid_ros.studies.robots.experiment import Robot, as_measured
 from ctsid_ros.studies.robots.families import FAMILIES, experiment
+from ctsid_ros.studies.robots.filters import GUSTS, NO_NOISE
 from ctsid_ros.studies.robots.inputs import KINDS, drive
 from ctsid_ros.studies.robots.kept_rows import KeptRows
 from ctsid_ros.studies.robots.linear import Held, Linear
@@ -110,6 +112,16 @@ def test_loops_hold_what_falls_without_them():
         flight = experiment(family, 3, 2)
         assert np.abs(flight.record.outputs[0].values).max() < 10.0
         assert flight.settings.feedthrough is False
+
+
+def test_filters_are_right_however_small_the_noise_is():
+    """Lyapunov's equation of their errors gives the covariance that their gain is made of."""
+    truth = experiment('rates-4x3', 17, 5).truth
+    drive = NO_NOISE * np.eye(truth.n)
+    drive[-truth.ny:, -truth.ny:] += 2.0 * GUSTS * np.eye(truth.ny)
+    P = solve_continuous_lyapunov(truth.A - truth.K @ truth.C,
+                                  -drive - truth.K @ truth.noise @ truth.K.T)
+    assert truth.K @ truth.noise == pytest.approx(P @ truth.C.T, rel=1e-6, abs=1e-9 * P.max())
 
 
 def test_what_jumps_moves_on_both_sides():
