@@ -126,6 +126,7 @@ def test_experiments_are_the_same_whenever_they_are_made():
     assert kinds == set(KINDS)
 
 
+@pytest.mark.slow
 def test_brute_force_finds_a_known_plant():
     found = models(outputs(of_lag())[0])
     assert [m.order for m in found] == [1, 2, 3, 4]
@@ -134,6 +135,7 @@ def test_brute_force_finds_a_known_plant():
     assert reachable(of_lag(0.02), of_lag(seed=2)) > 99.0
 
 
+@pytest.mark.slow
 def test_brute_force_finds_a_weak_mode():
     plant, times = Linear.of_roots(1.0, (*pair(18.0, 0.02), -3.0), 0.05), np.arange(0, 6, 0.01)
     y = plant.move(moved(), times)[:, 0]
