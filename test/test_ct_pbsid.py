@@ -94,8 +94,8 @@ def test_the_coefficients_obey_the_discrete_model(direction):
 
 
 @pytest.mark.parametrize(('method', 'name'), [
-    ('projections', 'hd51'), ('projections', 'hd52'), ('filters', 'hd51'),
-    *slow(('filters', 'hd52'))], indirect=['method'])
+    ('projections', 'hd52'), *slow(
+        ('projections', 'hd51'), ('filters', 'hd51'), ('filters', 'hd52'))], indirect=['method'])
 def test_exact_without_noise_in_a_window_of_a_running_plant(method, name):
     p = plants.PLANTS[name]
     record = plants.running(np.random.default_rng(5), p)
@@ -122,7 +122,7 @@ def test_order_pole_and_past_come_from_the_data(method):
 
 
 @BOTH
-@pytest.mark.parametrize('hold', ['smooth', 'zoh'])
+@pytest.mark.parametrize('hold', ['zoh', *slow('smooth')])
 def test_irregular_stamps_of_their_own(method, hold):
     p = plants.PLANTS['hd51']
     rng = np.random.default_rng(7)
