@@ -76,6 +76,7 @@ def test_bursty_is_near_the_bound():
     assert skipped != ('\nSLICOT' in printed)
 
 
+@pytest.mark.slow
 def test_methods_prints_both_tables_and_judges_at_one_length_only():
     printed = run('methods.py', '--durations', 8, 6, '--rounds', 1, '--longest', 6)
     rows = [line for line in printed.splitlines() if re.match(r'(6|8) s ', line)]

@@ -160,7 +160,7 @@ def test_pip_puts_the_command_into_bin(copied, tmp_path):
 
 
 @pytest.mark.colcon
-@pytest.mark.parametrize('option', [[], *slow(['--symlink-install'])])
+@pytest.mark.parametrize('option', slow([], ['--symlink-install']))
 def test_colcon_builds_the_package(copied, tmp_path, option):
     pytest.importorskip('colcon_ros', reason='colcon-core and colcon-ros are not installed')
     environment = {k: v for k, v in os.environ.items() if k != 'PYTHONPATH'}
