@@ -328,6 +328,7 @@ def test_what_is_done_is_not_done_again(batch, fleet, tmp_path, monkeypatch):
     assert bags == {b['bag'] for b in found.values()}                # nothing of flight1 is left
 
 
+@pytest.mark.slow
 def test_copies_are_identified_once_and_told(batch, fleet, tmp_path, monkeypatch):
     """The same flight under two names, and as of another robot; and one as large that differs."""
     ours = tmp_path / 'bags'

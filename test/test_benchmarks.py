@@ -175,6 +175,7 @@ def test_noise_has_the_level_that_is_asked_for(common):
     assert np.array_equal(common.noisy(y, 20.0, 3), common.noisy(y, 20.0, 3))
 
 
+@pytest.mark.slow
 def test_bound_is_reached_by_least_squares_on_the_sampled_responses(common):
     # An efficient estimator that uses no formula of the benchmark: the poles are moved one by
     # one, residues are refitted, and the curvature of the residual gives the information.

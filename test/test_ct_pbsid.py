@@ -148,6 +148,7 @@ def test_several_inputs_and_outputs_with_trim(method):
 
 
 @BOTH
+@pytest.mark.slow
 def test_axes_alike_are_not_taken_for_one(method):
     """Roll and pitch alike: one pair of poles fits both, but no model of order 2 does."""
     A, Z = np.array([[-1.0, 4.0], [-4.0, -1.0]]), np.zeros((2, 2))
@@ -160,6 +161,7 @@ def test_axes_alike_are_not_taken_for_one(method):
 
 
 @BOTH
+@pytest.mark.slow
 def test_several_records(method):
     p = plants.PLANTS['hd52']
     records = [plants.running(np.random.default_rng(k), p, 40.0, duration=6.0) for k in (9, 10)]

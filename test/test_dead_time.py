@@ -105,6 +105,7 @@ def test_two_inputs_have_their_own():
     assert np.all(found.delay_std < 2e-3)
 
 
+@pytest.mark.slow
 def test_one_of_two_inputs_may_be_late_and_one_known():
     given, p = two_inputs(np.random.default_rng(8), (0.0, 0.08))
     found = identify(given, FAST)

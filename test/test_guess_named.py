@@ -119,7 +119,7 @@ def test_from_names_to_a_model_of_two_inputs_and_outputs(robot, tmp_path, monkey
         ('angular_velocity.y', 'smooth')]
     assert len({c.name for c in config.channels}) == 4
     assert main(['identify', robot, '--params', 'p.yaml', '--out', 'res', '--quiet',
-                 '--duration', '15']) == 0
+                 '--duration', '8']) == 0
 
 
 def test_stretches_of_several_inputs_are_those_of_any():

@@ -78,8 +78,8 @@ def assert_ends(node, number):
 
 
 @pytest.mark.parametrize(('state', 'number'), [
-    (starting, signal.SIGTERM), (busy, signal.SIGINT), *slow(
-        (inactive, signal.SIGINT), (without_data, signal.SIGTERM))])
+    (starting, signal.SIGTERM), *slow(
+        (busy, signal.SIGINT), (inactive, signal.SIGINT), (without_data, signal.SIGTERM))])
 def test_a_signal_ends_the_node(live, state, number):
     assert_ends(state(live), number)
 

@@ -125,6 +125,7 @@ def test_a_warning_ends_when_its_cause_has(live):
     assert int(said.values['p samples in the last window']) < int(said.values['p samples'])
 
 
+@pytest.mark.slow
 def test_a_missing_package_and_wrong_fields_are_named_at_configure(live):
     text = params().replace('sensor_msgs/msg/JointState', 'px4_msgs/msg/Motors')
     node = live.identifier(text)

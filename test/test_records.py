@@ -93,6 +93,7 @@ def test_the_order_of_records_does_not_matter(halves, both):
     np.testing.assert_allclose(np.sort(other.pole_std), np.sort(both.pole_std), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_same_records_give_the_same_bits(halves, both):
     again = identify(halves)
     assert again.model == both.model

@@ -228,6 +228,7 @@ def test_once_a_change_is_known_no_window_that_straddles_it_is_accepted():
     assert alone.status is Status.CHANGED or 'earlier window' in found[late].notes[-1]
 
 
+@pytest.mark.slow
 def test_a_change_is_forgotten_with_a_reset():
     whole = changing(12.0, 26.0)
     tracker = Tracker(SETTINGS)
