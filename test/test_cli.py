@@ -1029,6 +1029,7 @@ def environment() -> dict[str, str]:
 
 
 @pytest.mark.usefixtures('interruptible')
+@pytest.mark.slow
 def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.05'))
     process = subprocess.Popen(

@@ -210,6 +210,7 @@ def test_noise_of_each_record_is_found():
     assert 10 < quiet / loud < 30                                      # 25 dB: 17.8
 
 
+@pytest.mark.slow
 def test_short_records_that_are_nothing_by_themselves():
     """A pole at -0.5 rad/s, records of 2 s."""
     p = plant([[-0.5]], [[0.5]], [[1.0]])

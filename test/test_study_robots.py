@@ -220,6 +220,7 @@ def test_identifications_that_take_too_long_are_given_up(monkeypatch):
         endless(None, None)
 
 
+@pytest.mark.slow
 def test_an_exam_is_kept_and_goes_on(tmp_path, monkeypatch, capsys):
     words = ['--families', 'delayed-lag', 'no-white', '--experiments', '1', '--jobs', '1',
              '--out', str(tmp_path)]
