@@ -26,7 +26,6 @@ PARAMS = """
     outputs: [rate]
     torque: {topic: /cmd, type: std_msgs/msg/Float64MultiArray, field: 'data[0]', unit: 'N m'}
     rate: {topic: /imu, type: sensor_msgs/msg/Imu, field: angular_velocity.x, unit: rad/s}
-    feedthrough: false
     order: 2
     window: {length: 5.0, stride: 2.5}
 """

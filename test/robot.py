@@ -83,7 +83,6 @@ def params(more: str = '', *, command: str = '/command', imu: str = '/imu', head
     torque: {{topic: {command}, type: {kind}, field: '{field}', unit: N m}}
     p: {{topic: {imu}, type: sensor_msgs/msg/Imu, field: angular_velocity.x, unit: rad/s}}
     q: {{topic: {imu}, type: sensor_msgs/msg/Imu, field: angular_velocity.y, unit: rad/s}}
-    feedthrough: false
     window.length: {length}
     window.max_delay: {max_delay}
 {lines}"""

@@ -7,6 +7,7 @@ Some run with one seed or a few always, all with 100 if marked slow; `-s` prints
 
 from __future__ import annotations
 
+from marks import slow
 import numpy as np
 from plants import PLANTS, asynchronous, flown, held, match, paper, running
 import pytest
@@ -51,7 +52,7 @@ def show(what, e) -> None:
     pytest.param(PLAIN, id='automatic'),
     pytest.param(PLAIN.replace(nmax=300, beta=3.0, gamma=30.0), id='as in the paper')])
 @pytest.mark.parametrize(('snr', 'fast', 'slow'), [
-    (50, 0.0026, 0.0008), (20, 0.065, 0.018), (10, 0.21, 0.06)])
+    (20, 0.065, 0.018), *slow((50, 0.0026, 0.0008), (10, 0.21, 0.06))])
 def test_table_1_of_the_paper(snr, fast, slow, settings, seeds):
     e = errors(lambda rng: paper(rng, 'hd52', snr), HD52, seeds, settings)
     show(f'[HD] 5.2, {snr} dB, nmax {settings.nmax}', e)

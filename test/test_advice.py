@@ -96,6 +96,7 @@ def test_a_forecast_of_nothing_new_is_the_deviation_itself():
     assert all(b.ratio == pytest.approx(1.0, abs=1e-4) for p in little.poles for b in p.bands)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('case', CASES.values(), ids=CASES)
 def test_more_of_the_same_is_as_good_as_longer(case):
     """Excited in one band only, further excitation of that band doubles the information."""

@@ -196,6 +196,7 @@ def test_a_batch_is_the_same_as_one_bag_after_the_other(batch, alone, tmp_path):
     assert 'alpha/flight1' in (tmp_path / 'out/report.md').read_text()
 
 
+@pytest.mark.slow
 def test_a_sensor_that_dies_is_told_first_and_not_counted_as_accepted(batch, fleet, tmp_path):
     """The model of the window before it died is GOOD; the bag is not, in the same words."""
     ours, out = tmp_path / 'bags', tmp_path / 'out'
@@ -328,6 +329,7 @@ def test_what_is_done_is_not_done_again(batch, fleet, tmp_path, monkeypatch):
     assert bags == {b['bag'] for b in found.values()}                # nothing of flight1 is left
 
 
+@pytest.mark.slow
 def test_copies_are_identified_once_and_told(batch, fleet, tmp_path, monkeypatch):
     """The same flight under two names, and as of another robot; and one as large that differs."""
     ours = tmp_path / 'bags'

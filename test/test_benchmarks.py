@@ -76,6 +76,7 @@ def test_bursty_is_near_the_bound():
     assert skipped != ('\nSLICOT' in printed)
 
 
+@pytest.mark.slow
 def test_methods_prints_both_tables_and_judges_at_one_length_only():
     printed = run('methods.py', '--durations', 8, 6, '--rounds', 1, '--longest', 6)
     rows = [line for line in printed.splitlines() if re.match(r'(6|8) s ', line)]
@@ -174,6 +175,7 @@ def test_noise_has_the_level_that_is_asked_for(common):
     assert np.array_equal(common.noisy(y, 20.0, 3), common.noisy(y, 20.0, 3))
 
 
+@pytest.mark.slow
 def test_bound_is_reached_by_least_squares_on_the_sampled_responses(common):
     # An efficient estimator that uses no formula of the benchmark: the poles are moved one by
     # one, residues are refitted, and the curvature of the residual gives the information.

@@ -158,6 +158,7 @@ def test_derivatives_of_innovations_are_those_of_differences():
                                    atol=1e-6 * np.abs(slope).max() + 1e-12)
 
 
+@pytest.mark.slow
 def test_kalman_gain_gives_white_errors_of_its_covariance():
     """By simulation: the errors of the filter are white, and as large as it says."""
     rng = np.random.default_rng(5)

@@ -340,6 +340,7 @@ def test_compare_sets_all_methods_side_by_side(ctsid, shared, compared):
         assert m['seconds'] > 0.0
 
 
+@pytest.mark.slow
 def test_compare_is_of_methods_whatever_the_settings(ctsid, shared, compared):
     text = (shared / 'params.yaml').read_text().replace('method: hd-pbsid', 'method: gobf')
     Path('other.yaml').write_text(text + '    method: gobf\n' * ('method: gobf' not in text)
@@ -448,7 +449,8 @@ def test_init_writes_what_identify_takes_unchanged(ctsid, shared):
     config = read_config('params.yaml')
     assert [(c.topic, c.field, c.role) for c in config.channels] == [
         ('/cmd', 'data[0]', 'input'), ('/imu', 'angular_velocity.x', 'output')]
-    code, _, err = ctsid('identify', shared / 'bag', '--params', 'params.yaml', '--out', 'res')
+    code, _, err = ctsid('identify', shared / 'bag', '--params', 'params.yaml', '--out', 'res',
+                         '--duration', 8)
     assert code == 0, err
     assert close(load_model('res/model.json').poles, 0.3)
     assert 'exists' in ctsid('init', shared / 'bag', '-o', 'params.yaml')[2]
@@ -464,13 +466,13 @@ def test_init_guesses_the_example_bag(ctsid, name):
     fields = [(c.topic, c.field) for c in read_config('params.yaml').channels]
     assert fields == [('/command/torque', 'wrench.torque.x'), ('/imu', 'angular_velocity.x')]
     code, out, _ = ctsid('identify', bag, '--params', 'params.yaml', '--out', 'res',
-                         '--duration', 15, '--truth', ROOT / 'bags/quadrotor_roll_truth.json')
+                         '--duration', 8, '--truth', ROOT / 'bags/quadrotor_roll_truth.json')
     assert code == 0
     assert '3 true poles' in out
 
 
 def test_identify_guesses_the_channels_without_parameters(ctsid, shared):
-    code, _, err = ctsid('identify', shared / 'bag', '--out', 'res')
+    code, _, err = ctsid('identify', shared / 'bag', '--out', 'res', '--duration', 5)
     assert code == 0
     assert 'the channels are guessed: /cmd data[0] acts' in err
 
@@ -582,6 +584,7 @@ def test_parts_of_one_bag_without_what_is_between(ctsid, shared, refusal):
     assert ctsid('identify', 'bag', '--interval', '7:3')[0] == 2
 
 
+@pytest.mark.slow
 def test_flights_of_different_plants_are_not_joined(ctsid, shared, tmp_path, days):
     weak = [replace(s, message=imu(stamp_of(s), 0.4 + 0.5 * (s.message.angular_velocity.x - 0.4)))
             if s.topic == '/imu' else s for s in flight(10.0, seed=4)]
@@ -599,7 +602,7 @@ def test_the_same_recording_twice_is_refused(refusal, shared, tmp_path, days):
 
 
 def test_topics_recorded_apart_at_the_same_time_are_one_recording(ctsid, shared, tmp_path):
-    sent = flight()
+    sent = flight(8.0)
     bags = [write_mcap(tmp_path / f'{topic[1:]}.mcap', [s for s in sent if s.topic == topic])
             for topic in ('/cmd', '/imu')]
     code, _, err = ctsid('identify', *bags, '--params', shared / 'params.yaml', '--out', 'res')
@@ -656,7 +659,7 @@ def test_the_dead_time_that_was_looked_for_is_shown_and_not_asked_for(ctsid, sha
         text = PARAMS.replace('delay: 0.0', 'delay: auto').rstrip() + f'\n{order}'
         params = write_params(tmp_path / 'p.yaml', text)
         code, out, _ = ctsid('identify', shared / 'bag', '--params', params, '--out', 'other',
-                             '--force')
+                             '--force', '--duration', 8)
         advice = Path('other/report.md').read_text(encoding='utf-8')
         assert ('0 (not looked for)' in out) == bool(order), out
         assert (' (found)' in out) == (not order), out
@@ -672,7 +675,7 @@ def test_the_fit_and_the_deviations_are_the_same_wherever_they_stand(ctsid, shar
     for pole in json.loads(out)['poles']:
         near = np.argmin(abs(estimate.model.poles - complex(*pole['pole'])))
         assert pole['std'] == pytest.approx(estimate.pole_std[near])
-    ctsid('replay', shared / 'bag', '--params', params, '--out', 'windows')
+    ctsid('replay', shared / 'bag', '--params', params, '--out', 'windows', '--duration', 6)
     page = Path('windows/report.html').read_text(encoding='utf-8')
     assert re.findall(r'simulated: fit (\S+) %', page) == [
         percent(load_estimate('windows/model.json').fit[0])]
@@ -681,10 +684,10 @@ def test_the_fit_and_the_deviations_are_the_same_wherever_they_stand(ctsid, shar
 def test_the_budget_of_the_command_line_is_that_of_the_model(ctsid, shared):
     words = (shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res', '--force',
              '--duration', 6)
-    for verb, default in (('identify', 0.0), ('replay', 2.0)):  # 0.8 of the stride
-        for more, budget in (((), default), (('--budget', '30'), 30.0)):
-            assert ctsid(verb, *words, *more)[0] == 0
-            assert load_estimate('res/model.json').settings.budget == budget
+    for verb, more, budget in (('identify', (), 0.0), ('identify', ('--budget', '30'), 30.0),
+                               ('replay', (), 2.0)):        # 0.8 of the stride
+        assert ctsid(verb, *words, *more)[0] == 0
+        assert load_estimate('res/model.json').settings.budget == budget
     code, _, err = ctsid('identify', *words, '--budget', '-1')
     assert code == 2
     assert '--budget' in err
@@ -711,17 +714,18 @@ def on_terminal(folder: Path, *words: object) -> tuple[str, str]:
 
 def test_results_on_stdout_what_is_done_on_stderr(shared, tmp_path):
     out, shown = on_terminal(tmp_path, 'identify', shared / 'bag', '--json', '--out',
-                             tmp_path / 'res')
+                             tmp_path / 'res', '--duration', 5)
     assert json.loads(out)['accepted']
     assert 'the channels are guessed' in shown
     pytest.importorskip('rich')
-    assert re.search(r'identifying one model of 20 s of data, \d+ samples', shown)
+    assert re.search(r'identifying one model of 5 s of data, \d+ samples', shown)
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_the_windows_of_a_replay(shared, tmp_path):
     pytest.importorskip('rich')
     out, shown = on_terminal(tmp_path, 'replay', shared / 'bag', '--params',
-                             shared / 'params.yaml', '--duration', 9, '--out', tmp_path / 'res')
+                             shared / 'params.yaml', '--duration', 6, '--out', tmp_path / 'res')
     assert 'Models along the bag' in out
     assert re.search(r'1 of [12] windows, fit', shown), shown
 
@@ -752,14 +756,14 @@ def test_files_that_are_no_bags(refusal, tmp_path, shared):
 
 
 def test_a_truncated_bag_gives_what_is_left_and_says_so(ctsid, shared, tmp_path):
-    whole = write_mcap(tmp_path / 'bag.mcap', flight()).read_bytes()
+    whole = write_mcap(tmp_path / 'bag.mcap', flight(12.0)).read_bytes()
     (tmp_path / 'bag.mcap').write_bytes(whole[:int(0.7 * len(whole))])
     code, out, _ = ctsid('identify', tmp_path / 'bag.mcap', '--params', shared / 'params.yaml',
                          '--out', 'res')
     assert code == 0
     assert 'Notes on the data' in out
     estimate = load_estimate('res/model.json')
-    assert 5 < (estimate.end_ns - estimate.start_ns) / S < 19
+    assert 5 < (estimate.end_ns - estimate.start_ns) / S < 11
 
 
 @pytest.mark.parametrize(('old', 'new', 'words'), [
@@ -794,15 +798,16 @@ def test_all_faults_of_a_parameter_file_are_told_at_once(refusal, shared):
 
 def test_samples_that_are_not_numbers_are_counted(ctsid, shared, tmp_path):
     bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda k, s: at(
-        s, stamp_of(s), (np.nan, np.inf)[k % 2]) if k % 50 < 2 else s))
+        s, stamp_of(s), (np.nan, np.inf)[k % 2]) if k % 50 < 2 else s,
+        flight(10.0)))
     code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
     assert code == 0
-    assert '`rate`: 80 of 2000 samples are not finite' in out
+    assert '`rate`: 40 of 1000 samples are not finite' in out
     assert close(load_model('res/model.json').poles, 0.3)
 
 
 def test_duplicate_and_disordered_stamps(ctsid, shared, tmp_path):
-    sent = flight()
+    sent = flight(10.0)
     rates = [s for s in sent if s.topic == '/imu']
 
     def spoil(k: int, one: Sent) -> Sent:
@@ -815,15 +820,15 @@ def test_duplicate_and_disordered_stamps(ctsid, shared, tmp_path):
     bag = write_flight(tmp_path / 'bag', spoilt('/imu', spoil, sent))
     code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
     assert code == 0
-    assert '`rate`: 20 of 2000 samples have the stamp of another' in out
+    assert '`rate`: 10 of 1000 samples have the stamp of another' in out
     assert close(load_model('res/model.json').poles, 0.3)
 
 
 def test_a_clock_that_is_set_back_begins_anew(ctsid, shared, tmp_path):
     bag = write_flight(tmp_path / 'bag', [
-        replace(s, message=imu(stamp_of(s) - (8 * S if s.log_ns > START + 12 * S else 0),
+        replace(s, message=imu(stamp_of(s) - (8 * S if s.log_ns > START + 6 * S else 0),
                                s.message.angular_velocity.x)) if s.topic == '/imu' else s
-        for s in flight()])
+        for s in flight(12.0)])
     params = write_params(tmp_path / 'p.yaml', PARAMS.replace(
         "'data[0]'", "'data[0]', stamp: log"))
     code, out, _ = ctsid('replay', bag, '--params', params, '--out', 'res')
@@ -832,7 +837,7 @@ def test_a_clock_that_is_set_back_begins_anew(ctsid, shared, tmp_path):
 
 
 def test_stamps_that_are_all_zero_are_replaced_by_the_log(ctsid, shared, tmp_path):
-    bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda _, s: at(s, 0)))
+    bag = write_flight(tmp_path / 'bag', spoilt('/imu', lambda _, s: at(s, 0), flight(8.0)))
     code, out, _ = ctsid('identify', bag, '--params', shared / 'params.yaml', '--out', 'res')
     assert code == 0
     assert 'the stamps in its headers are zero, so the time of recording is used' in out
@@ -844,7 +849,7 @@ def test_stamps_that_are_all_zero_are_replaced_by_the_log(ctsid, shared, tmp_pat
 
 def test_a_header_of_another_clock_is_told_with_its_cure(ctsid, refusal, shared, tmp_path):
     bag = write_flight(tmp_path / 'bag', spoilt(
-        '/imu', lambda _, s: at(s, stamp_of(s) - START + S)))  # as a simulator stamps
+        '/imu', lambda _, s: at(s, stamp_of(s) - START + S), flight(8.0)))  # as a simulator stamps
     for verb in ('identify', 'replay'):
         err = refusal(verb, bag, '--params', shared / 'params.yaml')
         assert 'so the clocks are not one; set `stamp` to log for all channels' in err
@@ -855,7 +860,7 @@ def test_a_header_of_another_clock_is_told_with_its_cure(ctsid, refusal, shared,
 
 
 def test_times_of_another_clock_are_counted_from_the_first_window(ctsid, tmp_path):
-    sent = [at(s, stamp_of(s) - START + S) for s in flight() if s.topic == '/imu']
+    sent = [at(s, stamp_of(s) - START + S) for s in flight(6.0) if s.topic == '/imu']
     for one in sent:
         one.message.linear_acceleration.x = one.message.angular_velocity.x
     text = PARAMS.replace("/cmd, type: std_msgs/msg/Float64MultiArray, field: 'data[0]'",
@@ -961,7 +966,8 @@ def test_an_interval_outside_of_the_bag(refusal, shared):
 
 
 def test_a_folder_that_exists_is_not_touched_without_force(ctsid, refusal, shared):
-    common = ('identify', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res')
+    common = ('identify', shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res',
+              '--duration', 5)
     Path('res').mkdir()
     Path('res/mine.txt').write_text('mine')
     Path('res/model.json').write_text('old')
@@ -1023,6 +1029,7 @@ def environment() -> dict[str, str]:
 
 
 @pytest.mark.usefixtures('interruptible')
+@pytest.mark.slow
 def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     params = write_params(tmp_path / 'p.yaml', PARAMS.replace('stride: 2.5', 'stride: 0.05'))
     process = subprocess.Popen(
@@ -1046,6 +1053,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
     assert 'Models along the bag' in out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('interruptible')
 def test_interrupted_before_anything_was_found(shared, tmp_path):
     process = subprocess.Popen(

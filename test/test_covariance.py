@@ -125,6 +125,7 @@ def test_the_response_varies_by_rivals_too():
             replace(own, rivals=(wrong,))
 
 
+@pytest.mark.slow
 def test_deviations_know_that_the_order_might_be_another_one():
     """A fast pole that noise hides: of order 1 the response is off by more than it would say."""
     p, omega = plant([[-4.0, 0.0], [20.0, -20.0]], [[4.0], [0.0]], [[0.0, 1.0]]), np.array([8.0])
@@ -137,7 +138,7 @@ def test_deviations_know_that_the_order_might_be_another_one():
         u = np.where(t_u[:, np.newaxis] < 0.0, 0.0, levels[np.maximum(t_u / 1.5, 0).astype(int)])
         y = noisy(rng, held_response(p, t_u, u, t_y), 20)
         found = identify(Record.from_arrays(t_u, u, t_y, y, input_hold='zoh'),
-                         Settings(held_out=0.0))
+                         Settings(held_out=0.0, max_order=3))
         response = found.model.frequency_response(omega)[0, 0, 0]
         away.append([abs(response - truth) / abs(response) / np.hypot(said.magnitude, said.phase)[
             0, 0, 0] for said in (found.frequency_response_std(omega), response_deviation(

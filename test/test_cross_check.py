@@ -30,7 +30,7 @@ GOOD = Verdict(grade=Grade.GOOD, reason='Every test is passed.', excitation=(BAN
 
 
 def record(seed: int = 0) -> Record:
-    return running(np.random.default_rng(seed), PLANTS['hd51'], 30, rate=200.0)
+    return running(np.random.default_rng(seed), PLANTS['hd51'], 30, rate=100.0)
 
 
 def first_order(gain: float, spread: float = 0.0, **more) -> Estimate:
@@ -53,7 +53,7 @@ def plain(estimate: Estimate) -> dict:
 
 
 @pytest.mark.parametrize(('method', 'checker', 'seeds'), [
-    ('hd-pbsid', 'gobf', 1), ('ct-pbsid', 'hd-pbsid', 1), *slow(
+    ('hd-pbsid', 'gobf', 1), *slow(
         ('hd-pbsid', 'ct-pbsid', 2), ('hd-pbsid', 'gobf', 2), ('gobf', 'hd-pbsid', 2),
         ('ct-pbsid', 'hd-pbsid', 2), ('ct-pbsid', 'gobf', 2))])
 def test_methods_agree_on_a_plant_that_both_can_be_right_about(method, checker, seeds):
@@ -192,19 +192,20 @@ def test_agreement_is_told_only_where_difference_and_deviation_are_within_what_m
     assert verdict.grade is (Grade.WEAK if found.contradicts else Grade.GOOD)
 
 
-@pytest.mark.parametrize('spread', [0.02, 0.08, 0.3, 3.0])
-def test_models_of_two_plants_are_not_told_to_agree_however_vague(spread):
+@pytest.mark.parametrize(('spread', 'count'), [
+    (0.02, 50), (0.08, 100), (3.0, 50), *slow((0.02, 300), (0.08, 300), (0.3, 300), (3.0, 300))])
+def test_models_of_two_plants_are_not_told_to_agree_however_vague(spread, count):
     """Gains drawn with the deviations that they claim, of plants 36 % apart, and of the same."""
     rng, apart, same = np.random.default_rng(5), 0, []
-    for _ in range(300):
+    for _ in range(count):
         a, b, c = 1.0 + spread * rng.standard_normal(3)
         def drawn(gain):
             return first_order(gain, spread / gain)
         apart += agreement(drawn(a), drawn(b + 0.36), 'gobf').agrees
         same.append(agreement(drawn(a), drawn(c), 'gobf'))
-    assert apart <= 0.03 * 300
-    assert sum(f.contradicts for f in same) <= 0.01 * 300
-    assert sum(f.agrees for f in same) >= (0.95 if spread < 0.05 else 0.0) * 300
+    assert apart <= 0.03 * count
+    assert sum(f.contradicts for f in same) <= 0.01 * count
+    assert sum(f.agrees for f in same) >= (0.95 if spread < 0.05 else 0.0) * count
 
 
 def test_the_deviation_of_the_difference_is_the_response_std_of_the_verdict():
@@ -316,7 +317,7 @@ def test_a_dead_time_beyond_its_deviation_is_no_agreement(delay, std, agrees):
     assert agrees or 'earlier' in back.words
 
 
-@pytest.mark.parametrize('method', ['gobf', *slow('ct-pbsid')])
+@pytest.mark.parametrize('method', slow('gobf', 'ct-pbsid'))
 def test_a_dead_time_that_a_method_does_not_look_for_is_noticed(method):
     """States stand for it so well that the model passes every other test; its poles are wrong."""
     late = held(np.random.default_rng(6), PLANTS['hd51'], 50.0, 100.0, delay=0.08, snr=25)

@@ -94,8 +94,8 @@ def test_the_coefficients_obey_the_discrete_model(direction):
 
 
 @pytest.mark.parametrize(('method', 'name'), [
-    ('projections', 'hd51'), ('projections', 'hd52'), ('filters', 'hd51'),
-    *slow(('filters', 'hd52'))], indirect=['method'])
+    ('projections', 'hd52'), *slow(
+        ('projections', 'hd51'), ('filters', 'hd51'), ('filters', 'hd52'))], indirect=['method'])
 def test_exact_without_noise_in_a_window_of_a_running_plant(method, name):
     p = plants.PLANTS[name]
     record = plants.running(np.random.default_rng(5), p)
@@ -122,7 +122,7 @@ def test_order_pole_and_past_come_from_the_data(method):
 
 
 @BOTH
-@pytest.mark.parametrize('hold', ['smooth', 'zoh'])
+@pytest.mark.parametrize('hold', ['zoh', *slow('smooth')])
 def test_irregular_stamps_of_their_own(method, hold):
     p = plants.PLANTS['hd51']
     rng = np.random.default_rng(7)
@@ -148,6 +148,7 @@ def test_several_inputs_and_outputs_with_trim(method):
 
 
 @BOTH
+@pytest.mark.slow
 def test_axes_alike_are_not_taken_for_one(method):
     """Roll and pitch alike: one pair of poles fits both, but no model of order 2 does."""
     A, Z = np.array([[-1.0, 4.0], [-4.0, -1.0]]), np.zeros((2, 2))
@@ -160,6 +161,7 @@ def test_axes_alike_are_not_taken_for_one(method):
 
 
 @BOTH
+@pytest.mark.slow
 def test_several_records(method):
     p = plants.PLANTS['hd52']
     records = [plants.running(np.random.default_rng(k), p, 40.0, duration=6.0) for k in (9, 10)]

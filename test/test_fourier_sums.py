@@ -45,7 +45,7 @@ def test_sums_are_those_of_the_terms(kind, channels):
     assert (np.abs(found - wanted) < limit).all()
 
 
-@pytest.mark.parametrize('count', [0, 1, 8191, 8192, 8193])
+@pytest.mark.parametrize('count', [0, 1, 8193, *slow(8191, 8192)])
 def test_any_number_of_samples(count):
     x = np.random.default_rng(1).uniform(-REACH, REACH, count)
     found = fourier_sums(x, np.ones((1, count)), GRID)

@@ -146,6 +146,7 @@ def test_node_tunes_by_good_models_and_keeps_the_gains_through_bad_ones(live):
     assert seconds < 3.0
 
 
+@pytest.mark.slow
 def test_parameters_that_do_not_fit_are_said_and_not_fatal(live):
     tuned = Tuned(live, '-r', 'identifier/model:=robot/identifier/model',
                   '-p', 'outputs_allowed:=[1.0, 1.0]', '-p', 'outputs:=[rate]')

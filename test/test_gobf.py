@@ -223,6 +223,7 @@ def median_errors(folder, seeds):
                 for row in csv.DictReader(stream)}
 
 
+@pytest.mark.slow
 def test_example_of_the_paper(tmp_path):
     own = median_errors(tmp_path, 1)
     assert own[study.SPREAD, 'kinks'] < 1e-5

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 import re
 import struct
 
 from bag_fixtures import START, Sent, array, imu, make, vector, write_mcap
+from marks import slow
 import numpy as np
 import pytest
 from recording_files import ULogWriter
@@ -54,9 +56,16 @@ def robot(tmp_path_factory):
     return str(write_mcap(tmp_path_factory.mktemp('named') / 'robot.mcap', sent))
 
 
+@lru_cache
+def surveyed(path):
+    """What is in a bag, looked at once."""
+    with open_bag(path) as bag:
+        return survey(bag)
+
+
 def keys(path, inputs=(), outputs=(), pick=1):
     with open_bag(path) as bag:
-        found = survey(bag)
+        found = surveyed(path)
         config = guess(bag, found, pick, named(found, inputs, outputs)).config
     return [[f'{c.topic} {c.field}' for c in own] for own in (config.inputs, config.outputs)]
 
@@ -109,7 +118,8 @@ def test_from_names_to_a_model_of_two_inputs_and_outputs(robot, tmp_path, monkey
         ('linear.x', 'zoh'), ('angular.z', 'zoh'), ('angular_velocity.x', 'smooth'),
         ('angular_velocity.y', 'smooth')]
     assert len({c.name for c in config.channels}) == 4
-    assert main(['identify', robot, '--params', 'p.yaml', '--out', 'res', '--quiet']) == 0
+    assert main(['identify', robot, '--params', 'p.yaml', '--out', 'res', '--quiet',
+                 '--duration', '8']) == 0
 
 
 def test_stretches_of_several_inputs_are_those_of_any():
@@ -192,7 +202,7 @@ def write_px4(path, seconds: float = 40.0, seed: int = 3):
     return path
 
 
-@pytest.mark.parametrize('seed', [3, 4])
+@pytest.mark.parametrize('seed', [3, *slow(4)])
 def test_a_log_of_px4_is_guessed_from_torque_to_rate(tmp_path, seed):
     """Not from a single motor, nor to what the motors say of themselves."""
     pytest.importorskip('pyulog')

@@ -25,7 +25,7 @@ def lag(u, pole, dt):
 
 
 @pytest.mark.parametrize('poles', [
-    (-3.0, -3.0), (-3.0, -3.3), (-3.0, -3.0, -3.0)])
+    (-3.0, -3.0), (-3.0, -3.3), *slow(((-3.0, -3.0, -3.0),))])
 def test_equal_poles_on_several_axes(poles):
     """Roll and pitch of a symmetric vehicle: one pole with a free residue would explain both."""
     rng = np.random.default_rng(0)

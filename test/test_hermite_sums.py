@@ -125,6 +125,7 @@ def test_equal_bits_whatever_was_computed_before(nmax):
     np.testing.assert_array_equal(project(nmax, x, weights), first)
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_bounded():
     x, weights = np.zeros(4000), np.ones((1, 4000))
     hermite_sums.frequency_table.cache_clear()

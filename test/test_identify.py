@@ -183,7 +183,8 @@ def test_the_arrays_are_left_alone():
 
 
 def test_the_epoch_changes_the_time_of_the_window_only():
-    epoch, record = 1_700_000_000_123_456_789, running(np.random.default_rng(0), FIRST, 30)
+    epoch, record = 1_700_000_000_123_456_789, running(
+        np.random.default_rng(0), FIRST, 30, rate=100.0)
     late = identify(replace(record, epoch_ns=epoch))
     assert late.start_ns == epoch
     assert late.end_ns == epoch + 10_000_000_000
@@ -232,7 +233,7 @@ def test_trim_is_estimated_not_averaged_away():
     """The mean of a short window is not the trim: here the means are far from it."""
     rng = np.random.default_rng(2)
     p = replace(PLANTS['hd51'], D=np.array([[0.1], [-0.05]]))
-    whole = running(rng, p, None, rate=200.0, duration=20.0, band=1.0)
+    whole = running(rng, p, None, rate=100.0, duration=20.0, band=1.0)
     offset_u, offset_y = 40.0, np.array([5.0, -300.0])
     moved = Record(tuple(replace(s, values=s.values + offset_u) for s in whole.inputs),
                    tuple(replace(s, values=s.values + offset_y) for s in whole.outputs),
@@ -284,7 +285,7 @@ def test_a_dead_time_of_each_input():
 
 
 @pytest.mark.parametrize(('nu', 'ny', 'n'), [
-    (1, 1, 1), (1, 1, 2), (1, 1, 4), (2, 3, 4), *slow((2, 3, 1), (2, 3, 2))])
+    (2, 3, 4), *slow((1, 1, 2), (1, 1, 1), (1, 1, 4), (2, 3, 1), (2, 3, 2))])
 def test_noise_free_data_give_the_plant(n, nu, ny):
     rng = np.random.default_rng(n)
     p = random_plant(rng, n, nu, ny, feedthrough=n == 2)
@@ -308,12 +309,12 @@ def test_signals_may_each_have_their_own_stamps():
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=5e-3)
 
 
-@pytest.mark.parametrize('parts', [2, *slow(5)])
+@pytest.mark.parametrize('parts', slow(2, 5))
 def test_a_long_record_may_be_divided(parts):
     """Parts with one model and each its own state at the ends cost no accuracy."""
     rng = np.random.default_rng(12)
     p = PLANTS['hd52']
-    long = running(rng, p, 30, rate=100.0, duration=40.0, band=4.0)
+    long = running(rng, p, 30, rate=50.0, duration=40.0, band=4.0)
     one, divided = (identify(long, Settings(order=3, nmax=600 // k, parts=k))
                     for k in (1, parts))
     for found in (one, divided):
@@ -323,7 +324,7 @@ def test_a_long_record_may_be_divided(parts):
 
 
 def test_an_unstable_plant_gets_a_gain_that_tames_it():
-    found = identify(flown(np.random.default_rng(6)), Settings(feedthrough=False))
+    found = identify(flown(np.random.default_rng(6), rate=200.0), Settings(feedthrough=False))
     model = found.model
     np.testing.assert_allclose(match(model.poles, [2, -3]), [2, -3], atol=0.02)
     assert np.linalg.eigvals(model.A - model.K @ model.C).real.max() < 0.0
@@ -339,7 +340,7 @@ def test_constant_channels_leave_zero_rows_and_columns(record):
     stuck = replace(other, values=np.column_stack((np.full(len(other.time), -4.0),
                                                    other.values)),
                     names=('stuck', *other.names), units=('', *other.units))
-    found = identify(Record((idle, signal), (stuck,), 0.0, 10.0))
+    found = identify(Record((idle, signal), (stuck,), 0.0, 10.0), Settings(order=3))
     assert found.status is Status.NO_RESPONSE
     assert found.verdict.reason.startswith('Output stuck does not move')
     assert found.model is None
@@ -418,7 +419,7 @@ def test_pure_noise_is_not_explained(seed):
 def test_an_output_of_another_plant_is_not_explained(seed):
     """Coloured, but not by these inputs."""
     rng = np.random.default_rng(seed)
-    given, other = (running(rng, PLANTS['hd51'], 40, rate=200.0) for _ in range(2))
+    given, other = (running(rng, PLANTS['hd51'], 40, rate=100.0) for _ in range(2))
     found = identify(replace(given, outputs=other.outputs))
     assert found.status is Status.UNEXPLAINED
     assert found.model is None

@@ -205,8 +205,9 @@ def among(found: set[str], *packages: str) -> list[str]:
 
 
 @pytest.mark.parametrize('before', [
-    'import ctsid_core.identify', 'from ctsid_core import identify', *slow(
-        'import ctsid_core', 'from ctsid_core.identify import identify',
+    'import ctsid_core.identify', *slow(
+        'from ctsid_core import identify', 'import ctsid_core',
+        'from ctsid_core.identify import identify',
         'from ctsid_core import *')])
 def test_identify_is_the_function_whatever_was_imported_before(before):
     loaded(f"""

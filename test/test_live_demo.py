@@ -167,6 +167,7 @@ def children(pid: int) -> list[int]:
     return [int(child) for child in found.split()]
 
 
+@pytest.mark.slow
 def test_interrupted_demo_leaves_nothing_behind():
     pytest.importorskip('rclpy')
     process = demo('--duration', '20')

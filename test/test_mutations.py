@@ -13,7 +13,7 @@ import pytest
 LIBRARIES = {'ULog': 'pyulog', 'ArduPilot': 'pymavlink', 'Parquet': 'pyarrow'}
 
 
-@pytest.mark.parametrize('count', [25, *slow(400)])
+@pytest.mark.parametrize('count', [8, *slow(400)])
 @pytest.mark.parametrize('kind', [*FORMATS, 'message'])
 def test_spoilt_recordings_give_messages_or_a_reason(kind, count):
     """Many more by `python test/mutations.py`."""

@@ -79,7 +79,7 @@ def test_deactivation_and_reset_break_off_and_the_next_window_begins(live):
     assert node.program.alive
 
 
-@pytest.mark.parametrize('number', [*slow(signal.SIGINT), signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGTERM, *slow(signal.SIGINT)])
 def test_a_signal_breaks_off(live, number):
     node, _ = busy(live)
     assert cancelled_within(
@@ -89,6 +89,7 @@ def test_a_signal_breaks_off(live, number):
     assert seconds < 1.0
 
 
+@pytest.mark.slow
 def test_diagnostics_say_how_long_it_has_taken_and_what_it_skips(live):
     node, robot = busy(live, 'window.stride: 0.5')
     said = node.wait_health('identification', lambda h: 'is being identified' in h.message

@@ -78,13 +78,13 @@ def assert_ends(node, number):
 
 
 @pytest.mark.parametrize(('state', 'number'), [
-    (starting, signal.SIGTERM), (busy, signal.SIGINT), *slow(
-        (inactive, signal.SIGINT), (without_data, signal.SIGTERM))])
+    (starting, signal.SIGTERM), *slow(
+        (busy, signal.SIGINT), (inactive, signal.SIGINT), (without_data, signal.SIGTERM))])
 def test_a_signal_ends_the_node(live, state, number):
     assert_ends(state(live), number)
 
 
-@pytest.mark.parametrize('pause', [0.03, *slow(0.0, 0.06, 0.1)])
+@pytest.mark.parametrize('pause', slow(0.0, 0.03, 0.06, 0.1))
 def test_signals_while_it_ends_do_not_matter(live, pause):
     node = without_data(live)
     node.program.process.send_signal(signal.SIGINT)

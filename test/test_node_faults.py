@@ -50,6 +50,7 @@ def test_publishers_that_cannot_be_heard_are_told_with_the_cure(live):
         'so its messages do not come', 'correct it', 'no message has come on /command'))
 
 
+@pytest.mark.slow
 def test_topics_that_never_appear_are_named_even_if_only_a_number_differs(live):
     node = live.identifier(params('ingest.timeout: 0.5', command='/rotor1', imu='/rotor2'))
     node.wait_health('ingest', lambda h: 'on /rotor2' in h.message, 'silence')
@@ -101,6 +102,7 @@ def test_junk_is_counted_and_told_and_never_fatal(live):
     assert node.program.alive
 
 
+@pytest.mark.slow
 def test_a_warning_ends_when_its_cause_has(live):
     node = live.identifier(params('ingest.timeout: 60.0', length=2.0))
     robot = Robot(live, motion(30.0), node.name)
@@ -123,6 +125,7 @@ def test_a_warning_ends_when_its_cause_has(live):
     assert int(said.values['p samples in the last window']) < int(said.values['p samples'])
 
 
+@pytest.mark.slow
 def test_a_missing_package_and_wrong_fields_are_named_at_configure(live):
     text = params().replace('sensor_msgs/msg/JointState', 'px4_msgs/msg/Motors')
     node = live.identifier(text)
@@ -149,6 +152,7 @@ def test_a_parameter_file_that_is_missing_is_said_in_plain_words(live):
     assert 'Traceback' not in program.log
 
 
+@pytest.mark.slow
 def test_a_rate_of_work_that_is_none_is_said_at_configure(live):
     live.env['CTSID_WORK_RATE'] = 'fast'
     node = live.identifier(params())

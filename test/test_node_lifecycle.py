@@ -84,6 +84,7 @@ def test_all_faults_of_configuration_and_activation_are_told_and_can_be_correcte
     assert estimate.settings.held_out == 0.0
 
 
+@pytest.mark.slow
 def test_parameters_while_it_runs(live):
     node = live.identifier(params('ingest.timeout: 60.0'))
     robot = Robot(live, motion(6.5), node.name)

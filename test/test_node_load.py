@@ -42,8 +42,8 @@ def all_sent(live, program, node) -> Health:
 def test_nothing_is_lost_while_identification_takes_longer_than_the_stride(live):
     node = live.identifier(params('order: 0\nhermite.nmax: 1600\nwindow.stride: 0.05\n'
                                   'ingest.timeout: 60.0', length=1.0, max_delay=0.5))
-    values = all_sent(live, live.start(SENDER, 4000, 1500, 3), node).values
-    assert int(values['/imu messages']) + int(values['/command messages']) >= 16_000
+    values = all_sent(live, live.start(SENDER, 4000, 1500, 2.5), node).values
+    assert int(values['/imu messages']) + int(values['/command messages']) >= 13_000
     said = node.wait_health('identification', lambda h: h.values['windows'] == values['windows']
                             and len(node.models) == int(values['windows'])
                             - int(h.values['skipped windows']) and 'window' in h.values,
@@ -58,6 +58,7 @@ def test_nothing_is_lost_while_identification_takes_longer_than_the_stride(live)
     assert numbers == sorted(set(numbers))
 
 
+@pytest.mark.slow
 def test_a_publisher_dies_and_returns(live):
     node = live.identifier(params('ingest.reliability: best_effort\ningest.timeout: 0.5',
                                   length=1.5))

@@ -23,7 +23,7 @@ def live(tmp_path):
 
 
 @pytest.mark.parametrize(('method', 'checker'), [
-    ('gobf', 'hd-pbsid'), *slow(('gobf', 'none'), ('ct-pbsid', 'none'))])
+    *slow(('gobf', 'hd-pbsid'), ('gobf', 'none'), ('ct-pbsid', 'none'))])
 def test_models_by_another_method_are_published_and_replayed(live, tmp_path, method, checker):
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(

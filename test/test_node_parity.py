@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 from live import Live  # noqa: E402
+from marks import slow  # noqa: E402
 from robot import EPOCH, Robot, S, motion, params  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
@@ -31,7 +32,8 @@ def texts(estimates) -> dict[int, str]:
 
 
 @pytest.mark.parametrize(('order', 'header'), [
-    ('', False), ('order: 0\nmax_order: 4\nwindow.stride: 0.5', True)])
+    ('order: 0\nmax_order: 4\nwindow.stride: 0.5', True),
+    *slow(('feedthrough: false', False), ('feedthrough: false', True))])
 def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, order):
     path = tmp_path / 'flight.mcap'
     node = live.identifier(params(f"{order}\ningest.record: '{path}'".strip(), header=header,
@@ -39,10 +41,10 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
     robot = Robot(live, motion(4.6), node.name, header=header,
                   start_ns=EPOCH if header else None)
     if header:
-        robot.feed(node, length=3.0, stride=0.5 if order else 1.0)
+        robot.feed(node, length=3.0, stride=0.5 if 'stride' in order else 1.0)
     else:
         robot.send(speed=1.0)  # the times of arrival are the stamps
-    node.wait_models(3 if order else 1)
+    node.wait_models(3 if 'stride' in order else 1)
     assert node.next_health('identification').values['skipped windows'] == '0'
     assert node.program.end()[0] == 0
     published = texts(node.estimates())

@@ -28,8 +28,8 @@ def chosen(p, snr, seed=0) -> int:
 
 
 @pytest.mark.parametrize(('nu', 'ny', 'n'), [
-    (1, 1, 3), (1, 1, 5), (2, 3, 2), *slow(
-        *((1, 1, n) for n in (1, 2, 4, 6)), *((2, 3, n) for n in (1, 3, 4, 5, 6)))])
+    (1, 1, 3), (2, 3, 2), *slow(
+        *((1, 1, n) for n in (1, 2, 4, 5, 6)), *((2, 3, n) for n in (1, 3, 4, 5, 6)))])
 def test_the_order_of_clean_plants(n, nu, ny):
     p = random_plant(np.random.default_rng(n), n, nu, ny)
     assert chosen(p, 60, n) == n

@@ -116,7 +116,7 @@ def test_from_file_to_report(ctsid, tmp_path, suffix):
 def test_a_stepped_command_of_a_table_is_held(ctsid, tmp_path, seed):
     """A motor logged row by row: taken as measured, its command came half a sample early."""
     rng, step, tau = np.random.default_rng(seed), 0.02, 0.15
-    voltage = np.repeat(rng.uniform(-6, 6, 75), 40)
+    voltage = np.repeat(rng.uniform(-6, 6, 40), 40)
     speed, kept = np.zeros(len(voltage)), np.exp(-step / tau)
     for k in range(1, len(voltage)):
         speed[k] = kept * speed[k - 1] + (1 - kept) * 8 * voltage[k - 1]

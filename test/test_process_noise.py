@@ -76,8 +76,8 @@ def test_claims_hold_in_gusts(payload):
 
 
 @pytest.mark.parametrize(('q', 'bound', 'seeds'), [
-    (0.2, (0.068, 0.082), 1), (0.05, (0.018, 0.021), 2),
-    *slow((0.2, (0.068, 0.082), 40), (1.0, (0.32, 0.38), 40))])
+    (0.2, (0.068, 0.082), 1), *slow(
+        (0.05, (0.018, 0.021), 2), (0.2, (0.068, 0.082), 40), (1.0, (0.32, 0.38), 40))])
 def test_unstable_plant_with_process_noise(q, bound, seeds):
     """Nothing set but that there is no feedthrough; see docs/accuracy.md for the bound."""
     errors = []
@@ -94,8 +94,8 @@ def test_unstable_plant_with_process_noise(q, bound, seeds):
 
 
 @pytest.mark.parametrize(('family', 'number', 'budget', 'measure'), [
-    ('cart-pole', 3, 0.0, 1.02), ('cart-pole', 3, 0.5, 1.02), ('cart-pole', 0, 0.5, 1.02),
-    *slow(('rates-4x3', 4, 0.0, 1.5))])
+    ('cart-pole', 3, 0.5, 1.02), *slow(
+        ('cart-pole', 3, 0.0, 1.02), ('cart-pole', 0, 0.5, 1.02), ('rates-4x3', 4, 0.0, 1.5))])
 def test_robots_under_their_controllers_are_predicted_as_by_the_true_filter(
         family, number, budget, measure):
     """

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from marks import slow
 import numpy as np
 from plants import jittered, random_signal
 import pytest
@@ -70,7 +71,7 @@ def test_held_and_linear_signals_are_projected_exactly(hold, kind, delay):
 
 
 @pytest.mark.parametrize('hold', ['zoh', 'linear'])
-@pytest.mark.parametrize('nmax', [1, 2, 700, 1000])
+@pytest.mark.parametrize('nmax', [1, 2, 700, *slow(1000)])
 def test_exactness_at_any_order(hold, nmax):
     rng = np.random.default_rng(3)
     turning = np.sqrt(2.0 * nmax + 1.0)

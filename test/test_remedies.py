@@ -10,6 +10,7 @@ import re
 
 from bag_fixtures import START, Sent, array, imu
 from flights import PARAMS, TRUTH, S, at, flight, spoilt, stamp_of, write_flight, write_params
+from marks import slow
 import numpy as np
 import pytest
 
@@ -129,7 +130,7 @@ def dead() -> list:
 
 
 @pytest.mark.parametrize(('name', 'sent', 'verb'), [
-    ('good', flight, 'simulate'), ('sine', sine, 'advise'), ('dead', dead, 'replay')])
+    ('dead', dead, 'replay'), *slow(('good', flight, 'simulate'), ('sine', sine, 'advise'))])
 def test_it_is_the_same_everywhere(name, sent, verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_flight(tmp_path / name, sent())

@@ -106,6 +106,7 @@ def test_models_are_tested_on_the_first_window_that_shares_nothing(ran, path):
             assert not result.tested
 
 
+@pytest.mark.slow
 def test_the_last_window_that_the_data_fill_is_not_forgotten(path):
     config = replace(CONFIG, settings=CONFIG.settings.replace(window_length=4.9))
     with open_bag(path) as opened:

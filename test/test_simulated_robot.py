@@ -159,6 +159,7 @@ def test_the_node_flies_in_time_changes_and_catches_up(live):
     assert robot.end()[0] == 0
 
 
+@pytest.mark.slow
 def test_the_payload_is_a_parameter_and_the_rest_is_fixed(live):
     from rcl_interfaces.srv import DescribeParameters, SetParameters
     from rclpy.parameter import Parameter

@@ -138,6 +138,7 @@ def test_experiments_are_the_same_whenever_they_are_made():
     assert kinds == set(KINDS)
 
 
+@pytest.mark.slow
 def test_brute_force_finds_a_known_plant():
     found = models(outputs(of_lag())[0])
     assert [m.order for m in found] == [1, 2, 3, 4]
@@ -146,6 +147,7 @@ def test_brute_force_finds_a_known_plant():
     assert reachable(of_lag(0.02), of_lag(seed=2)) > 99.0
 
 
+@pytest.mark.slow
 def test_brute_force_finds_a_weak_mode():
     plant, times = Linear.of_roots(1.0, (*pair(18.0, 0.02), -3.0), 0.05), np.arange(0, 6, 0.01)
     y = plant.move(moved(), times)[:, 0]
@@ -230,6 +232,7 @@ def test_identifications_that_take_too_long_are_given_up(monkeypatch):
         endless(None, None)
 
 
+@pytest.mark.slow
 def test_an_exam_is_kept_and_goes_on(tmp_path, monkeypatch, capsys):
     words = ['--families', 'delayed-lag', 'no-white', '--experiments', '1', '--jobs', '1',
              '--out', str(tmp_path)]

@@ -25,7 +25,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
 S = 10**9
-SETTINGS = Settings(order=2, feedthrough=False)
+SETTINGS = Settings(order=2)
 
 
 def pair(omega: float = 6.0, damping: float = 0.3) -> Plant:
@@ -228,6 +228,7 @@ def test_once_a_change_is_known_no_window_that_straddles_it_is_accepted():
     assert alone.status is Status.CHANGED or 'earlier window' in found[late].notes[-1]
 
 
+@pytest.mark.slow
 def test_a_change_is_forgotten_with_a_reset():
     whole = changing(12.0, 26.0)
     tracker = Tracker(SETTINGS)
@@ -335,7 +336,7 @@ def test_an_unstable_plant_is_tracked():
     rng = np.random.default_rng(4)
     records = [replace(flown(rng, rate=100.0, duration=6.0), epoch_ns=6 * k * S)
                for k in range(3)]
-    found = run(records)
+    found = run(records, SETTINGS.replace(feedthrough=False))
     assert {t.realisation for t in found} == {1}
     assert {t.modes for t in found} == {(1, 2)}
     for t in found:

@@ -7,6 +7,7 @@ import struct
 import sys
 
 from bag_fixtures import notes, numbers, refused
+from marks import slow
 import numpy as np
 import pytest
 from recording_files import (
@@ -222,7 +223,7 @@ def turned(axis: int):
                                  ('sensor_combined', 'gyro_rad'))}
 
 
-@pytest.mark.parametrize('axis', [0, 1, 2])
+@pytest.mark.parametrize('axis', [2, *slow(0, 1)])
 def test_an_excited_axis_is_found_in_a_px4_log(tmp_path, axis):
     """Not what the takeoff moved as well, once, nor the setpoint of the loop around it."""
     assert first_pair(write_px4_log(tmp_path / 'log.ulg', axis, axis=axis)) in turned(axis)

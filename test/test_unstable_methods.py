@@ -17,8 +17,8 @@ STEADY = {'integrator': plant([[0, 1], [0, -3]], [[0], [3]], [[1, 0]]),
 
 
 @pytest.mark.parametrize(('name', 'method', 'seconds', 'seeds'), [
-    ('integrator', 'ct-pbsid', 4.0, (3, 4)),
-    *slow(('integrator', 'ct-pbsid', 10.0, range(12)), ('sway', 'ct-pbsid', 10.0, range(12)),
+    *slow(('integrator', 'ct-pbsid', 4.0, (3, 4)), ('integrator', 'ct-pbsid', 10.0, range(12)),
+          ('sway', 'ct-pbsid', 10.0, range(12)),
           ('integrator', 'gobf', 10.0, range(6)))])
 def test_what_does_not_grow_is_no_good_unstable_model(name, method, seconds, seeds):
     for seed in seeds:
@@ -34,8 +34,9 @@ def test_it_is_said_with_the_way_out():
     found = identify(record, Settings(method='ct-pbsid'))
     assert found.verdict.grade is Grade.WEAK
     assert found.verdict.reason.startswith('The model is unstable')
-    assert identify(record).good
-    assert np.max(identify(record).model.poles.real) <= 0.0
+    own = identify(record)
+    assert own.good
+    assert np.max(own.model.poles.real) <= 0.0
 
 
 @pytest.mark.parametrize('method', ['ct-pbsid', *slow('gobf')])

@@ -153,6 +153,14 @@ def test_a_running_node_is_watched_until_ctrl_c(live, capfd):
     assert done.returncode == 0
     assert re.search(r'verdicts +G', done.stdout)
     assert '\x1b' not in done.stdout
+
+
+@pytest.mark.slow
+def test_another_node_that_runs_is_named(live):
+    from robot import params
+
+    node = live.identifier(params())
+    live.wait(lambda: 'listening to' in node.log, 'what it listens to')
     absent = subprocess.run(
         [sys.executable, '-m', 'ctsid_ros.cli', 'watch', 'other', '--timeout', '10'], env=live.env,
         capture_output=True, text=True, timeout=60, check=False)

@@ -44,7 +44,7 @@ def test_an_order_that_is_given_is_fitted_as_well_as_by_brute_force(family, orde
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'by_criterion'), [
-    ('backlash', 22, 3, 2), ('turbulence-strong', 13, 3, 1)])
+    ('backlash', 22, 3, 2), *slow(('turbulence-strong', 13, 3, 1))])
 def test_data_held_out_choose_among_neighbouring_orders(family, seed, number, by_criterion):
     """The criterion takes what the smaller one leaves for a few samples; D takes nothing back."""
     given = experiment(family, seed, number)
@@ -57,6 +57,7 @@ def test_data_held_out_choose_among_neighbouring_orders(family, seed, number, by
     assert order.why.endswith('and one more, for data held out say so')
 
 
+@pytest.mark.slow
 def test_states_that_imitate_a_jump_are_not_called_good():
     """Nine of them leave so little that two models are hardly better: the response is unsure."""
     given = experiment('no-gain-jump', 3, 4)
@@ -124,8 +125,9 @@ def test_no_longer_dead_time_is_looked_for_than_may_be_given(times, longest):
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
-    ('no-pole-jump', 5, 0), ('no-pole-jump', 5, 1),
-    *slow(*((family, 12, k) for family in ('no-pole-jump', 'no-gain-jump') for k in range(12)))])
+    ('no-pole-jump', 5, 0), *slow(
+        ('no-pole-jump', 5, 1),
+        *((family, 12, k) for family in ('no-pole-jump', 'no-gain-jump') for k in range(12)))])
 def test_a_jump_is_seen_in_noise(family, seed, number):
     """Gain or pole jumps by 40 %; with 12 dB of noise it was not certain how little is left."""
     assert identify(experiment(family, seed, number).record).status is Status.CHANGED

@@ -29,7 +29,7 @@ from ctsid_ros.report.headline import Run
 from ctsid_ros.report.tables import percent
 from ctsid_ros.report.window_headline import window_headline
 
-CHANGE, STUCK = 17.4, 8.0      # [s]
+CHANGE, STUCK = 12.4, 8.0      # [s]
 
 
 def heavier(sent: list) -> list:
@@ -38,7 +38,7 @@ def heavier(sent: list) -> list:
     known = Signal(np.array([(s.log_ns - START) / S for s in commands]),
                    np.array([[s.message.data[0]] for s in commands]), 'zoh')
     heavy = replace(TRUTH, A=0.5 * TRUTH.A + [[0.0, 0.5], [0.0, 0.0]], B=0.5 * TRUTH.B)
-    t = np.arange(0.0, 32.0, 0.001)
+    t = np.arange(0.0, 24.0, 0.001)
     light = TRUTH.simulate((known,), t)[:, 0]
     # Of this form the states are the output and its slope, which goes on through the change.
     states = replace(TRUTH, C=np.eye(2), D=np.zeros((2, 1)), K=np.zeros((2, 2)),
@@ -72,7 +72,7 @@ def hung(sent: list) -> list:
 def told(tmp_path_factory) -> dict[str, dict]:
     """Of a flight that changes and one whose sensor hangs: folder, words on the terminal, JSON."""
     place, found = tmp_path_factory.mktemp('along'), {}
-    write_rosbag2(place / 'payload', heavier(flight(30.0)))
+    write_rosbag2(place / 'payload', heavier(flight(22.5)))
     write_rosbag2(place / 'hung', hung(flight(14.0)))
     (place / 'params.yaml').write_text(PARAMS)
     for name in ('payload', 'hung'):

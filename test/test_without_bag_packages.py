@@ -8,6 +8,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from marks import slow
 import pytest
 
 from ctsid_ros.errors import BAG_PACKAGES
@@ -35,8 +36,8 @@ def ctsid(*words: object) -> subprocess.CompletedProcess[str]:
                           text=True, check=False, env=os.environ | {'PYTHONPATH': str(ROOT)})
 
 
-@pytest.mark.parametrize('verb', ['info', 'init', 'try', 'identify', 'replay', 'compare',
-                                  'advise'])
+@pytest.mark.parametrize('verb', [
+    'info', 'identify', 'replay', *slow('init', 'try', 'compare', 'advise')])
 def test_what_reads_bags_says_what_to_install(verb, tmp_path):
     more = ['--out', tmp_path / 'results'] if verb in ('try', 'identify', 'replay') else []
     done = ctsid(verb, BAG, *more)
@@ -69,21 +70,19 @@ def identifier(tmp_path):
         yield live, start
 
 
-def test_the_node_identifies(identifier):
+def test_the_node_says_what_recording_needs_and_identifies_without(identifier, tmp_path):
     live, start = identifier
     from robot import Robot, motion, params
-    node = start(params())
-    robot = Robot(live, motion(6.5), node.name)
-    robot.send(5.5)
-    (model,) = node.wait_models(1)
-    assert model.ok
-
-
-def test_the_node_says_what_recording_needs(identifier, tmp_path):
-    live, start = identifier
-    from robot import params
     node = start(params(f"ingest.record: '{tmp_path}/flight.mcap'"))
     live.wait(lambda: 'not activated: `ingest.record` needs the Python package mcap, which is not '
               'installed here: pip install' in node.log, 'the refusal')
     assert node.state() == 'inactive'
     assert 'Traceback' not in node.log
+    assert node.change_state('cleanup')
+    assert node.set(ingest__record='') == ''
+    assert node.change_state('configure')
+    assert node.change_state('activate')
+    robot = Robot(live, motion(5.0), node.name)
+    robot.send(5.0)
+    (model,) = node.wait_models(1)
+    assert model.ok
