@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where searches begin: poles ranked on a few samples, and orders that HD-PBSID points to."""
 
+from marks import slow
 import numpy as np
 from plants import held, match, plant
 import pytest
 
-from ctsid_core import Settings, identify
+from ctsid_core import Record, Settings, identify
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.pole_grid import PoleGrid
@@ -44,3 +45,33 @@ def test_a_long_record_of_several_inputs_has_its_order_and_no_dead_time(budget):
     assert np.max(found.model.delay) < 0.02
     both = np.linalg.eigvals(A)
     assert match(found.model.poles, both) == pytest.approx(both, rel=0.02)
+
+
+def test_without_noise_no_larger_order_is_taken():
+    given = held(np.random.default_rng(0), plant(A, B[:, :2], C), 5.0, 50.0, duration=30.0)
+    assert identify(given).model.n == 4
+
+
+@pytest.mark.parametrize('seed', [1, *slow(0, 2, 3, 4)])
+def test_dead_times_of_several_inputs_are_no_states(seed):
+    """Small models have others: the search goes on with those of the nearest order."""
+    given = held(np.random.default_rng(seed), plant(A, B[:, :2], C), 5.0, 50.0, snr=30, delay=0.4,
+                 duration=30.0)
+    found = identify(given)
+    assert found.good
+    assert found.model.n in (4, 5)
+    assert found.model.delay == pytest.approx((0.4, 0.4), abs=0.005)
+    assert found.fit.min() > 96.0                    # the noise leaves 96.8 %
+
+
+def test_an_order_that_is_given_is_tried_whatever_the_budget_or_the_noise():
+    long = held(np.random.default_rng(0), plant(A, B[:, :2], C), 5.0, 50.0, snr=20, duration=60.0)
+    found = identify(long, Settings(order=10, budget=0.5))
+    assert (found.model or found.rejected_model).n == 10
+    t = np.arange(0.0, 10.0, 0.02)
+    u = np.repeat(np.random.default_rng(0).standard_normal(50), 10)
+    y = np.zeros(len(t))
+    for k in range(len(t) - 1):
+        y[k + 1] = np.exp(-0.02) * y[k] + (1.0 - np.exp(-0.02)) * u[k]
+    clean = Record.from_arrays(t, u[:, None], t, y[:, None], input_hold='zoh')
+    assert identify(clean, Settings(order=2)).ok

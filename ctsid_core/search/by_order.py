@@ -112,25 +112,26 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     found: dict[int, Tried] = {}
     looked: set[int] = set()
     best = 1
-    while not found or not samples.effort.beyond(SEARCH):
+    while not found or order not in (0, *looked) or not samples.effort.beyond(SEARCH):
         # The nearest first: one after the other from 1 upwards, unless a start points further.
         near = [n for n in range(1, (order or max_order) + 1) if n not in looked
                 and (order or abs(n - best) <= MORE)]
         if not near:
             break
-        n = min(near, key=lambda n: abs(n - best))
+        n = order if order and samples.effort.beyond(SEARCH) else \
+            min(near, key=lambda n: abs(n - best))
         looked.add(n)
         fit = _best_of(n, found, thin, grid, subspace, free, known_delay,
                        np.inf if order or not found else _rival(found, thin, n))
         if fit is None:
             continue
         found[n] = tried(thin, fit, free)
-        if found[max(found)].rms < _CLEAN:
-            break
         best = choose(found)
+        if not order and found[n].rms < _CLEAN:
+            max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if samples.several and looked == {1} and not order:
             best = max(best, _pointed(found, subspace, grid, free, known_delay, max_order))
-    if thin is samples:
+    if thin is samples or order not in (0, *found):
         return found
     chosen = order or choose(found)
     if samples.effort.beyond(SEARCH):
@@ -142,9 +143,9 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
 
 def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, free: Free,
              known: Array, max_order: int) -> int:
-    """Return the smallest order whose start by HD-PBSID is nearly as good as any larger one's."""
+    """Return the smallest order, 3 or more, whose start by HD-PBSID is nearly as good as any."""
     samples, delay = grid.samples, found[1].fit.model.delay
-    near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
+    near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY)) + 1e-9
     costs: dict[int, float] = {}
     for n in range(3, max_order + 1):
         if samples.effort.beyond(_POINT):
@@ -152,7 +153,9 @@ def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, f
         starts = list(_by_subspace(n, subspace, grid, free, delay, known))
         with suppress(np.linalg.LinAlgError):
             if starts:
-                costs[n] = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free).cost
+                fit = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free)
+                costs[n] = float(np.sum(samples.counts * np.log(
+                    np.maximum(fit.power, ENOUGH ** 2))))
     return min((n for n in costs if costs[n] < min(costs.values()) + near), default=1)
 
 
@@ -245,7 +248,8 @@ def _rival(found: dict[int, Tried], samples: Samples, n: int) -> float:
     """Return the cost that order n must reach at least to beat the best smaller order."""
     best = found[choose(found)]
     more = (n - best.fit.model.n) * (samples.nu + samples.ny + len(samples.records))
-    return needed(best, samples, more, float(np.max(samples.counts)))
+    return needed(best, samples, more, float(np.max(samples.counts)) if more > 0 else
+                  max(float(np.min(best.independent)), 2.0))
 
 
 def needed(best: Tried, samples: Samples, more: int, independent: float) -> float:
@@ -344,5 +348,12 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
                     kind = 'real' if real else 'pair'
                     yield one.score, kind, np.append(poles, one.pole), delay
                     break
-    delay = found[n - 1].fit.model.delay if n - 1 in found else known
+    for beyond, real in ((n + 1, True), (n + 2, False)) if n - 1 not in found else ():
+        if beyond in found:
+            model = found[beyond].fit.model
+            for k in np.flatnonzero((model.poles.imag == 0.0) == real):
+                poles = np.delete(model.poles, k)
+                yield grid.score(poles, model.delay), 'less', poles, model.delay
+    nearest = min(found, key=lambda m: abs(m - n + 1), default=0)
+    delay = found[nearest].fit.model.delay if nearest else known
     yield from _by_subspace(n, subspace, grid, free, delay, known)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from contextlib import suppress
 from dataclasses import replace
 
@@ -136,8 +136,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0:
         samples = seen(late)
         best = _climbed(samples, best, free)
-    half = found.get(best.fit.model.n // 2)
-    simpler = None if half is None else half.fit.model
+    half = max((n for n in found if n <= best.fit.model.n // 2), default=0)
+    simpler = found[half].fit.model if half else None
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
@@ -207,12 +207,13 @@ def _longest(part: Joint, samples: Samples, best: Tried, free: Free) -> tuple[st
         if late and delay > free.longest - samples.interval)
 
 
-def _left_out(found: dict[int, Tried], order: int, settings: Settings,
+def _left_out(found: Container[int], order: int, settings: Settings,
               effort: Effort) -> tuple[str, ...]:
     """Return what the budget has left out, in words."""
-    if settings.order or not effort.beyond(SEARCH) or max(found) >= order + MORE:
+    near = range(max(order - MORE, 1), min(order + MORE, settings.max_order) + 1)
+    if settings.order or not effort.beyond(SEARCH) or all(n in found for n in near):
         return ()
-    return (f'the budget of {settings.budget:.3g} s ended the search at order {max(found)}; raise '
+    return (f'the budget of {settings.budget:.3g} s ended the search at order {order}; raise '
             '`budget`, or set `order`',)
 
 
@@ -291,6 +292,7 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
                                 known_delay=np.array(own.delays(samples.nu)),
                                 record=part.parts[part.last].record,
                                 corrupt=tuple(corrupt[part.last]))
+    affordable(samples)                                     # what simulations need later
     # In open loop a stable plant is what simulates best.
     return None if found is None or own.feedthrough and is_stable(found.matrices) else found
 
@@ -317,14 +319,19 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sample
         return None
     delay = found.found.fit.model.delay[:samples.nu]
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
-    plant = modal_of(found.matrices, samples, delay) if is_stable(found.matrices) else None
+    simulating = None
+    with suppress(np.linalg.LinAlgError):
+        if is_stable(found.matrices) and (plant := modal_of(found.matrices, samples, delay)):
+            simulating = samples, fit_states(samples, plant, free), free
     return Solution(
         _used(part, settings, len(found.matrices.A), delay), part, found.samples,
         found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
-                'than those of the best model that simulates'),), plant=found.matrices,
-        simulating=None if plant is None else (samples, fit_states(samples, plant, free), free),
+                'than those of the best model that simulates'),),
+        _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
+        plant=found.matrices,
+        simulating=simulating,
         errors_ahead=found.errors)
 
 
@@ -372,7 +379,7 @@ class _Subspace:
 
     def subspace(self, n: int) -> Subspace | None:
         """Return the regression of the middle one of HD-PBSID's tunings for order n."""
-        made = next(iter(self._made.values())) if self._made else self._projected(
+        made = next((m for m in self._made.values() if m), None) or self._projected(
             np.array(self._own.delays(len(self._part.parts[0].u))))
         tunings = made.some_tunings(n) if made is not None else []
         return made.of(tunings[len(tunings) // 2]) if made is not None and tunings else None
