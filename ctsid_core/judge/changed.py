@@ -97,18 +97,17 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     predictor : tuple of Samples, Fit and Free, optional
         Of a model that was found by its predictions: they tell then.
     """
-    best = Change()
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
-        return best
-    for place in range(len(samples.records)):
-        if predictor is not None:
-            best = max(best, _as_predicted(samples, fit.model, free, place, predictor),
-                       key=lambda change: (change.cost, change.gain))
-            continue
-        for model in (fit.model,) if simpler is None else (fit.model, simpler):
-            best = max(best, _of_record(samples, model, fit.model, free, place),
-                       key=lambda change: change.cost)
-    return best
+        return Change()
+    places = range(len(samples.records))
+    if predictor is not None:
+        return max(Change(), *(_as_predicted(samples, fit.model, free, place, predictor)
+                               for place in places),
+                   key=lambda change: (change.cost, change.gain))
+    models = (fit.model,) if simpler is None else (fit.model, simpler)
+    return max(Change(), *(_of_record(samples, model, fit.model, free, place)
+                           for place in places for model in models),
+               key=lambda change: change.cost)
 
 
 def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
@@ -119,8 +118,7 @@ def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
     if found.gain <= 0.0:
         return found
     size = _divided(_only(samples, place), model, model, free, place, found.share, certain=True)
-    return size if size.left < _LEFT else \
-        Change(place, found.share, gain=found.gain)
+    return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
 
 
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,

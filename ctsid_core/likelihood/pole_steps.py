@@ -119,10 +119,7 @@ class PoleSteps:
                 far = middle + np.copysign(np.sqrt(turn), middle)
                 found += [complex(far), complex(b / far if far else -far)]
         poles = np.array(found)
-        size = np.abs(poles)
-        poles = np.where(size > fastest, poles * (fastest / np.maximum(size, 1e-300)), poles)
-        poles = np.minimum(poles.real, limit) + 1j * poles.imag
-        return canonical(poles)
+        return canonical(bounded(poles, limit, fastest))
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""
@@ -130,6 +127,13 @@ class PoleSteps:
             every = np.concatenate((p, p[p.imag > 0.0]))
             return np.sort(np.log(np.maximum(np.abs(every), np.min(self.scale) * 0.1)))
         return float(np.max(np.abs(sizes(poles) - sizes(self.poles)), initial=0.0))
+
+
+def bounded(poles: ComplexArray, limit: float, fastest: float) -> ComplexArray:
+    """Return poles of at most so large a magnitude, and then of so large a real part [rad/s]."""
+    less = np.fmin(1.0, fastest / np.maximum(np.abs(poles), 1e-300))
+    found: ComplexArray = np.minimum(poles.real * less, limit) + 1j * (poles.imag * less)
+    return found
 
 
 def canonical(poles: ComplexArray) -> ComplexArray:

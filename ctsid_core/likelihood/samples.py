@@ -106,6 +106,11 @@ class Samples:
         return max(s.period for r in self.records for s in r.streams)
 
     @property
+    def finest(self) -> float:
+        """Median interval of the finest output [s]."""
+        return min(s.period for r in self.records for s in r.streams)
+
+    @property
     def length(self) -> float:
         """Length of the longest record [s]."""
         return max(r.end - r.start for r in self.records)

@@ -17,7 +17,7 @@ Model errors are neither white nor new information, and states that imitate them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -36,6 +36,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
     split,
 )
+from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
@@ -107,19 +108,19 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     thin = samples.thinned(_SEARCHED)
     grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
-                    fastest=free.fastest, finest=min(
-                        s.period for r in samples.records for s in r.streams))
+                    fastest=free.fastest, finest=samples.finest)
     found: dict[int, Tried] = {}
     looked: set[int] = set()
     best = 1
-    while not found or order not in (0, *looked) or not samples.effort.beyond(SEARCH):
-        # The nearest first: one after the other from 1 upwards, unless a start points further.
-        near = [n for n in range(1, (order or max_order) + 1) if n not in looked
-                and (order or abs(n - best) <= MORE)]
-        if not near:
+    while True:
+        short = samples.effort.beyond(SEARCH)
+        if order in looked or short and found and not order:
             break
-        n = order if order and samples.effort.beyond(SEARCH) else \
-            min(near, key=lambda n: abs(n - best))
+        # One after the other from 1 upwards, unless a start points further.
+        n = nearest(range(1, max_order + 1), looked, best) if not order else \
+            order if short else len(looked) + 1
+        if not n:
+            break
         looked.add(n)
         fit = _best_of(n, found, thin, grid, subspace, free, known_delay,
                        np.inf if order or not found else _rival(found, thin, n))
@@ -141,11 +142,17 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
 
 
+def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
+    """Return the order nearest to the best that was not looked at, within `MORE`; 0: none."""
+    return min((n for n in orders if n not in looked and abs(n - best) <= MORE),
+               key=lambda n: abs(n - best), default=0)
+
+
 def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, free: Free,
              known: Array, max_order: int) -> int:
     """Return the smallest order, 3 or more, whose start by HD-PBSID is nearly as good as any."""
     samples, delay = grid.samples, found[1].fit.model.delay
-    near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY)) + 1e-9
+    near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
     for n in range(3, max_order + 1):
         if samples.effort.beyond(_POINT):
@@ -156,7 +163,7 @@ def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, f
                 fit = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free)
                 costs[n] = float(np.sum(samples.counts * np.log(
                     np.maximum(fit.power, ENOUGH ** 2))))
-    return min((n for n in costs if costs[n] < min(costs.values()) + near), default=1)
+    return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
 
 
 def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free, delay: Array,
@@ -164,7 +171,7 @@ def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free, de
     """Yield starts by HD-PBSID; small models of several inputs have any dead times."""
     for late in (delay, known)[:1 + (len(known) > 1 and bool(np.any(delay != known)))]:
         for poles in subspace(n, late):
-            poles = poles * np.minimum(1.0, free.fastest / np.maximum(np.abs(poles), 1e-300))
+            poles = bounded(poles, np.inf, free.fastest)
             yield grid.score(poles, late), 'subspace', poles, late
 
 
@@ -354,6 +361,6 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             for k in np.flatnonzero((model.poles.imag == 0.0) == real):
                 poles = np.delete(model.poles, k)
                 yield grid.score(poles, model.delay), 'less', poles, model.delay
-    nearest = min(found, key=lambda m: abs(m - n + 1), default=0)
-    delay = found[nearest].fit.model.delay if nearest else known
+    close = min(found, key=lambda m: abs(m - n + 1), default=0)
+    delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay, known)

@@ -36,7 +36,7 @@ from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.by_order import MORE, SEARCH, Tried, affordable, parameters, tried
+from ctsid_core.search.by_order import SEARCH, Tried, affordable, nearest, parameters, tried
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
@@ -120,7 +120,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
             break
         best = _climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own,
                         record, corrupt)
-        known += [] if best is None else [best]
+        if best is not None:
+            known.append(best)
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
@@ -143,10 +144,9 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
     found: dict[int, PredictionFit] = {}
     looked: set[int] = set()
     while not found or not joint.effort.beyond(SEARCH):
-        near = [n for n in begun if n not in looked and abs(n - best) <= MORE]
-        if not near:
+        n = nearest(begun, looked, best)
+        if not n:
             break
-        n = min(near, key=lambda n: abs(n - best))
         looked.add(n)
         one = _climbed(joint, begun[n], free, record, corrupt)
         if one is not None:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.likelihood.output_error import Free
+from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
@@ -124,9 +125,8 @@ def _modes(F: Array, G: Array, step: float, free: Free) -> tuple[ComplexArray, C
     values, entry = values[kept], np.linalg.solve(right, G.astype(complex))[kept]
     # A mode that changes its sign from sample to sample has no counterpart.
     values = np.where((values.imag == 0.0) & (values.real < 0.0), -values, values)
-    poles = np.log(np.maximum(np.abs(values), _SHORTEST) * np.exp(1j * np.angle(values))) / step
-    poles *= np.minimum(1.0, free.fastest / np.maximum(np.abs(poles), 1e-300))
-    poles = np.minimum(poles.real, free.limit) + 1j * poles.imag
+    values = np.maximum(np.abs(values), _SHORTEST) * np.exp(1j * np.angle(values))
+    poles = bounded(np.asarray(np.log(values) / step, dtype=complex), free.limit, free.fastest)
     b = entry * (poles / np.expm1(poles * step))[:, np.newaxis]
     order = np.lexsort((poles.real, np.abs(poles), poles.imag > 0.0))       # as `canonical`
     return poles[order], b[order]

@@ -23,6 +23,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
     fit_states,
 )
+from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import entry_changes, modal_of
@@ -124,7 +125,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, allowed, best, free, subspace, settings)
         others, best = _with(others, best, with_D), with_D
-    if own.feedthrough and _unexplained(samples, best.fit):
+    if own.feedthrough and not effort.beyond(SEARCH) and _unexplained(samples, best.fit):
         predicted = _predicted(part, settings, corrupt, samples, free)
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, samples, best, free, predicted)):
@@ -279,7 +280,7 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
 def _unexplained(samples: Samples, fit: Fit) -> bool:
     """Return whether errors that are not noise are so large that the outputs' past may tell."""
     coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return bool(np.max(coloured) > _OPEN_LOOP ** 2) and not samples.effort.beyond(SEARCH)
+    return bool(np.max(coloured) > _OPEN_LOOP ** 2)
 
 
 def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
@@ -299,8 +300,7 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
 
 def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
     """Return the best simulation near a model by its predictions, or None."""
-    poles = np.linalg.eigvals(found.matrices.A).astype(complex)
-    poles = np.minimum(poles.real, free.limit) + 1j * poles.imag
+    poles = bounded(np.linalg.eigvals(found.matrices.A).astype(complex), free.limit, np.inf)
     with suppress(np.linalg.LinAlgError):
         start = fit_at(samples, poles, found.found.fit.model.delay[:samples.nu], free)
         return tried(samples, climb(samples, start, free, steps=FEWER, least=ROUGHLY), free)
@@ -330,9 +330,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sample
         (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
                 'than those of the best model that simulates'),),
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
-        plant=found.matrices,
-        simulating=simulating,
-        errors_ahead=found.errors)
+        plant=found.matrices, simulating=simulating, errors_ahead=found.errors)
 
 
 def _names(part: Joint) -> list[str]:
@@ -347,10 +345,9 @@ def corrupt_rows(part: Joint) -> Corrupt:
 
 def free_of(samples: Samples, own: Settings) -> Free:
     """Return what is free, and within which bounds."""
-    finest = min(s.period for r in samples.records for s in r.streams)
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
                 min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
-                _FASTEST * np.pi / finest)
+                _FASTEST * np.pi / samples.finest)
 
 
 def as_given(settings: Settings, delay: Array) -> float | tuple[float, ...]:
@@ -373,10 +370,6 @@ class _Subspace:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
 
-    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
-        """Return the poles of models of order n, with given dead times."""
-        return self._found(n, delay)
-
     def subspace(self, n: int) -> Subspace | None:
         """Return the regression of the middle one of HD-PBSID's tunings for order n."""
         made = next((m for m in self._made.values() if m), None) or self._projected(
@@ -384,7 +377,8 @@ class _Subspace:
         tunings = made.some_tunings(n) if made is not None else []
         return made.of(tunings[len(tunings) // 2]) if made is not None and tunings else None
 
-    def _found(self, n: int, delay: Array) -> list[ComplexArray]:
+    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
+        """Return the poles of models of order n, with given dead times."""
         if n < _FEWEST:
             return []
         subspaces = self._projected(delay)
