@@ -6,8 +6,10 @@
 VENV := .venv$(addprefix -,$(ROS_DISTRO))
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check --prefer-binary
-# Two processes with one BLAS thread each are faster on two cores than the reverse.
-PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2
+# Two processes with one BLAS thread each are faster on two cores than the reverse. What several
+# tests of a file share is made once; bytecode is kept, for tests start the command many times.
+PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
+  $(PY) -m pytest -n 2 --dist loadfile
 PYTHON ?=
 # Of the recordings of `make bench`: 300000 are files of 0.6 GB, and take three times as long.
 BENCH_MESSAGES ?= 100000
