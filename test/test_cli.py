@@ -274,6 +274,7 @@ def test_show_prints_poles_and_frequency_response(ctsid, shared):
     np.testing.assert_allclose(np.ravel(response['magnitude_db']), 20 * np.log10(abs(expected)))
 
 
+@pytest.mark.slow
 def test_study_prints_its_table(ctsid, tmp_path, monkeypatch):
     monkeypatch.setattr(hd_vs_ct, 'SNRS', (20,))
     code, out, err = ctsid('study', 'hd-vs-ct', '--seeds', '1', '--jobs', '1', '--out',
@@ -320,6 +321,7 @@ def test_an_interrupted_study_says_so_and_goes_on(tmp_path):
     assert kept.read_text().startswith(first[:first.rindex('\n')])
 
 
+@pytest.mark.slow
 def test_compare_sets_all_methods_side_by_side(ctsid, shared, compared):
     code, out, _ = ctsid('compare', shared / 'bag', '--params', shared / 'params.yaml',
                          '--duration', '6')

@@ -106,6 +106,7 @@ def test_what_is_not_named_is_chosen_from_the_data(robot):
     assert keys(robot, outputs=['/imu angular_velocity.{x,y}'], pick=2)[0] != both[0]
 
 
+@pytest.mark.slow
 def test_from_names_to_a_model_of_two_inputs_and_outputs(robot, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(['init', robot, '-o', 'p.yaml', '--input', 'linear.x', '--input', 'angular.z',

@@ -246,6 +246,7 @@ def test_trim_is_estimated_not_averaged_away():
     assert np.abs(match(either(naive).poles, p.poles) - p.poles).max() > 0.05
 
 
+@pytest.mark.slow
 def test_dead_time_set_by_hand():
     rng = np.random.default_rng(3)
     p = random_plant(rng, 2, 1, 2)

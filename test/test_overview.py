@@ -65,6 +65,7 @@ def test_info_of_hundreds_of_fields_fits_on_a_page(log, capsys):
     assert 'Next: ctsid init' in page
 
 
+@pytest.mark.slow
 def test_all_of_it_is_behind_all_and_json(log, capsys):
     assert main(['info', log, '--all']) == 0
     page = capsys.readouterr().out

@@ -140,6 +140,7 @@ def test_shipped_parameter_file_says_what_is_known_of_every_parameter(path):
     assert 'particular' in text[:start]  # what a newcomer should know of this file comes first
 
 
+@pytest.mark.slow
 def test_pip_puts_the_command_into_bin(copied, tmp_path):
     pytest.importorskip('setuptools', reason='an offline build needs setuptools here')
     run(sys.executable, '-m', 'pip', 'install', '--no-deps', '--no-build-isolation',

@@ -156,7 +156,7 @@ def test_all_joints_of_a_walking_robot_are_not_explained(data_folder, joints, st
     assert estimate.model is None
 
 
-@pytest.fixture(params=['sample_px4_events', 'sample_log_small'])
+@pytest.fixture(params=['sample_px4_events', *slow('sample_log_small')])
 def px4_log(request, data_folder):
     """Logs of PX4 in simulation and of a CubeOrange; neither is of an experiment."""
     pytest.importorskip('pyulog')

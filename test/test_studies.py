@@ -51,6 +51,7 @@ def test_the_reference_of_a_loop_does_not_depend_on_its_noise():
     assert same > 0.9 > other
 
 
+@pytest.mark.slow
 def test_published_figures_stand_beside_ours():
     done = [table1.one(seed, 20, Settings(order=3)) for seed in range(2)]
     rows = table1.lines(summary(done), 20)

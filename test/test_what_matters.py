@@ -136,7 +136,7 @@ def test_a_jump_is_seen_in_noise(family, seed, number):
 
 
 @pytest.mark.parametrize(('family', 'number'), [
-    ('turbulence-weak', 5), *slow(('rates-1x1', 5))])
+    *slow(('turbulence-weak', 5), ('rates-1x1', 5))])
 def test_states_that_imitate_disturbances_are_not_called_good(family, number):
     """Nine and eight of them simulated 97 % of the window, and of another flight much less."""
     given = experiment(family, 6, number)

@@ -70,6 +70,7 @@ def identifier(tmp_path):
         yield live, start
 
 
+@pytest.mark.slow
 def test_the_node_says_what_recording_needs_and_identifies_without(identifier, tmp_path):
     live, start = identifier
     from robot import Robot, motion, params
