@@ -65,11 +65,9 @@ def test_states_that_imitate_a_jump_are_not_called_good():
 
 
 def test_a_jump_in_noise_of_a_quarter_of_the_motion_is_told():
-    """It costs 7 % of the motion, give or take 1.5: 4 at least, which is a note and no verdict."""
     given = experiment('no-pole-jump', 2, 7)
     found = identify(given.record, given.settings)
-    assert 3.0 < found.verdict.change_cost < 6.0
-    assert any(note.startswith('one model of the whole misses at least') for note in found.notes)
+    assert found.status is Status.CHANGED
     assert 0.08 < found.statistics['change_share'] < 0.92
 
 

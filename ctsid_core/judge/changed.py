@@ -8,8 +8,7 @@ hardly more parameters explain more. The states and the trim at the start of a s
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone, as far as the noise lets see; what a change costs is what it
-costs at least, two standard deviations less than measured. Of a model that was found by its
+leaves, noise apart, has to be gone, as far as the noise lets see. Of a model that was found by its
 predictions these tell, for their errors are white where gusts stay in those of simulations; how
 much it matters is what the plant, simulated, misses beside two.
 """
@@ -44,7 +43,6 @@ _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
-_SURE = 2.0           # standard deviations that what one model misses is less, to be sure of it
 NOTED = 2.0           # points that one model has to miss, to be worth a word
 
 
@@ -61,7 +59,7 @@ class Change:
         Where, as a part of it.
     cost : float
         Rms of what one model misses and two explain, over the motion, on the side where it is
-        more: at least so much, unless predictions are sure of the change [%].
+        more [%].
     gain : float
         By how much two models are more likely, in independent samples, beyond their price.
     left : float
@@ -237,9 +235,7 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
     missed = np.sqrt(np.maximum(before - by_chance, 0.0))
-    if not certain:
-        missed -= _SURE * np.sqrt(after / np.maximum(n_eff * sizes / sizes.sum(axis=0), 1.0))
-    return Change(place, share, 100.0 * max(float(np.max(missed)), 0.0), gain, left, *(
+    return Change(place, share, 100.0 * float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
 
