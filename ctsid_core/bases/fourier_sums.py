@@ -24,7 +24,6 @@ from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csc_array
 from scipy.special import jv
 
-from ctsid_core.bases.chirp_sums import chirp_sums, uniform
 from ctsid_core.bases.hermite_functions import BLOCK
 from ctsid_core.linear.types import Array, ComplexArray
 
@@ -62,24 +61,16 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> ComplexArray:
     Return the sums over the samples of weights_k exp(-i w_j x_k), shape (m, J).
 
     Of stamps x (N,) in any order, whose phase is rounded in proportion to them, and weights (m,
-    N). Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for;
-    stamps uniform but for phases of 3e-11 are taken to be uniform.
+    N). Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for.
     """
-    total = np.zeros((len(weights), len(grid.w)), dtype=complex)
-    moments = None
+    moments = np.zeros((grid.size * _TERMS, len(weights)))
     for first in range(0, len(x), BLOCK):
         part = slice(first, first + BLOCK)
-        if uniform(x[part], float(grid.w[-1])):
-            total += chirp_sums(x[part], weights[:, part], float(grid.w[1]), len(grid.w))
-            continue
-        own = _scatter(x[part], grid) @ weights[:, part].T
-        moments = own if moments is None else np.add(moments, own, out=moments)
-    if moments is None:
-        return total
+        moments += _scatter(x[part], grid) @ weights[:, part].T
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
     sums: ComplexArray = (spectra.reshape(len(grid.w), _TERMS, -1)
                   * grid.series[:, :, np.newaxis]).sum(axis=1).T
-    return total + sums
+    return sums
 
 
 def _scatter(x: Array, grid: Grid) -> csc_array:
