@@ -366,7 +366,7 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     one = np.array([0.9])
     status, verdict = judge(Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 3.0),
+        expected=0.0 * one, driven=one, poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 1.5),
         where='about 3 s after the start of the window', worst=worst,
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
     assert status is Status.UNEXPLAINED

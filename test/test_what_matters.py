@@ -69,10 +69,13 @@ def test_states_that_imitate_a_jump_are_not_called_good(which):
     assert identify(given.record, given.settings).verdict.grade is not Grade.GOOD
 
 
-def test_a_jump_in_noise_of_a_quarter_of_the_motion_is_told():
-    given = experiment('no-pole-jump', 2, 7)
+@pytest.mark.parametrize(('seed', 'number'), [(2, 7), *slow((5, 1))])
+def test_a_jump_that_costs_a_point_of_fit_is_measured_and_does_not_reject(seed, number):
+    """A pole jumps in noise of a quarter of the motion: one model fits 76 %, two fit 77 %."""
+    given = experiment('no-pole-jump', seed, number)
     found = identify(given.record, given.settings)
-    assert found.status is Status.CHANGED
+    assert found.status is Status.OK
+    assert 0.5 < found.verdict.change_cost < 2.0
     assert 0.08 < found.statistics['change_share'] < 0.92
 
 
@@ -131,7 +134,6 @@ def test_no_longer_dead_time_is_looked_for_than_may_be_given(times, longest):
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
     ('no-pole-jump', 5, 0), *slow(
-        ('no-pole-jump', 5, 1),
         *((family, 12, k) for family in ('no-pole-jump', 'no-gain-jump') for k in range(12)
           if (family, k) != ('no-pole-jump', 2)))])
 def test_a_jump_is_seen_in_noise(family, seed, number):

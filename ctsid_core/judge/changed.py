@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Did the plant change? What one model misses that two explain, over the motion.
+Did the plant change? The points of fit that two models gain over one.
 
 A record is divided at a few instants; each side gets a model of its own, of the same order or of
 half of it: further states of one model can imitate a plant that changes, and then two models with
@@ -43,7 +43,7 @@ _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
-NOTED = 2.0           # points that one model has to miss, to be worth a word
+NOTED = 1.0           # points of fit that two models have to gain, to be worth a word
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class Change:
     share : float
         Where, as a part of it.
     cost : float
-        Rms of what one model misses and two explain, over the motion, on the side where it is
-        more [%].
+        Points of fit that two models gain over one, on the side and the output where it is most,
+        less those that they gain by chance.
     gain : float
         By how much two models are more likely, in independent samples, beyond their price.
     left : float
@@ -234,8 +234,8 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
         float(_coloured(tuple(one))[where]), 1e-300)
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
-    missed = np.sqrt(np.maximum(before - by_chance, 0.0))
-    return Change(place, share, 100.0 * float(np.max(missed)), gain, left, *(
+    points = 100.0 * (np.sqrt(before) - np.sqrt(np.minimum(by_chance, before)))
+    return Change(place, share, float(np.max(points)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
 

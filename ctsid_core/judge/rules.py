@@ -37,7 +37,7 @@ _DRIVEN = 0.5           # held-out error over the response to inputs: less, and 
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
 _CURVED = 4.0           # points of fit that a curve after the model gains
-_CHANGED = 6.0          # points of motion that one model misses and two explain
+_CHANGED = 2.0          # points of fit that two models gain over one, before and after
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
@@ -95,8 +95,8 @@ def change_note(e: Evidence) -> tuple[str, ...]:
     """Return a sentence on a change of the plant that is small, or none."""
     if not NOTED < e.change.cost <= _CHANGED:
         return ()
-    return (f'one model of the whole misses {e.change.cost:.1f} % of the motion that two explain, '
-            f'before and after {e.where.removeprefix("about ")}',)
+    return (f'two models fit {e.change.cost:.1f} points better than one of the whole, before or '
+            f'after {e.where.removeprefix("about ")}',)
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:

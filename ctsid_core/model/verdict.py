@@ -90,8 +90,8 @@ class Verdict:
     independent : ndarray, shape (ny,)
         Share of independent samples among the errors, N_eff / N: 1 if they are white.
     change_cost : float
-        Rms of what one model misses and two explain, before and after the instant at which two
-        gain most, over the motion [%].
+        Points of fit that two models, before and after the instant at which they gain most, gain
+        over one [%].
     curve_gain : ndarray, shape (ny,)
         Points of fit that a curve (a cubic of the simulated output) gains after the model; 0 where
         the data do not show it [%].

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.cross_check import DEVIATIONS, agreement
 from ctsid_core.judge.rules import KNOWN
 from ctsid_core.linear.types import Array
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 CHANGED, PARTLY = 'CHANGED', 'PARTLY'
 _QUIET = (Status.OK, Status.NO_EXCITATION)     # at rest nothing is contradicted
-_NOTED = 2.0    # points of fit from which on a change is told
 _MOST = 3       # stretches, and changes, that are named
 
 
@@ -77,7 +77,7 @@ class ChangeSeen:
     time : float
         When, after the start of the bag [s].
     cost : float
-        What one model of both loses [%].
+        Points of fit that one model of both loses.
     one, two : (float, float)
         Fits of one model, and of two, before and after [%].
     rejects : bool
@@ -123,7 +123,7 @@ def _change(estimate: Estimate, start: float, end: float) -> ChangeSeen | None:
     share = numbers.get('change_share', math.nan)
     rejects = estimate.status is Status.CHANGED
     # What is rejected for a graver fault, like a sensor that hangs, says nothing of the plant.
-    if not (rejects or (estimate.ok and cost > _NOTED)) or not math.isfinite(share):
+    if not (rejects or (estimate.ok and cost > NOTED)) or not math.isfinite(share):
         return None
     fits = {who: (numbers.get(f'change_fit_{who}_before', math.nan),
                   numbers.get(f'change_fit_{who}_after', math.nan)) for who in ('one', 'two')}

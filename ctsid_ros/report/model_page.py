@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from ctsid_core.judge.changed import NOTED
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
@@ -29,7 +30,6 @@ from ctsid_ros.report.spectra import spectra, supported_band
 from ctsid_ros.report.tables import Table, percent
 
 _COLUMNS = 3
-_NOTED = 2.0    # points of fit from which on a change is marked
 Models = Mapping[str, tuple[StateSpace, Covariance | None]]
 
 
@@ -86,7 +86,7 @@ def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]],
     share = numbers.get('change_share', math.nan)
     # What is rejected for a graver fault, like a sensor that hangs, says nothing of the plant.
     if not math.isfinite(share) or not (estimate.status is Status.CHANGED
-                                        or (estimate.ok and cost > _NOTED)):
+                                        or (estimate.ok and cost > NOTED)):
         return [], []
     part = shown.parts[0].found.times
     at = float(part[0] + share * (part[-1] - part[0]))
