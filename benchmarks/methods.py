@@ -85,7 +85,7 @@ def least(cases: dict[str, Callable[[], object]], rounds: int) -> dict[str, floa
 def measured(duration: float, rounds: int, longest: float) -> dict[str, float]:
     """Return the seconds of each case for a record of a duration."""
     record = recorded(duration)
-    nmax, parts, _ = choose_nmax(record)
+    nmax, parts = choose_nmax(record)
     steps: dict[str, Callable[[], object]] = {
         'HD': lambda: by_hermite(record, nmax, parts), 'CT': lambda: by_laguerre(record),
         'CT, kept': lambda: plainly(record, keep=True)}

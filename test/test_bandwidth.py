@@ -69,12 +69,10 @@ def test_few_samples_are_taken_at_their_nyquist_frequency():
 def test_nmax_is_twice_the_time_bandwidth_product(seed):
     rng = np.random.default_rng(seed)
     s = signal(rng, 10.0, rate=200.0, duration=20.0, noise=0.01)
-    nmax, parts, why = choose_nmax(record(s))
+    nmax, parts = choose_nmax(record(s))
     assert parts == 1
     product = 0.5 * 10.0 * 2 * np.pi * 10.0
     assert 0.8 * 2.0 * product < nmax < 1.5 * 2.0 * product
-    assert '20 s long' in why
-    assert 'Hz' in why
 
 
 def test_a_window_twice_as_long_needs_twice_the_functions():
@@ -110,17 +108,15 @@ def test_long_records_are_divided():
     found = {}
     for duration in (10.0, 40.0, 120.0):
         s = signal(rng, 15.0, rate=200.0, duration=duration, noise=0.01)
-        nmax, parts, why = choose_nmax(record(s))
+        nmax, parts = choose_nmax(record(s))
         product = 0.25 * duration * 2 * np.pi * 15.0
         assert nmax <= 1500
         assert 0.8 * 2.0 * product < nmax * parts < 1.5 * 2.0 * product
         found[duration] = parts
-        assert ('parts' in why) == (parts > 1)
     assert found[10.0] < found[40.0] < found[120.0]
     endless = signal(rng, 40.0, rate=200.0, duration=500.0)
-    nmax, parts, why = choose_nmax(record(endless))
+    nmax, parts = choose_nmax(record(endless))
     assert nmax * parts <= 15000
-    assert 'duration' in why
 
 
 def test_windows_alike_share_their_basis():

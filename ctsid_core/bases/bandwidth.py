@@ -25,9 +25,9 @@ _FINENESS = 12.0        # steps per octave of nmax, so that windows alike share 
 _SMOOTHING = 31         # periodogram lines averaged, so that noise alone stays below the threshold
 
 
-def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int, str]:
+def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int]:
     """
-    Return the highest order of the Hermite functions, the number of parts, and why, for the user.
+    Return the highest order of the Hermite functions, and the number of parts.
 
     Of each part of a long record; `band` is up to which the outputs rise above their noise in
     other records [rad/s].
@@ -41,14 +41,7 @@ def choose_nmax(record: Record, band: float = 0.0) -> tuple[int, int, str]:
     product = min(wanted, 0.5 * tau * highest)
     parts = int(min(np.ceil(product / _MOST), _MOST_PARTS))
     nmax = 2.0 ** (np.floor(_FINENESS * np.log2(min(product / parts, _MOST))) / _FINENESS)
-    reach = 2.0 * nmax * parts / tau
-    why = (f'the outputs rise above their noise up to {band / (2 * np.pi):.3g} Hz, the slowest '
-           f'sampling allows {highest / (2 * np.pi):.3g} Hz, the record is {2 * tau:.3g} s long: '
-           f'the basis reaches {reach / (2 * np.pi):.3g} Hz'
-           + (f' in {parts} parts' if parts > 1 else ''))
-    if product > _MOST * _MOST_PARTS:
-        why += ', for so long a record no more; take a shorter --duration, or replay windows'
-    return max(int(nmax), 8), parts, why
+    return max(int(nmax), 8), parts
 
 
 def output_band(record: Record) -> float:

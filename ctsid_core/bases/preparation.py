@@ -77,7 +77,8 @@ def usable(record: Record, settings: Settings,
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
                   for j in fixed]
-    if min((len(s.time[_within(s, shorter)]) for s in shorter.outputs), default=0) < _FEWEST:
+    if min((len(s.time[s.rows(start, record.end)]) for s in record.outputs),
+           default=0) < _FEWEST:
         return Status.TOO_SHORT
     if not outputs:
         return Status.NO_RESPONSE
@@ -174,11 +175,6 @@ def _known_from(record: Record, settings: Settings) -> float:
     return start
 
 
-def _within(signal: Signal, record: Record) -> slice:
-    return slice(int(np.searchsorted(signal.time, record.start, side='left')),
-                 int(np.searchsorted(signal.time, record.end, side='right')))
-
-
 def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),
             ) -> tuple[list[Signal], tuple[int, ...], list[int]]:
     """Return the signals without constant channels, and the places of moving and constant ones."""
@@ -186,7 +182,7 @@ def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] =
     kept: list[int] = []
     fixed: list[int] = []
     for signal, channels in zip(signals, channel_slices(signals), strict=True):
-        inside = _within(signal, record)
+        inside = signal.rows(record.start, record.end)
         values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
         moves, places = np.zeros(signal.width, dtype=bool), np.r_[channels]
         if len(values):

@@ -26,13 +26,6 @@ from ctsid_core.signals.record import Record
 
 
 @dataclass(frozen=True)
-class Layout:
-    """How records are projected."""
-
-    sizes: tuple[tuple[int, int], ...]  # nmax and the number of parts of each record
-
-
-@dataclass(frozen=True)
 class Unusable:
     """Why nothing of the records can be used."""
 
@@ -85,34 +78,21 @@ class Joint:
                 counts[name] = counts.get(name, 0.0) + count
         return list(self.numbered([notes for notes, _ in found])), counts
 
-    def layout(self, settings: Settings) -> tuple[Layout, str]:
-        """Return the bases that records get, and why; '' if the settings say which."""
-        count = len(self.parts)
-        if settings.nmax:
-            return Layout(((settings.nmax, settings.parts or 1),) * count), ''
-        band = max(output_band(p.record) for p in self.parts) if self.several else 0.0
-        chosen = [choose_nmax(p.record, band) for p in self.parts]
-        why = '; '.join(dict.fromkeys(self.numbered([[why] for _, _, why in chosen])))
-        if len({nmax for nmax, _, _ in chosen}) > 1:
-            why += '; of the records in turn ' + ', '.join(str(nmax) for nmax, _, _ in chosen)
-        return Layout(tuple((nmax, parts) for nmax, parts, _ in chosen)), why
-
-    def project(self, settings: Settings, layout: Layout,
+    def project(self, settings: Settings,
                 check: Callable[[], None] = lambda: None) -> Projection:
         """Project the records on bases of their own, side by side; `check` is called often."""
+        band = max(output_band(p.record) for p in self.parts) \
+            if self.several and not settings.nmax else 0.0
+        sizes = [(settings.nmax, settings.parts or 1) if settings.nmax else
+                 choose_nmax(p.record, band) for p in self.parts]
         return joined([project_record(p.record, settings.replace(parts=parts), nmax, check)
-                       for p, (nmax, parts) in zip(self.parts, layout.sizes, strict=True)])
+                       for p, (nmax, parts) in zip(self.parts, sizes, strict=True)])
 
-    def early_and_late(self, settings: Settings) -> tuple[Joint, Joint]:
-        """Return the first parts of the records, and the last ones, `held_out` long."""
-        early, late = [], []
-        for p in self.parts:
-            record = p.record
-            split = record.end - settings.held_out * record.duration
-            lead = max(settings.delays(record.nu), default=0.0)
-            early.append(replace(p, record=record.between(record.start, split, lead=lead)))
-            late.append(replace(p, record=record.between(split, record.end, lead=lead)))
-        return replace(self, parts=tuple(early)), replace(self, parts=tuple(late))
+    def early(self, settings: Settings) -> Joint:
+        """Return the records without their last parts, `held_out` long."""
+        return replace(self, parts=tuple(replace(p, record=p.record.between(
+            p.record.start, p.record.end - settings.held_out * p.record.duration,
+            lead=max(settings.delays(p.record.nu), default=0.0))) for p in self.parts))
 
 
 def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusable:

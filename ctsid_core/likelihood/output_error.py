@@ -367,7 +367,7 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: tuple[Columns
         rows, targets = [], []
         for r, own in enumerate(columns):
             for t, k in _of_output(own, i):
-                rows.append(np.hstack((*_driven(t, t.z, poles, r, records),
+                rows.append(np.hstack((*_driven(t.z, poles, r, records),
                                        _direct(t, free, r, records))) / np.sqrt(power[r, i]))
                 targets.append(t.y[:, k] / np.sqrt(power[r, i]))
         residues[i], starts[i] = _b_and_x0(
@@ -375,7 +375,7 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: tuple[Columns
     return residues, starts
 
 
-def _driven(t: Triangle, turned: ComplexArray, poles: ComplexArray, record: int,
+def _driven(turned: ComplexArray, poles: ComplexArray, record: int,
             records: int) -> tuple[Array, Array]:
     """Return the columns of b, and those of the initial states of all records."""
     own = _real(turned[:, :, -1:], poles)
@@ -404,7 +404,7 @@ def split(samples: Samples, fit: Fit, free: Free) -> Fit | None:
     model = fit.model
     if not (model.poles.imag == 0.0).any():
         return None
-    best = max((_residue_of_rest(samples, fit, free, int(k))
+    best = max((_residue_of_rest(samples, fit, int(k))
                 for k in np.flatnonzero(model.poles.imag == 0.0)), key=lambda found: found[0])
     _, k, c, b, x0 = best
     poles = np.append(model.poles, model.poles[k] * _SPLIT)
@@ -416,7 +416,7 @@ def split(samples: Samples, fit: Fit, free: Free) -> Fit | None:
     return fit_at(samples, joined.poles, model.delay, free, replace(fit, model=joined))
 
 
-def _residue_of_rest(samples: Samples, fit: Fit, free: Free,
+def _residue_of_rest(samples: Samples, fit: Fit,
                      k: int) -> tuple[float, int, Array, Array, Array]:
     """Return what one more mode at a real pole would do to the errors: size, k, c, b, x0."""
     model, nu, ny = fit.model, samples.nu, samples.ny
@@ -520,7 +520,7 @@ def _solve_b(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], 
             for k, i in enumerate(t.channels):
                 block = np.zeros((len(t.one), driven + ny * own_of_output))
                 block[:, :driven] = np.hstack(_driven(
-                    t, t.z * model.c[i][:, np.newaxis], poles, r, records))
+                    t.z * model.c[i][:, np.newaxis], poles, r, records))
                 at = driven + int(i) * own_of_output
                 block[:, at:at + own_of_output] = direct
                 rows.append(block / np.sqrt(power[r, i]))

@@ -68,8 +68,7 @@ def independent(errors: Residuals) -> Array:
     N / (1 + 2 sum_k rho_k), the autocorrelation summed over lags until it is small.
     """
     found = []
-    for stream in range(max(len(own) for own in errors)):
-        rows = [own[stream] for own in errors if stream < len(own)]
+    for rows in zip(*errors, strict=True):
         count = sum(len(e) for e in rows)
         factor = [_correlation(tuple(e[:, i] for e in rows))
                   for i in range(rows[0].shape[1])]
@@ -101,8 +100,8 @@ def white_part(errors: Residuals) -> Array:
     From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6).
     """
     found = []
-    for stream in range(max(len(own) for own in errors)):
-        rows = [own[stream] for own in errors if stream < len(own) and len(own[stream]) > 2]
+    for stream in zip(*errors, strict=True):
+        rows = [e for e in stream if len(e) > 2]
         total = sum(np.sum((e[2:] - 2.0 * e[1:-1] + e[:-2]) ** 2, axis=0) for e in rows)
         count = sum(len(e) - 2 for e in rows)
         found.append(np.sqrt(np.atleast_1d(total) / 6.0 / max(count, 1)))

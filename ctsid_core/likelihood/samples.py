@@ -117,14 +117,14 @@ class Samples:
 
     def thinned(self, most: int) -> Samples:
         """Return every k-th sample of each stream, such that about `most` are left of each."""
-        longest = [sum(len(r.streams[i].times) for r in self.records if i < len(r.streams))
-                   for i in range(max(len(r.streams) for r in self.records))]
+        longest = [sum(len(s.times) for s in streams)
+                   for streams in zip(*(r.streams for r in self.records), strict=True)]
         steps = [max(-(-total // most), 1) for total in longest]
         if max(steps) < 2:
             return self
         return replace(self, records=tuple(replace(r, streams=tuple(
             replace(s, times=s.times[::step], y=s.y[::step])
-            for s, step in zip(r.streams, steps, strict=False))) for r in self.records))
+            for s, step in zip(r.streams, steps, strict=True))) for r in self.records))
 
     def between(self, bounds: Sequence[tuple[float, float]]) -> Samples:
         """Return the samples of each record within its bounds [s]; states begin where they do."""
@@ -156,7 +156,8 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
     effort : Effort, optional
         That looking at them is part of.
     """
-    levels = [np.concatenate([s.values[_rows(s, r)] for r in records for s in [r.outputs[i]]])
+    levels = [np.concatenate([s.values[s.rows(r.start, r.end)] for r in records
+                              for s in [r.outputs[i]]])
               for i in range(len(records[0].outputs))]
     size = np.concatenate([np.std(level, axis=0) for level in levels])
     size[~(size > 0.0)] = 1.0
@@ -174,8 +175,3 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
                                   channels))
         found.append(RecordSamples(record.inputs, first, record.end, tuple(streams)))
     return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())
-
-
-def _rows(signal: Signal, record: Record) -> slice:
-    return slice(int(np.searchsorted(signal.time, record.start, side='left')),
-                 int(np.searchsorted(signal.time, record.end, side='right')))

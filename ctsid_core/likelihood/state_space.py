@@ -36,10 +36,12 @@ def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
     record : int
         Whose trim and initial state are wanted.
     """
-    A, B, C, x0 = _modal(model.poles, model.b, model.c * size[:, np.newaxis], model.x0[record])
+    pairs = np.flatnonzero(model.poles.imag > 0.0)
+    A, B, C = _modal(model.poles, model.b, model.c * size[:, np.newaxis], pairs)
     T = _mended(model)
     inverse = np.linalg.inv(T)
     n, ny = len(A), len(C)
+    x0 = np.concatenate((model.x0[record].real, model.x0[record, pairs].imag))
     return Matrices(A=T @ A @ inverse, B=T @ B, C=C @ inverse, D=model.D * size[:, np.newaxis],
                     K=np.zeros((n, ny)), tail=(T @ x0)[:, np.newaxis], x_trim=np.zeros((n, 1)),
                     y_trim=(model.y0[record] * size)[:, np.newaxis])
@@ -72,16 +74,14 @@ def modal_of(m: Matrices, samples: Samples, delay: Array,
 
 
 def _modal(poles: ComplexArray, b: ComplexArray, c: ComplexArray,
-           x0: ComplexArray) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C and x0 of real modal states: Re z of all modes, then Im z of pairs."""
-    pairs = np.flatnonzero(poles.imag > 0.0)
+           pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Return A, B and C of real modal states: Re z of all modes, then Im z of pairs."""
     m = len(poles)
     A = np.diag(np.concatenate((poles.real, poles[pairs].real)))
     A[pairs, m + np.arange(len(pairs))] = -poles[pairs].imag
     A[m + np.arange(len(pairs)), pairs] = poles[pairs].imag
     B = np.vstack((b.real, b[pairs].imag))
-    C = np.hstack((c.real, -c[:, pairs].imag))
-    return A, B, C, np.concatenate((x0.real, x0[pairs].imag))
+    return A, B, np.hstack((c.real, -c[:, pairs].imag))
 
 
 def _mended(model: ModalModel) -> Array:
@@ -169,17 +169,11 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
             dD[:, i] = own[:, n:n + nu]
     T = _mended(model)
     inverse = np.linalg.inv(T)
-    dA = np.zeros((r, n, n))
+    dA, dB, dC = np.zeros((r, n, n)), np.zeros((r, n, nu)), np.zeros((r, ny, n))
     for k in range(r):
-        A = np.diag(np.concatenate((dp[k].real, dp[k, pairs].real)))
-        A[pairs, m + np.arange(len(pairs))] = -dp[k, pairs].imag
-        A[m + np.arange(len(pairs)), pairs] = dp[k, pairs].imag
-        dA[k] = T @ A @ inverse
-    dB, dC = np.zeros((r, n, nu)), np.zeros((r, ny, n))
-    for k in range(r):
-        dB[k] = T @ np.vstack((db[k].real, db[k, pairs].imag))
-        dC[k] = (np.hstack((dc[k].real, -dc[k][:, pairs].imag))
-                 * samples.size[:, np.newaxis]) @ inverse
+        A, B, C = _modal(dp[k], db[k], dc[k], pairs)
+        dA[k], dB[k] = T @ A @ inverse, T @ B
+        dC[k] = (C * samples.size[:, np.newaxis]) @ inverse
     return Entries(dA, dB, dC, dD * samples.size[:, np.newaxis], delay)
 
 

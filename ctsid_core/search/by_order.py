@@ -350,11 +350,9 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
         else:
             continue
         for poles, delay in options:
-            for one in grid.ranked(poles, delay):
-                if (one.pole.imag == 0.0) == real:
-                    kind = 'real' if real else 'pair'
-                    yield one.score, kind, np.append(poles, one.pole), delay
-                    break
+            score, pole = next((score, pole) for score, pole in grid.ranked(poles, delay)
+                               if (pole.imag == 0.0) == real)
+            yield score, 'real' if real else 'pair', np.append(poles, pole), delay
     for beyond, real in ((n + 1, True), (n + 2, False)) if n - 1 not in found else ():
         if beyond in found:
             model = found[beyond].fit.model

@@ -232,7 +232,7 @@ def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
             continue
         joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in record.outputs))
         try:
-            errors = prediction_errors(plant, delay[:nu], record, HORIZONS, corrupt)
+            errors = prediction_errors(plant, delay[:nu], record, corrupt)
         except np.linalg.LinAlgError:
             continue
         if np.max(errors) < _DIVERGED:
@@ -366,14 +366,14 @@ def _held_interval(joint: Samples) -> float:
     return max(s.period for r in joint.records for s in r.inputs[-len(r.streams):])
 
 
-def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple[int, ...],
+def prediction_errors(m: Matrices, delay: Array, record: Record,
                       corrupt: tuple[Mask | None, ...]) -> Array:
     """
-    Return rms errors of predictions so many samples ahead, over the motion, (horizons, ny).
+    Return rms errors of predictions `HORIZONS` samples ahead, over the motion, (horizons, ny).
 
     The first tenth of the record starts the filter and does not count. Infinite if the filter is
     not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
-    short record, of `HORIZONS` the last, are left out.
+    short record, the last ones, are left out.
 
     Parameters
     ----------
@@ -381,7 +381,6 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
     delay : ndarray, shape (nu,)
         [s]
     record : Record
-    horizons : tuple of int
     corrupt : tuple of (ndarray of bool or None)
         Rows of each output signal that do not count.
     """
@@ -401,7 +400,7 @@ def prediction_errors(m: Matrices, delay: Array, record: Record, horizons: tuple
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
         states = predicted_states(F, F @ M, m.C, rest, first)
-        for horizon in [h for h in horizons if 2 * h <= len(t)]:
+        for horizon in [h for h in HORIZONS if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
             errors.append(np.sqrt(np.mean(e[max(first - horizon, 0):] ** 2, axis=0))

@@ -13,8 +13,6 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
@@ -29,26 +27,6 @@ _CELLS = 4000         # of time, at most
 _RIDGE = 1e-9         # of the inner products of a candidate's columns
 _PER_CELL = 150.0     # work: of each pole, input and cell of time
 _LOOK, _PER_POLE = 3e6, 300.0           # work: of any look, and for each pole, input and sample
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """
-    A pole to be added, with dead times.
-
-    Parameters
-    ----------
-    score : float
-        -2 log likelihood of what it would leave (everything linear at its best).
-    pole : complex
-        Of a pair that with positive imaginary part [rad/s].
-    delay : ndarray, shape (nu,)
-        [s]
-    """
-
-    score: float
-    pole: complex
-    delay: Array
 
 
 class PoleGrid:
@@ -76,7 +54,7 @@ class PoleGrid:
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
-        self._ranked: dict[tuple[bytes, bytes], list[Candidate]] = {}
+        self._ranked: dict[tuple[bytes, bytes], list[tuple[float, complex]]] = {}
         self._cells = [_Cells(r, longest, finest) for r in samples.records]
         self._kinds = (self.poles.imag == 0.0, self.poles.imag > 0.0)
         samples.effort.spend(_PER_CELL * len(self.poles) * samples.nu * float(
@@ -84,9 +62,11 @@ class PoleGrid:
         self._shapes = [[_Shape(cells, self.poles[kind]) for kind in self._kinds]
                         for cells in self._cells]
 
-    def ranked(self, poles: ComplexArray, delay: Array) -> list[Candidate]:
+    def ranked(self, poles: ComplexArray, delay: Array) -> list[tuple[float, complex]]:
         """
         Return every pole of the grid beside given ones, at given dead times, best first.
+
+        Before it -2 log likelihood of what it would leave, everything linear at its best.
 
         Parameters
         ----------
@@ -97,13 +77,10 @@ class PoleGrid:
         """
         key = (poles.tobytes(), delay.tobytes())
         if key not in self._ranked:
-            self._ranked[key] = self._rank(poles, delay)
+            score = self._scores(poles, delay, self._shapes)
+            self._ranked[key] = [(float(score[i]), complex(self.poles[i]))
+                                 for i in np.argsort(score, kind='stable')]
         return self._ranked[key]
-
-    def _rank(self, poles: ComplexArray, delay: Array) -> list[Candidate]:
-        score = self._scores(poles, delay, self._shapes)
-        order = np.argsort(score, kind='stable')
-        return [Candidate(float(score[i]), complex(self.poles[i]), delay) for i in order]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""

@@ -46,7 +46,6 @@ from ctsid_core.search.by_order import (
     tried,
 )
 from ctsid_core.search.by_prediction import (
-    HORIZONS,
     PredictionFit,
     information,
     is_stable,
@@ -314,7 +313,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sample
     rival, _ = with_noise(samples, best.fit, errors, last)
     own_price = information(found.errors, samples, found.found.parameters)
     if own_price > information(prediction_errors(
-            rival, best.fit.model.delay, part.parts[last].record, HORIZONS, tuple(corrupt[last])),
+            rival, best.fit.model.delay, part.parts[last].record, tuple(corrupt[last])),
             samples, best.parameters + int(np.count_nonzero(rival.K))):
         return None
     delay = found.found.fit.model.delay[:samples.nu]
@@ -408,13 +407,8 @@ class _Subspace:
         self._made[given], own = None, self._own.replace(delay=tuple(delay.tolist()))
         self._effort.spend(_PROJECTION + _PER_SAMPLE * sum(
             float(len(s.time)) for p in self._part.parts for s in p.record.outputs))
-        try:
-            layout, _ = self._part.layout(own)
-            projection = self._part.project(own.replace(parts=max(layout.sizes)[1]), layout,
-                                            self._effort.check)
-            self._made[given] = Subspaces(projection, own)
-        except np.linalg.LinAlgError:
-            pass
+        with suppress(np.linalg.LinAlgError):
+            self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
 
 

@@ -67,7 +67,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
         if len(seen) > 1 else ()
 
     def refit(early: Samples) -> Fit | None:
-        records, _ = part.early_and_late(own)
+        records = part.early(own)
         offered = method.models(records, replace(made.settings, delay=own.delay), [fit.model.n]) \
             or method.models(records, own, [fit.model.n])
         found = _likeliest(offered, early, own, free)

@@ -58,15 +58,20 @@ class Signal:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
 
+    def rows(self, start: float, end: float) -> slice:
+        """Return the places of the samples in [start, end]."""
+        return slice(int(np.searchsorted(self.time, start, side='left')),
+                     int(np.searchsorted(self.time, end, side='right')))
+
     def between(self, start: float, end: float, context: int = 3) -> Signal:
         """
         Return the samples in [start, end] and up to `context` more on each side.
 
         The context lets a held value or a spline be known at the very ends of an interval.
         """
-        first = max(int(np.searchsorted(self.time, start, side='left')) - context, 0)
-        last = int(np.searchsorted(self.time, end, side='right')) + context
-        return replace(self, time=self.time[first:last], values=self.values[first:last])
+        inside = self.rows(start, end)
+        kept = slice(max(inside.start - context, 0), inside.stop + context)
+        return replace(self, time=self.time[kept], values=self.values[kept])
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,8 +77,7 @@ class Subspaces:
 
 def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
     """Return models of all orders that the lines can hold, for every tuning left open."""
-    layout, _ = part.layout(settings)
-    subspaces = Subspaces(part.project(settings, layout), settings)
+    subspaces = Subspaces(part.project(settings), settings)
     found = []
     for n in orders:
         for tuning in subspaces.tunings(n):

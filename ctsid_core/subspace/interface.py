@@ -33,8 +33,6 @@ class Method:
     # has to offer: of every order and every tuning that the settings leave open. Orders that the
     # data are too short for are left out.
     models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
-    # whether dead times that are not given are looked for; else they count as 0
-    looks_for_dead_time: bool = False
-    # Whether its models are taken to the maximum of the likelihood; else they stay as they are
-    # made, and the likeliest is taken.
+    # Whether its models are taken to the maximum of the likelihood, with dead times that are not
+    # given; else they stay as they are made, the likeliest is taken, and those count as 0.
     refines: bool = False

@@ -12,7 +12,7 @@ from ctsid_core.subspace import ct_pbsid, gobf, hd_pbsid
 from ctsid_core.subspace.interface import Method
 
 METHODS: dict[str, Method] = {
-    'hd-pbsid': Method(hd_pbsid.by_lines, looks_for_dead_time=True, refines=True),
+    'hd-pbsid': Method(hd_pbsid.by_lines, refines=True),
     'ct-pbsid': Method(ct_pbsid.by_projection),
     'gobf': Method(gobf.by_bases),
 }

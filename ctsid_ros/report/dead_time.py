@@ -22,7 +22,7 @@ def looked_for(estimate: Estimate, settings: Settings) -> bool:
     """
     model = estimate.model or estimate.rejected_model
     return (model is not None and any(settings.unknown_delays(model.nu))
-            and METHODS[settings.method].looks_for_dead_time and settings.refine)
+            and METHODS[settings.method].refines and settings.refine)
 
 
 def delay_words(estimate: Estimate, config: Config) -> dict[str, str]:
