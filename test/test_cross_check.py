@@ -23,6 +23,7 @@ from ctsid_core.model.verdict import Excitation, Grade, Verdict
 from ctsid_core.subspace.methods import METHODS
 from ctsid_ros.report.document import to_text
 from ctsid_ros.report.sections import model_section
+from ctsid_ros.studies.robots.families import experiment
 
 ALL = tuple(METHODS)
 BAND = Excitation('u', 0.5, 20.0, 30.0, 1.0, 0.01)
@@ -414,3 +415,11 @@ def test_a_method_does_not_check_itself():
             Settings(method=method, cross_check=method)
     with pytest.raises(SettingsError, match='cross_check` is .n4sid.; choose one of .none'):
         Settings(cross_check='n4sid')
+
+
+def test_hd_pbsid_refines_its_model_even_if_the_first_method_may_not():
+    """A dead time that the first has not looked for is found, whatever `refine` says."""
+    given = experiment('roll', 23, 0)
+    found = identify(given.record, Settings(method='gobf', refine=False, cross_check='hd-pbsid'))
+    assert found.verdict.agreement.contradicts
+    assert found.verdict.agreement.dead_time > 0.03

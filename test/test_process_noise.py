@@ -136,3 +136,27 @@ def test_a_pole_put_on_the_axis_is_as_unsure_as_it_was_found():
     assert abs(model.poles[0]) < 1e-9
     assert 0.5 * p < found.pole_std[0] < 3.0 * p
     assert found.verdict.grade is not Grade.GOOD
+
+
+def test_the_order_of_records_does_not_matter_to_predictions():
+    """An unstable plant, flown twice at other trims: the model has that of the later flight."""
+    h, t = 0.02, 0.02 * np.arange(1000)
+
+    def flight(seed, offset):
+        rng = np.random.default_rng(seed)
+        wanted = np.repeat(rng.standard_normal(len(t) // 25), 25)
+        x, u, y = 0.0, np.empty(len(t)), np.empty(len(t))
+        for k in range(len(t)):
+            y[k] = x + offset + 0.02 * rng.standard_normal()
+            u[k] = -4.0 * (y[k] - offset - wanted[k])
+            x = np.exp(h) * x + np.expm1(h) * u[k]
+        return Record.from_arrays(t, u, t, y, input_hold='zoh', epoch_ns=10 ** 12 * seed)
+
+    both = [flight(0, 0.0), flight(1, 5.0)]
+    one, other = (identify(records, Settings(feedthrough=False, delay=0.0, order=1))
+                  for records in (both, both[::-1]))
+    assert any(c.value == 'predictions' for c in one.choices)
+    np.testing.assert_allclose(one.model.poles, [1.0], rtol=1e-3)
+    np.testing.assert_allclose(one.model.y_trim + one.model.C @ one.model.x_trim, 5.0, atol=0.02)
+    np.testing.assert_allclose(other.fit, one.fit, rtol=1e-9)
+    np.testing.assert_allclose(other.model.y_trim, one.model.y_trim, rtol=1e-9)

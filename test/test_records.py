@@ -281,6 +281,9 @@ def test_misuse(halves):
     other = replace(second, outputs=(replace(second.outputs[0], names=('a', 'b')),))
     fewer = replace(second, outputs=(replace(
         second.outputs[0], values=second.outputs[0].values[:, :1]),))
+    y, = second.outputs
+    apart = replace(second, outputs=tuple(replace(
+        y, values=y.values[:, [i]]) for i in range(2)))
     unit = replace(second, inputs=(replace(second.inputs[0], units=('N',)),))
     for records, words in (
             ([], 'no record was given'),
@@ -288,6 +291,7 @@ def test_misuse(halves):
             ([first, second, first], 'record 3 was given twice'),
             ([first, other], 'record 2 has the outputs a, b, record 1 has y1, y2'),
             ([first, fewer], 'record 2 has 1 outputs, record 1 has 2'),
+            ([first, apart], 'record 2 has output signals of 1, 1 channels, record 1 of 2; group'),
             ([first, unit], "input u1 is in 'N' in record 2, but in '' in record 1")):
         with pytest.raises(DataError, match=words):
             identify(records)

@@ -150,6 +150,12 @@ def check_alike(records: Sequence[Record]) -> None:
             if own != wanted:
                 raise DataError(f'record {number} has the {what}s {", ".join(own)}, record 1 has '
                                 f'{", ".join(wanted)}; give the same channels in the same order')
+            parts = [', '.join(str(s.width) for s in getattr(r, f'{what}s'))
+                     for r in (record, first)]
+            if parts[0] != parts[1]:
+                raise DataError(f'record {number} has {what} signals of {parts[0]} channels, '
+                                f'record 1 of {parts[1]}; group channels into signals in the '
+                                'same way')
             units = (getattr(r, f'{what}_units') for r in (record, first))
             for name, unit, other in zip(wanted, *units, strict=True):
                 if unit != other:

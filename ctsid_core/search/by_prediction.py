@@ -86,9 +86,17 @@ class PredictionFit:
     orders: dict[int, Tried]
 
 
+@dataclass(frozen=True)
+class Last:
+    """The record that ends last: its place, itself, and rows of its outputs that do not count."""
+
+    place: int
+    record: Record
+    corrupt: tuple[Mask | None, ...]
+
+
 def solve_by_prediction(samples: Samples, free: Free, *, order: int,
-                        max_order: int, known_delay: Array, record: Record,
-                        corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
+                        max_order: int, known_delay: Array, last: Last) -> PredictionFit | None:
     """
     Return the model that predicts the samples best, or None.
 
@@ -98,10 +106,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     free : Free
     order, max_order : int
     known_delay : ndarray, shape (nu,)
-    record : Record
-        The last of the samples, on which orders are compared.
-    corrupt : tuple of (ndarray of bool or None)
-        Rows of each of its output signals that do not count.
+    last : Last
+        The record on which orders are compared.
     """
     samples = _before_inputs(samples)
     joint, step = with_own_past(samples), samples.interval
@@ -112,14 +118,14 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
         return None
     joint = joint.thinned(affordable(joint))
     thin = joint.thinned(_SEARCHED)
-    found = _orders(thin, starts, own, record, corrupt, order)
+    found = _orders(thin, starts, own, last, order)
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
     known: list[PredictionFit] = []
     for fit in (one.found.fit for one in likely):
         if known and joint.effort.over:
             break
         best = _climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own,
-                        record, corrupt)
+                        last)
         if best is not None:
             known.append(best)
     if not known:
@@ -129,8 +135,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     return replace(best, orders={n: one.found for n, one in found.items()})
 
 
-def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record,
-            corrupt: tuple[Mask | None, ...], order: int) -> dict[int, PredictionFit]:
+def _orders(joint: Samples, starts: dict[int, Start], free: Free, last: Last,
+            order: int) -> dict[int, PredictionFit]:
     """Return predictors of the orders next to that whose start predicts best, or of one order."""
     begun: dict[int, Fit] = {}
     for n, start in starts.items():
@@ -148,32 +154,30 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, record: Record
         if not n:
             break
         looked.add(n)
-        one = _climbed(joint, begun[n], free, record, corrupt)
+        one = _climbed(joint, begun[n], free, last)
         if one is not None:
             found[n] = one
             best = min(found, key=lambda n: found[n].information)
     return found
 
 
-def _climbed(joint: Samples, start: Fit, free: Free, record: Record,
-             corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
+def _climbed(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
     """Return the best predictor near a start or near a filter of its plant; None: no plant."""
-    best = _nearby(joint, start, free, record, corrupt)
+    best = _nearby(joint, start, free, last)
     filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
-    other = _nearby(joint, filtered, free, record, corrupt) if filtered is not None else None
+    other = _nearby(joint, filtered, free, last) if filtered is not None else None
     return min((one for one in (best, other) if one is not None),
                key=lambda one: one.information, default=None)
 
 
-def _nearby(joint: Samples, start: Fit, free: Free, record: Record,
-            corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
+def _nearby(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
     try:
         top = climb(joint, start, free, steps=FEWER, least=ROUGHLY)
     except np.linalg.LinAlgError:
         top = start
-    return _judged(joint, top, free, record, corrupt) \
-        or (None if top is start else _judged(joint, start, free, record, corrupt))
+    return _judged(joint, top, free, last) \
+        or (None if top is start else _judged(joint, start, free, last))
 
 
 def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
@@ -218,8 +222,7 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     return fits[best] if at(best) < one.found.fit.cost else None
 
 
-def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
-            corrupt: tuple[Mask | None, ...]) -> PredictionFit | None:
+def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit | None:
     """Return a predictor and how its plant predicts; None: there is no plant that does."""
     one = tried(joint, fit, free)
     delay, nu = fit.model.delay, joint.nu - joint.ny
@@ -227,12 +230,12 @@ def _judged(joint: Samples, fit: Fit, free: Free, record: Record,
     likely = np.sqrt(fit.power.mean(axis=0))
     known: list[PredictionFit] = []
     for unstable in (True, False):
-        plant = plant_of(fit, joint, len(joint.records) - 1, unstable)
+        plant = plant_of(fit, joint, last.place, unstable)
         if plant is None:
             continue
-        joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in record.outputs))
+        joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in last.record.outputs))
         try:
-            errors = prediction_errors(plant, delay[:nu], record, corrupt)
+            errors = prediction_errors(plant, delay[:nu], last.record, last.corrupt)
         except np.linalg.LinAlgError:
             continue
         if np.max(errors) < _DIVERGED:

@@ -46,6 +46,7 @@ from ctsid_core.search.by_order import (
     tried,
 )
 from ctsid_core.search.by_prediction import (
+    Last,
     PredictionFit,
     information,
     is_stable,
@@ -290,8 +291,8 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
     found = solve_by_prediction(samples, start, order=settings.order,
                                 max_order=settings.max_order,
                                 known_delay=np.array(own.delays(samples.nu)),
-                                record=part.parts[part.last].record,
-                                corrupt=tuple(corrupt[part.last]))
+                                last=Last(part.last, part.parts[part.last].record,
+                                          tuple(corrupt[part.last])))
     affordable(samples)                                     # what simulations need later
     # In open loop a stable plant is what simulates best.
     return None if found is None or own.feedthrough and is_stable(found.matrices) else found
