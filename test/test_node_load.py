@@ -47,11 +47,13 @@ def test_nothing_is_lost_while_identification_takes_longer_than_the_stride(live)
     # A window may become due after its last message has come.
     said = node.wait_health('identification', lambda h: 'window' in h.values
                             and h.values['windows'] == node.health('ingest')[-1].values['windows']
-                            and len(node.models) == int(h.values['windows'])
-                            - int(h.values['skipped windows']), 'a model for every other window')
+                            == h.values['window'] == str(node.metadata()[-1]['window']),
+                            'a model of the last window')
     skipped, windows = (int(said.values[key]) for key in ('skipped windows', 'windows'))
     assert windows > 15
     assert 0 < skipped < windows
+    # The topic keeps the newest model: of two in a row a busy reader may miss the first.
+    assert 1 < len(node.models) <= windows - skipped
     computing = [data['computing_seconds'] for data in node.metadata()]
     assert np.median(computing) > 0.05  # the stride
     numbers = [data['window'] for data in node.metadata()]

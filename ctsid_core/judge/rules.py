@@ -95,8 +95,8 @@ def change_note(e: Evidence) -> tuple[str, ...]:
     """Return a sentence on a change of the plant that is small, or none."""
     if not NOTED < e.change.cost <= _CHANGED:
         return ()
-    return (f'two models fit {e.change.cost:.1f} points better than one of the whole, before or '
-            f'after {e.where.removeprefix("about ")}',)
+    return (f'perhaps the plant changed a little {e.where}: there one model loses '
+            f'{e.change.cost:.1f} points of fit (up to {_CHANGED:.0f} is accepted)',)
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
