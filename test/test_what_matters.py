@@ -69,13 +69,16 @@ def test_states_that_imitate_a_jump_are_not_called_good(which):
     assert identify(given.record, given.settings).verdict.grade is not Grade.GOOD
 
 
-@pytest.mark.parametrize(('seed', 'number'), [(2, 7), *slow((5, 1))])
+@pytest.mark.parametrize(('seed', 'number'), [(2, 7), (5, 1)])
 def test_a_jump_that_costs_a_point_of_fit_is_measured_and_does_not_reject(seed, number):
     """A pole jumps in noise of a quarter of the motion: one model fits 76 %, two fit 77 %."""
     given = experiment('no-pole-jump', seed, number)
     found = identify(given.record, given.settings)
     assert found.status is Status.OK
     assert 0.5 < found.verdict.change_cost < 2.0
+    told = [n for n in found.notes if n.startswith('perhaps the plant changed a little about ')]
+    assert len(told) == (found.verdict.change_cost > 1.0)
+    assert all(f'{found.verdict.change_cost:.1f} points of fit (up to 3' in n for n in told)
     assert 0.08 < found.statistics['change_share'] < 0.92
 
 

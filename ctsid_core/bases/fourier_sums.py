@@ -68,8 +68,8 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> ComplexArray:
         part = slice(first, first + BLOCK)
         moments += _scatter(x[part], grid) @ weights[:, part].T
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
-    sums: ComplexArray = (spectra.reshape(len(grid.w), _TERMS, -1)
-                  * grid.series[:, :, np.newaxis]).sum(axis=1).T
+    spectra = spectra.reshape(len(grid.w), _TERMS, -1)
+    sums: ComplexArray = (spectra * grid.series[:, :, np.newaxis]).sum(axis=1).T
     return sums
 
 

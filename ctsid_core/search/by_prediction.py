@@ -235,7 +235,7 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit |
             continue
         joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in last.record.outputs))
         try:
-            errors = prediction_errors(plant, delay[:nu], last.record, last.corrupt)
+            errors = prediction_errors(plant, delay[:nu], last)
         except np.linalg.LinAlgError:
             continue
         if np.max(errors) < _DIVERGED:
@@ -369,8 +369,7 @@ def _held_interval(joint: Samples) -> float:
     return max(s.period for r in joint.records for s in r.inputs[-len(r.streams):])
 
 
-def prediction_errors(m: Matrices, delay: Array, record: Record,
-                      corrupt: tuple[Mask | None, ...]) -> Array:
+def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
     """
     Return rms errors of predictions `HORIZONS` samples ahead, over the motion, (horizons, ny).
 
@@ -383,17 +382,16 @@ def prediction_errors(m: Matrices, delay: Array, record: Record,
     m : Matrices
     delay : ndarray, shape (nu,)
         [s]
-    record : Record
-    corrupt : tuple of (ndarray of bool or None)
-        Rows of each output signal that do not count.
+    last : Last
     """
+    record = last.record
     slowest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
     t = record.outputs[slowest].time
     t = t[(t >= record.start) & (t <= record.end)]
     step = float(np.median(np.diff(t)))
     y = np.column_stack([
         np.interp(t, s.time[rows], column[rows]) for s, bad in zip(
-            record.outputs, corrupt, strict=True)
+            record.outputs, last.corrupt, strict=True)
         for rows in [slice(None) if bad is None else ~bad] for column in s.values.T])
     with np.errstate(over='ignore', invalid='ignore'):
         x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)

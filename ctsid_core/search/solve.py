@@ -291,11 +291,14 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
     found = solve_by_prediction(samples, start, order=settings.order,
                                 max_order=settings.max_order,
                                 known_delay=np.array(own.delays(samples.nu)),
-                                last=Last(part.last, part.parts[part.last].record,
-                                          tuple(corrupt[part.last])))
+                                last=_last(part, corrupt))
     affordable(samples)                                     # what simulations need later
     # In open loop a stable plant is what simulates best.
     return None if found is None or own.feedthrough and is_stable(found.matrices) else found
+
+
+def _last(part: Joint, corrupt: Corrupt) -> Last:
+    return Last(part.last, part.parts[part.last].record, tuple(corrupt[part.last]))
 
 
 def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
@@ -310,11 +313,10 @@ def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
 def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples, best: Tried,
               free: Free, found: PredictionFit) -> Solution | None:
     """Return a model by its predictions where these are likelier than a simulation's."""
-    errors, last = residuals(samples, best.fit), part.last
-    rival, _ = with_noise(samples, best.fit, errors, last)
+    rival, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
     own_price = information(found.errors, samples, found.found.parameters)
     if own_price > information(prediction_errors(
-            rival, best.fit.model.delay, part.parts[last].record, tuple(corrupt[last])),
+            rival, best.fit.model.delay, _last(part, corrupt)),
             samples, best.parameters + int(np.count_nonzero(rival.K))):
         return None
     delay = found.found.fit.model.delay[:samples.nu]

@@ -108,7 +108,7 @@ def changes(windows: Windows) -> list[ChangeSeen]:
     """Return the changes that windows show, each as the window shows it that it costs most."""
     found = [(s, change) for e, s, t in zip(windows.estimates, windows.starts, windows.ends,
                                             strict=True)
-             if (change := _change(e, float(s), float(t))) is not None]
+             if (change := change_of(e, float(s), float(t))) is not None]
     found.sort(key=lambda pair: -pair[1].cost)
     length = float(np.median(windows.ends - windows.starts)) if len(windows.ends) else 0.0
     kept: list[ChangeSeen] = []
@@ -118,7 +118,8 @@ def changes(windows: Windows) -> list[ChangeSeen]:
     return sorted(kept, key=lambda c: c.time)
 
 
-def _change(estimate: Estimate, start: float, end: float) -> ChangeSeen | None:
+def change_of(estimate: Estimate, start: float, end: float) -> ChangeSeen | None:
+    """Return the change that a window from start to end [s] shows, if it is worth a word."""
     numbers, cost = estimate.statistics, estimate.verdict.change_cost
     share = numbers.get('change_share', math.nan)
     rejects = estimate.status is Status.CHANGED

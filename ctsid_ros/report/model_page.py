@@ -5,14 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-import math
 
 import numpy as np
 
-from ctsid_core.judge.changed import NOTED
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance
-from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction, simulation
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
@@ -20,6 +18,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 from ctsid_core.signals.samples import GroupCounts
 from ctsid_ros.ingest.counts import IngestCounts
+from ctsid_ros.replay.along import change_of
 from ctsid_ros.report.document import Figure, Gallery, Section
 from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.outputs import Part, output_figures, raw_figures, sampling_figures
@@ -82,21 +81,16 @@ def marked(sections: Iterable[Section], estimate: Estimate) -> list[Section]:
 
 def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]], list[str]]:
     """Return when the plant changed, and the fits of one model and of two."""
-    numbers, cost = estimate.statistics, estimate.verdict.change_cost
-    share = numbers.get('change_share', math.nan)
-    # What is rejected for a graver fault, like a sensor that hangs, says nothing of the plant.
-    if not math.isfinite(share) or not (estimate.status is Status.CHANGED
-                                        or (estimate.ok and cost > NOTED)):
+    times = shown.parts[0].found.times
+    change = change_of(estimate, float(times[0]), float(times[-1]))
+    if change is None:
         return [], []
-    part = shown.parts[0].found.times
-    at = float(part[0] + share * (part[-1] - part[0]))
-    fits = [percent(numbers.get(f'change_fit_{who}_{when}', math.nan))
-            for who in ('one', 'two') for when in ('before', 'after')]
-    return [(at, 'change')], [
-        f'Marked: the most likely change of the plant, {at + shown.offset:.1f} s after the start '
-        f'of the bag. One model fits {fits[0]} % before and {fits[1]} % after it, two models '
-        f'{fits[2]} and {fits[3]} %' + ', too little to reject it.' * estimate.ok + '.' * (
-            not estimate.ok)]
+    fits = [percent(fit) for fit in (*change.one, *change.two)]
+    return [(change.time, 'change')], [
+        f'Marked: the most likely change of the plant, {change.time + shown.offset:.1f} s after '
+        f'the start of the bag. One model fits {fits[0]} % before and {fits[1]} % after it, two '
+        f'models {fits[2]} and {fits[3]} %' + ('.' if change.rejects
+                                              else ', too little to reject it.')]
 
 
 def raw_section(record: Record, offset: float, settings: Settings) -> Section:
