@@ -134,7 +134,7 @@ class Settings:
         when='A few times the fastest pole of interest, in steps of two if the model is poor.')
     held_out: float = parameter(
         0.3, 'Share of every window, in three parts, that is held out: a model of the rest '
-        'is tested on it, and chosen by it among neighbouring orders; 0: no test.',
+        'is tested on it; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,
         when='Set it to 0 to save a little time, if the order is given and models are tested '
         'elsewhere.')

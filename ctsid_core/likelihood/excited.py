@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import mode_responses
@@ -50,25 +49,6 @@ def input_spectra(samples: Samples,
     breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
     return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
             breadth / _LOBE)
-
-
-def response_difference(samples: Samples, one: ModalModel, other: ModalModel) -> float:
-    """Return by how much two responses differ over the first, of all outputs: the worst input."""
-    omega, weight = input_spectra(samples, one.delay)[:2]
-    a, b = (_response(m, omega) for m in (one, other))
-    power, apart = (np.einsum('fj,fij->ij', weight, np.abs(x) ** 2) for x in (a, a - b))
-    return float(np.sqrt(np.max(apart.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300))))
-
-
-def _response(model: ModalModel, omega: Array) -> ComplexArray:
-    """Return the frequency response of a modal model, (M, ny, nu)."""
-    s = 1j * omega[:, np.newaxis]
-    found: ComplexArray = model.D.astype(complex)
-    for p, c, b in ((model.poles, model.c, model.b),
-                    (model.poles.conj(), model.c.conj(), model.b.conj())):
-        found = found + 0.5 * np.einsum('im,fm,mj->fij', c, 1.0 / (s - p), b)
-    delayed: ComplexArray = found * np.exp(-s * model.delay)[:, np.newaxis]
-    return delayed
 
 
 def _motion(record: RecordSamples) -> float:

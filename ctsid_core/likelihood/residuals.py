@@ -6,12 +6,14 @@ from __future__ import annotations
 import numpy as np
 
 from ctsid_core.likelihood.mode_columns import evaluation_work
-from ctsid_core.likelihood.output_error import Fit
+from ctsid_core.likelihood.output_error import ROUNDING, Fit
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 from ctsid_core.model.modal import mode_responses
 
 _SMALL = 0.05         # autocorrelation below which the sum over lags ends
+_LAGS = 20            # of an autoregression of errors, at most, ...
+_FEWEST = 10          # ... with so many samples for each
 
 Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
 
@@ -74,6 +76,34 @@ def independent(errors: Residuals) -> Array:
                   for i in range(rows[0].shape[1])]
         found += [count / f for f in factor]
     return np.array(found)
+
+
+def coloured_cost(errors: Residuals) -> float:
+    """
+    Return -2 log likelihood of errors as coloured noise, of each record and output its own.
+
+    That of the innovations of an autoregression (Burg), of the order that Schwarz's criterion
+    prefers, its numbers paid.
+    """
+    return sum(_as_autoregression(e[:, i]) for own in errors for e in own
+               for i in range(e.shape[1]))
+
+
+def _as_autoregression(error: Array) -> float:
+    count = len(error)
+    if not count:
+        return 0.0
+    ahead = behind = error - error.mean()
+    power = max(float(np.mean(ahead ** 2)), ROUNDING)
+    best, price = count * float(np.log(power)), float(np.log(count))
+    for order in range(1, min(_LAGS, count // _FEWEST) + 1):
+        ahead, behind = ahead[1:], behind[:-1]
+        reflection = 2.0 * float(ahead @ behind) / max(
+            float(ahead @ ahead + behind @ behind), ROUNDING)
+        ahead, behind = ahead - reflection * behind, behind - reflection * ahead
+        power = max(power * (1.0 - reflection ** 2), ROUNDING)
+        best = min(best, count * float(np.log(power)) + order * price)
+    return best
 
 
 def _correlation(parts: tuple[Array, ...]) -> float:

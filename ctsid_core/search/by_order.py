@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctsid_core.likelihood.excited import response_difference
 from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.output_error import (
     FEWER,
@@ -44,13 +43,12 @@ from ctsid_core.search.pole_grid import PoleGrid
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
-_LEAST = 1e-4         # if the errors were more than this part of the motion
+LEAST = 1e-4         # if the errors were more than this part of the motion
 _SEARCHED = 1000      # samples of a stream that the search looks at
 _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
-_ANOTHER = 0.01       # of a response: differences that matter if they are certain
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
 _POINT = 0.4          # ... and its look at where to begin
@@ -215,18 +213,7 @@ def explains(smaller: Tried, larger: Tried) -> bool:
     """Return whether what the larger one explains beyond the smaller one matters."""
     before, after = (np.maximum(t.fit.power.mean(axis=0), ROUNDING) for t in (smaller, larger))
     return bool(np.max(before - after) > ENOUGH ** 2 or
-                np.max((before / after)[before > _LEAST ** 2], initial=0.0) > _CLEANER)
-
-
-def responds_otherwise(samples: Samples, smaller: Tried, larger: Tried) -> bool:
-    """
-    Return whether the larger one is likelier and has another response, however small its gain.
-
-    A state too few shows in the response before it shows in the fit (a dead time stands in for
-    it), and no deviation knows; one too many does no more than make the deviations larger.
-    """
-    return criterion(smaller, larger) > 0.0 and response_difference(
-        samples, smaller.fit.model, larger.fit.model) > _ANOTHER
+                np.max((before / after)[before > LEAST ** 2], initial=0.0) > _CLEANER)
 
 
 def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:

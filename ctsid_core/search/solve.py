@@ -24,13 +24,14 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import residuals, white_part
+from ctsid_core.likelihood.residuals import coloured_cost, residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import entry_changes, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
     ENOUGH,
+    LEAST,
     MORE,
     SEARCH,
     Tried,
@@ -41,7 +42,6 @@ from ctsid_core.search.by_order import (
     explains,
     needed,
     parameters,
-    responds_otherwise,
     search_orders,
     tried,
 )
@@ -53,7 +53,6 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
-from ctsid_core.search.held_out import held_out, unsure
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.signals.outliers import spikes
@@ -112,12 +111,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                           max_order=settings.max_order, known_delay=given)
     if not found or settings.order not in (0, *found):
         return None
-    order = settings.order or choose(found)
-    likeliest, why = order, ''
-    if not settings.order:
-        order, why = _neighbour(samples, found, order, free, settings.share_held_out)
-    # A state that the response or data held out have added, D does not take back.
-    allowed = {n: one for n, one in found.items() if order <= likeliest or n >= order}
+    counted = settings.order or choose(found)
+    order = settings.order or _neighbour(samples, found, counted)
+    # A state that was added for what predictions tell, D does not take back.
+    allowed = {n: one for n, one in found.items() if order <= counted or n >= order}
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
@@ -143,37 +140,25 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
-                    _choices(part, settings, best, free, why * (best.fit.model.n == order)),
+                    _choices(part, settings, best, free, order - counted),
                     (*notes, *_longest(part, samples, best, free)), whole=whole,
                     hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
-def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int, free: Free,
-               share: float) -> tuple[int, str]:
+def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     """
-    Return the chosen order, or one beside it that tells more, and why.
+    Return the chosen order, or the one beside it that is likelier in noise of any colour.
 
-    Errors that a disturbance or a curve of the plant leaves are hardly independent, however they
-    are counted: what is held out tells, by what matters, if the rest tells what to expect there.
+    What a disturbance or a curve of the plant leaves is hardly independent, however it is counted,
+    but its own past tells most of it; and a state too few, for which a dead time stands in, shows
+    in what is new before it shows in the fit.
     """
-    def error(n: int) -> float:
-        fit = found[n].fit
-        unseen, own = held_out(samples, fit, free, share), np.sqrt(fit.power.mean(axis=0))
-        return np.inf if unsure(unseen.expected, own).any() else \
-            float(np.sqrt(np.mean(unseen.error ** 2)))
-
-    beside = [n for n in (chosen - 1, chosen, chosen + 1) if n in found]
-    why = {chosen - 1: ', and one less, for data held out say so', chosen: '',
-           chosen + 1: ', and one more, for data held out say so'}
-    if chosen + 1 in found and responds_otherwise(samples, found[chosen], found[chosen + 1]):
-        chosen += 1
-        why[chosen] = ', and one more, for its response is another one'
-    if samples.effort.beyond(SEARCH) or not (limit := error(chosen) - ENOUGH) < np.inf:
-        return chosen, why[chosen]
-    errors = {n: error(n) for n in beside if n != chosen}
-    best = min((n for n in errors if errors[n] < limit), key=lambda n: errors[n], default=chosen)
-    return best, why[best]
+    if found[chosen].rms < LEAST:                       # what is left is of no matter
+        return chosen
+    price = float(np.log(np.max(samples.counts.sum(axis=0))))
+    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found), key=lambda n:
+               coloured_cost(residuals(samples, found[n].fit)) + price * found[n].parameters)
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
@@ -266,11 +251,12 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 
 
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
-             why: str) -> tuple[Choice, ...]:
+             beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
+    why = {-1: ', and one less', 0: '', 1: ', and one more'}[beside]
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
-        'samples' + why)]
+        f'samples{why}{", for errors in their own colour say so" if why else ""}')]
     found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
                      f'of input {name}: the most likely, with the poles')
               for k, name in enumerate(_names(part)) if free.delays[k]]

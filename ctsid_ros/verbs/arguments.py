@@ -262,6 +262,7 @@ def read_models(paths: Sequence[str]) -> dict[str, Estimate]:
         name = (file.resolve().parent.name if file.name == 'model.json' else file.stem) or 'model'
         name = f'{name} (rejected)' if estimate.model is None else name
         found[path if name in found else name] = estimate
+    found = _under_one_name(found, paths)
     names = {(m.input_names, m.output_names) for e in found.values()
              if (m := e.model or e.rejected_model)}
     if len(names) > 1:
@@ -269,6 +270,26 @@ def read_models(paths: Sequence[str]) -> dict[str, Estimate]:
             f'{", ".join(u)} to {", ".join(y)}' for u, y in sorted(names))
             + '; choose those that are alike')
     return found
+
+
+def _under_one_name(found: dict[str, Estimate], paths: Sequence[str]) -> dict[str, Estimate]:
+    """Return estimates with the names of the first where signals are those of the first."""
+    from ctsid_core.model.storage import load_metadata
+
+    def sources(path: str) -> list[tuple[object, ...]] | None:
+        listed = load_metadata(path).get('channels')
+        return [tuple(c.get(key) for key in ('role', 'topic', 'field', 'unit')) for c in listed] \
+            if isinstance(listed, list) and all(isinstance(c, dict) for c in listed) else None
+
+    known = [sources(path) for path in paths]
+    first = next(iter(found.values()))
+    given = first.model or first.rejected_model
+    assert given is not None
+    names = {'input_names': given.input_names, 'output_names': given.output_names}
+    return {name: replace(estimate, **{
+        which: replace(model, **names) for which in ('model', 'rejected_model')
+        if (model := getattr(estimate, which)) is not None and own and own == known[0]})
+        for (name, estimate), own in zip(found.items(), known, strict=True)}
 
 
 def check_channels(model: StateSpace, config: Config, path: str) -> None:
