@@ -101,6 +101,16 @@ def test_readme_commands_are_verbs_of_the_tool(capsys):
         assert verb in capsys.readouterr().out
 
 
+def test_the_example_in_python_runs_as_it_stands(capsys):
+    example, = re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(), re.S)
+    exec(compile(example, 'README.md', 'exec'), {})
+    said = capsys.readouterr().out
+    assert said.startswith('GOOD Every test is passed')
+    pole, fit = re.findall(r'\[(-?[\d.]+)', said)[::2]
+    assert abs(float(pole) + 2.0) < 0.1
+    assert float(fit) > 90.0
+
+
 PAGES = sorted([*(ROOT / 'docs').glob('*.md'), *ROOT.glob('*.md'), ROOT / 'benchmarks/README.md'])
 
 

@@ -248,8 +248,8 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
         'The plant changed about 8.0 s after the start of the bag: one model fits 45.2 and '
         '69.7 % before and after, two models 98.9 and 98.9 %; one model of both loses 53.7 points '
         'of fit.')
-    marks = window_figure(windows).drawing.panels[0].marks
-    assert [text for _, text in marks] == ['change']
+    strip, fits = window_figure(windows).drawing.panels[:2]        # words beside no words
+    assert [[text for _, text in p.marks] for p in (strip, fits)] == [[''], ['change']]
 
 
 @pytest.mark.parametrize(('status', 'command'), [

@@ -325,10 +325,11 @@ def test_bands_are_two_standard_deviations():
     real, pair = Mode(complex(-2), 0.1), Mode(-1 + 3j, 0.1)
     size = math.sqrt(10)
     curve = track_curve(Track((0, 2), (real, pair)), np.array([5.0, 6.0, 7.0]), 0, frequency=True)
-    np.testing.assert_allclose(curve.x, [5.0, 7.0])
-    np.testing.assert_allclose(curve.y, [2.0, size])
+    np.testing.assert_allclose(curve.x, [5.0, 6.0, 7.0])
+    np.testing.assert_allclose(curve.y, [2.0, np.nan, size])        # a window has none
     # The variance of a pair's pole has two directions, of which one changes its magnitude.
-    np.testing.assert_allclose(curve.high - curve.y, [0.2, 0.2 / math.sqrt(2)])
+    np.testing.assert_allclose(curve.high - curve.y, [0.2, np.nan, 0.2 / math.sqrt(2)])
+    assert [x.tolist() for x, _, _ in curve.bands] == [[5.0], [7.0]]
     curve = track_curve(Track((1,), (pair,)), np.arange(3.0), 0, frequency=False)
     np.testing.assert_allclose(curve.y - curve.low, 0.2 / math.sqrt(2) / size)
 

@@ -98,7 +98,7 @@ class ChangeSeen:
             f': one model fits {one} % before and after, two models {two} %')
         lost = f'one model of both loses {self.cost:.1f} points of fit'
         if not self.rejects:
-            return (f'Perhaps something changed a little about {self.time:.1f} s after the start '
+            return (f'Perhaps the plant changed a little about {self.time:.1f} s after the start '
                     f'of the bag{known}; {lost}, too little to reject it.')
         return (f'The plant changed about {self.time:.1f} s after the start of the bag'
                 f'{known}; {lost}.')

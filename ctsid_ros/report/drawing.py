@@ -42,7 +42,7 @@ class Curve:
         A cloud is of very many dots, a cross marks single points, steps are held values, stems
         stand on zero.
     low, high : ndarray, shape (N,), optional
-        A band around it.
+        A band around it; breaks likewise.
     opacity : float
         Of lines and clouds.
     bars : bool
@@ -67,6 +67,16 @@ class Curve:
     width: float = 1.5
     texts: Sequence[str] = ()
     layer: tuple[int, int] = (1, 1)
+
+    @property
+    def bands(self) -> list[tuple[Array, Array, Array]]:
+        """x, low and high of each stretch of the band between breaks."""
+        if self.low is None or self.high is None:
+            return []
+        known = np.isfinite(self.x) & np.isfinite(self.low) & np.isfinite(self.high)
+        edges = np.flatnonzero(np.diff(known, prepend=False, append=False))
+        return [(self.x[a:b], self.low[a:b], self.high[a:b])
+                for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
     @property
     def dash(self) -> tuple[float, float]:

@@ -201,22 +201,23 @@ def _traces(curve: Curve, digits: int) -> list[dict[str, Any]]:
 
 
 def _around(curve: Curve, digits: int) -> list[dict[str, Any]]:
-    if curve.low is None or curve.high is None:
-        return []
-    good = np.isfinite(curve.x) & np.isfinite(curve.low) & np.isfinite(curve.high)
-    x, low, high = curve.x[good], curve.low[good], curve.high[good]
     base = {'type': 'scatter', 'hoverinfo': 'skip', 'name': _text(curve.label),
             'meta': cell(curve.label)}
-    if curve.bars or len(x) == 1:
-        half = numbers(0.5 * (high - low))
-        return [base | {'x': numbers(x, digits), 'y': numbers(0.5 * (low + high)),
-                        'mode': 'markers', 'marker': {'opacity': 0, 'color': f'--c{curve.color}'},
-                        'error_y': {'type': 'data', 'array': half,
-                                    'color': f'--c{curve.color}', 'thickness': 1.2}}]
-    # One closed shape: bands above each other would be filled to one another.
-    return [base | {'x': numbers(np.concatenate((x, x[::-1])), digits), 'mode': 'lines',
-                    'y': numbers(np.concatenate((low, high[::-1]))), 'fill': 'toself',
-                    'fillcolor': f'--c{curve.color}/0.2', 'line': {'width': 0}}]
+    found = []
+    for x, low, high in curve.bands:
+        if curve.bars or len(x) == 1:
+            found.append(base | {
+                'x': numbers(x, digits), 'y': numbers(0.5 * (low + high)), 'mode': 'markers',
+                'marker': {'opacity': 0, 'color': f'--c{curve.color}'},
+                'error_y': {'type': 'data', 'array': numbers(0.5 * (high - low)),
+                            'color': f'--c{curve.color}', 'thickness': 1.2}})
+        else:
+            # Closed shapes: bands above each other would be filled to one another.
+            found.append(base | {
+                'x': numbers(np.concatenate((x, x[::-1])), digits), 'mode': 'lines',
+                'y': numbers(np.concatenate((low, high[::-1]))), 'fill': 'toself',
+                'fillcolor': f'--c{curve.color}/0.2', 'line': {'width': 0}})
+    return found
 
 
 def numbers(values: Array | NDArray[Any], digits: int = _DIGITS) -> list[float | None]:

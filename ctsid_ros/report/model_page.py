@@ -26,7 +26,7 @@ from ctsid_ros.report.poles import pole_figure
 from ctsid_ros.report.residual_figures import horizon_figure, horizon_fits, residual_figures
 from ctsid_ros.report.responses import Bands, bode_figures, step_figures
 from ctsid_ros.report.spectra import spectra, supported_band
-from ctsid_ros.report.tables import Table, percent
+from ctsid_ros.report.tables import Table
 
 _COLUMNS = 3
 Models = Mapping[str, tuple[StateSpace, Covariance | None]]
@@ -80,17 +80,13 @@ def marked(sections: Iterable[Section], estimate: Estimate) -> list[Section]:
 
 
 def _changed(shown: Shown, estimate: Estimate) -> tuple[list[tuple[float, str]], list[str]]:
-    """Return when the plant changed, and the fits of one model and of two."""
+    """Return when the plant changed, and that in words."""
     times = shown.parts[0].found.times
     change = change_of(estimate, float(times[0]), float(times[-1]))
     if change is None:
         return [], []
-    fits = [percent(fit) for fit in (*change.one, *change.two)]
     return [(change.time, 'change')], [
-        f'Marked: the most likely change of the plant, {change.time + shown.offset:.1f} s after '
-        f'the start of the bag. One model fits {fits[0]} % before and {fits[1]} % after it, two '
-        f'models {fits[2]} and {fits[3]} %' + ('.' if change.rejects
-                                              else ', too little to reject it.')]
+        f'Marked: {replace(change, time=change.time + shown.offset).words}']
 
 
 def raw_section(record: Record, offset: float, settings: Settings) -> Section:

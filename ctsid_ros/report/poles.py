@@ -47,9 +47,9 @@ def pole_figure(models: Mapping[str, tuple[StateSpace, Covariance | None]],
             for p, s in zip(model.poles, spread, strict=True)]))
         regions += [region(complex(p), s, color) for p, s in zip(model.poles, spread, strict=True)
                     if np.isfinite(s).all()]
-    if truth is not None:
-        crosses.append(Curve(truth.poles.real, truth.poles.imag, 'true', 2, 'cross', texts=[
-            f'true: {pole_text(p)} rad/s' for p in truth.poles]))
+    if truth is not None:                               # below those that are found
+        crosses.insert(0, Curve(truth.poles.real, truth.poles.imag, 'true', 2, 'cross', texts=[
+            f'true: {pole_text(p)} rad/s' for p in truth.poles], width=over(0, models)))
     every = np.concatenate([np.array([0.0]), *(c.x + 1j * c.y for c in crosses)])
     wide = np.concatenate([every, *(r.x + 1j * r.y for r in regions)])
     limits = [_limits(f(every), f(wide)) for f in (np.real, np.imag)]
@@ -96,9 +96,11 @@ def around(values: Sequence[float], *, log: bool, std: Array | None = None
 
 
 def track_curve(track: Track, times: Array, number: int, *, frequency: bool) -> Curve:
-    """Return natural frequency or damping of a track over time, with its band."""
-    at = times[list(track.windows)]
-    chosen = [m if frequency or m.pole.imag > 0 else Mode(complex(math.nan)) for m in track.modes]
+    """Return natural frequency or damping of a track over time, with its band; with breaks."""
+    windows = range(track.windows[0], track.windows[-1] + 1)
+    seen, none = dict(zip(track.windows, track.modes, strict=True)), Mode(complex(math.nan))
+    at, chosen = times[windows.start:windows.stop], [
+        m if frequency or m.pole.imag > 0 else none for m in (seen.get(k, none) for k in windows)]
     values = np.array([m.frequency if frequency else m.damping for m in chosen])
     std = np.array([_known_std(m, frequency=frequency) for m in chosen])
     low = np.maximum(values - 2 * std, values / 10) if frequency else values - 2 * std

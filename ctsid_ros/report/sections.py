@@ -156,8 +156,7 @@ def _delay(channel: Channel) -> str:
 
 def _dead_times(estimate: Estimate, model: StateSpace) -> str:
     std = estimate.delay_std if len(estimate.delay_std) == model.nu else np.zeros(model.nu)
-    return ', '.join(f'{d:.4g}' + (f' +- {s:.2g}' if s > 0.0 else '')
-                     for d, s in zip(model.delay, std, strict=True))
+    return ', '.join(plus_minus(d, s, 3) for d, s in zip(model.delay, std, strict=True))
 
 
 def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:

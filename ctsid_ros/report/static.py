@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctsid_core.linear.types import Array
 from ctsid_ros.report.compact_svg import compact
 from ctsid_ros.report.drawing import COLORS, INK, LINE, PAPER, SOFT, Axes, Curve, Drawing, thinned
 from ctsid_ros.report.words import cell
@@ -206,13 +205,9 @@ def _curve(own: Any, curve: Curve) -> None:
 
 
 def _around(own: Any, curve: Curve, color: str) -> None:
-    if curve.low is None or curve.high is None:
-        return
-    good = np.isfinite(curve.x) & np.isfinite(curve.low) & np.isfinite(curve.high)
-    x, low, high = curve.x[good], curve.low[good], curve.high[good]
-    if curve.bars or len(x) == 1:
-        middle: Array = 0.5 * (low + high)
-        own.errorbar(x, middle, yerr=0.5 * (high - low), fmt='none', ecolor=color, elinewidth=1.2,
-                     capsize=3)
-    else:
-        own.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
+    for x, low, high in curve.bands:
+        if curve.bars or len(x) == 1:
+            own.errorbar(x, 0.5 * (low + high), yerr=0.5 * (high - low), fmt='none', ecolor=color,
+                         elinewidth=1.2, capsize=3)
+        else:
+            own.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)

@@ -25,7 +25,8 @@ _MOST_TRACKS, _MOST_GAINS = 12, 12
 def window_figure(windows: Windows, truth: StateSpace | None = None) -> Figure:
     """Draw verdicts, fits, natural frequency, damping and dead time over time."""
     seen = [(c.time, 'change') for c in changes(windows) if c.rejects]
-    panels = [_strip(windows, seen), _fits(windows, seen), *_modes(windows, truth, seen),
+    panels = [_strip(windows, [(t, '') for t, _ in seen]), _fits(windows, seen),
+              *_modes(windows, truth, seen),
               *_dead_times(windows, seen)]
     last = panels[-1]
     panels[-1] = Axes(last.curves, last.title, _TIME, '', y_log=last.y_log, levels=last.levels,
@@ -79,7 +80,7 @@ def _fits(windows: Windows, marks: Sequence[tuple[float, str]]) -> Axes:
                             1 + i % 6, 'dashed'))
     known = np.concatenate([c.y[np.isfinite(c.y)] for c in curves] or [np.empty(0)])
     low = max(float(known.min()), 0.0) if len(known) else 0.0
-    return Axes(curves, 'fit [%]', marks=[(t, '') for t, _ in marks], height=110.0,
+    return Axes(curves, 'fit [%]', marks=marks, height=110.0,
                 y_limits=(low - 4.0, 102.0))
 
 
@@ -111,40 +112,43 @@ def _modes(windows: Windows, truth: StateSpace | None, marks: Sequence[tuple[flo
 
 
 def _dead_times(windows: Windows, marks: Sequence[tuple[float, str]]) -> Iterator[Axes]:
-    models = [(t, e.model, e.delay_std) for t, e in zip(windows.middles, windows.estimates,
-                                                        strict=True) if e.model is not None]
-    if not any(any(m.delay) for _, m, _ in models):
+    known = [e.model for e in windows.estimates if e.model is not None]
+    if not any(any(m.delay) for m in known):
         return
-    times = np.array([t for t, _, _ in models])
-    curves = []
-    for j, name in enumerate(models[0][1].input_names):
-        values = 1e3 * np.array([m.delay[j] for _, m, _ in models])
-        std = 1e3 * np.array([s[j] for _, _, s in models])
-        curves.append(Curve(times, values, f'dead time of {name}', 1 + j % 6, 'both',
-                            values - 2 * std, values + 2 * std))
-    values = np.concatenate([c.y for c in curves])
-    room = 0.3 * (float(np.ptp(values)) or float(np.max(values)) or 1.0)
+    none = np.full(known[0].nu, np.nan)
+    late, deviations = (1e3 * np.array(rows) for rows in zip(*(
+        (none, none) if e.model is None else (e.model.delay, e.delay_std)
+        for e in windows.estimates), strict=True))
+    curves = [Curve(windows.middles, values, f'dead time of {name}', 1 + j % 6, 'both',
+                    values - 2 * std, values + 2 * std)
+              for j, (name, values, std) in enumerate(zip(known[0].input_names, late.T,
+                                                          deviations.T, strict=True))]
+    low, high = float(np.nanmin(late)), float(np.nanmax(late))
+    room = 0.3 * (high - low or high or 1.0)
     yield Axes(curves, 'dead time [ms]', marks=[(t, '') for t, _ in marks], height=110.0,
-               y_limits=(max(float(np.min(values)) - room, 0.0),
-                         float(np.max(values)) + room))
+               y_limits=(max(low - room, 0.0), high + room))
 
 
 def gain_figures(windows: Windows) -> list[Figure]:
     """Draw the DC gains over time, of the models that settle."""
-    rows = [(t, e, e.model) for t, e in zip(windows.middles, windows.estimates, strict=True)
-            if e.model is not None and (e.model.poles.real < 0.0).all()]
-    if not rows:
+    settles = [e.model is not None and bool((e.model.poles.real < 0.0).all())
+               for e in windows.estimates]
+    first = next((e.model for e, does in zip(windows.estimates, settles, strict=True)
+                  if does and e.model is not None), None)
+    if first is None:
         return []
-    first, times = rows[0][2], np.array([t for t, _, _ in rows])
-    gains = np.array([m.dc_gain for _, _, m in rows])
-    stds = np.array([e.dc_gain_std for _, e, _ in rows])
+    none = np.full((first.ny, first.nu), np.nan)
+    gains, stds = (np.array(rows) for rows in zip(*(
+        (e.model.dc_gain, e.dc_gain_std) if does and e.model is not None else (none, none)
+        for e, does in zip(windows.estimates, settles, strict=True)), strict=True))
     figures = []
     for i, j in [(i, j) for i in range(first.ny) for j in range(first.nu)][:_MOST_GAINS]:
         y, s = gains[:, i, j], stds[:, i, j]
         unit = _per(first.output_units[i], first.input_units[j])
+        limits = around(y[np.isfinite(y)].tolist(), log=False, std=s)
         figures.append(Figure(Drawing((Axes(
-            [Curve(times, y, '', 1, 'both', y - 2 * s, y + 2 * s)], label('DC gain', unit),
-            _TIME, height=140.0, y_limits=around(y.tolist(), log=False, std=s)),),
+            [Curve(windows.middles, y, '', 1, 'both', y - 2 * s, y + 2 * s)],
+            label('DC gain', unit), _TIME, height=140.0, y_limits=limits),),
             link='time', picks=True), '', f'{first.input_names[j]} → {first.output_names[i]}'))
     return figures
 

@@ -307,13 +307,13 @@ class _Report:
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         from dataclasses import asdict
 
-        from ctsid_ros.replay.along import along
+        from ctsid_ros.replay.along import along, changes
 
         found = along(self.windows, self.number - 1)
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
                 'interrupted': interrupted, 'verdict': found.word,
 
-                'changes': [asdict(c) for c in found.changes],
+                'changes': [asdict(c) for c in changes(self.windows)],
                 'unlike': [asdict(one) for one in found.unlike],
                 'accepted': sum(r.estimate.ok for r in self.results),
                 'good': sum(r.estimate.good for r in self.results),
