@@ -241,26 +241,23 @@ def advantage(one: Tried, other: Tried) -> float:
 def _rival(found: dict[int, Tried], samples: Samples, n: int) -> float:
     """Return the cost that order n must reach at least to beat the best smaller order."""
     best = found[choose(found)]
-    more = (n - best.fit.model.n) * (samples.nu + samples.ny + len(samples.records))
-    return needed(best, samples, more, float(np.max(samples.counts)) if more > 0 else
-                  max(float(np.min(best.independent)), 2.0))
+    return needed(best, samples, (n - best.fit.model.n)
+                  * (samples.nu + samples.ny + len(samples.records)))
 
 
-def needed(best: Tried, samples: Samples, more: int, independent: float) -> float:
+def needed(best: Tried, samples: Samples, more: int) -> float:
     """
-    Return the cost that another model must reach at least to beat the best one.
+    Return the cost that a model with more parameters must reach at least to beat the best one.
+
+    With fewer it may be any: how many samples are independent, its errors tell.
 
     Parameters
     ----------
     best : Tried
     samples : Samples
     more : int
-        Parameters that the other one has more.
-    independent : float
-        Samples that count as such, at most if it has more of them, else at least.
     """
-    count = float(np.max(samples.counts))
-    return best.fit.cost - more * count / independent * float(np.log(independent))
+    return best.fit.cost - more * float(np.log(np.max(samples.counts))) if more > 0 else np.inf
 
 
 def _delays(free: Free, known: Array) -> list[Array]:
@@ -340,12 +337,6 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             score, pole = next((score, pole) for score, pole in grid.ranked(poles, delay)
                                if (pole.imag == 0.0) == real)
             yield score, 'real' if real else 'pair', np.append(poles, pole), delay
-    for beyond, real in ((n + 1, True), (n + 2, False)) if n - 1 not in found else ():
-        if beyond in found:
-            model = found[beyond].fit.model
-            for k in np.flatnonzero((model.poles.imag == 0.0) == real):
-                poles = np.delete(model.poles, k)
-                yield grid.score(poles, model.delay), 'less', poles, model.delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay, known)

@@ -439,10 +439,7 @@ def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, fr
         if not _gains(fit_at(samples, own.model.poles, own.model.delay, replace(
                 free, feedthrough=False), columns=own.columns), other):
             continue
-        more = parameters(samples, other, direct) - best.parameters
-        fewest = max(float(np.min(one.independent)), 2.0)
-        rival = needed(best, samples, more,
-                       float(np.max(samples.counts)) if more > 0 else fewest)
+        rival = needed(best, samples, parameters(samples, other, direct) - best.parameters)
         with_D = tried(samples, climb(samples, other, direct, rival=rival, least=ROUGHLY),
                        direct)
         if with_D.parameters <= best.parameters:
