@@ -25,6 +25,10 @@ import pytest
 from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, Status, identify
+from ctsid_core.judge.changed import _divided
+from ctsid_core.likelihood.output_error import climb, fit_at
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.search.solve import free_of
 
 CLOSED_LOOP = Settings(feedthrough=False)
 
@@ -138,6 +142,22 @@ def test_what_is_accepted_is_one_of_the_plants(factor):
     print(f'\npoles times {factor}: {seen} of 32 seen, {wrong} compromises accepted')
     assert seen >= 26
     assert wrong <= 1
+
+
+def test_what_two_models_gain_by_chance_costs_nothing():
+    """A plant that does not change, under noise as large as its motion, on 75 and 175 samples."""
+    costs = []
+    for seed in range(20):
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 10.0, 0.04)
+        u, x, kept = np.sign(np.sin(0.9 * t ** 1.4)), np.zeros(len(t)), np.exp(-0.08)
+        for k in range(len(t) - 1):
+            x[k + 1] = kept * x[k] + (1.0 - kept) * u[k]
+        record = Record.from_arrays(t, u, t, x + rng.standard_normal(len(t)), input_hold='zoh')
+        samples = samples_of([record], [[None]])
+        free = replace(free_of(samples, Settings(feedthrough=False)), delays=(False,))
+        fit = climb(samples, fit_at(samples, np.array([-2.0 + 0j]), np.zeros(1), free), free)
+        costs.append(_divided(samples, fit.model, fit.model, free, 0, 0.3, certain=True).cost)
+    assert np.mean(costs) < 0.4
 
 
 def test_the_example_of_the_docstring():
