@@ -278,7 +278,6 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
                                 max_order=settings.max_order,
                                 known_delay=np.array(own.delays(samples.nu)),
                                 last=_last(part, corrupt))
-    affordable(samples)                                     # what simulations need later
     # In open loop a stable plant is what simulates best.
     return None if found is None or own.feedthrough and is_stable(found.matrices) else found
 
