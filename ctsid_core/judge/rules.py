@@ -43,7 +43,7 @@ _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
-            'inputs move in one part of the window only; test it on data that it has not seen.')
+            'samples are too few; test it on data that it has not seen.')
 
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
