@@ -240,12 +240,15 @@ def order_sections(orders: Mapping[int, Order], chosen: int) -> list[Section]:
                   fit_words(o.held_out_fit), ',  '.join(_poles(o.estimate)),
                   'chosen' if n == chosen else '') for n, o in orders.items())
     left = ('verdict', 'poles [rad/s]', '')
+    kind = f' Own fits are of predictions {HORIZONS[AHEAD]} samples ahead, held-out fits of ' \
+           'predictions of the next sample.' if chosen in orders and by_predictions(
+               orders[chosen].estimate) else ''
     return [Section('Which order', (
         'Own: the fit on the data that a model is of; it rises with the order. Held out: the fit '
         'of a second model, of a part of the data, on the rest; it stops rising where further '
         'states describe noise. Take the lowest order at which both have come to rest. A click '
         'on an order shows its model below. (Without a held-out fit: an order that was found '
-        'in another way than the chosen one, by simulation or by predictions.)',
+        f'in another way than the chosen one, by simulation or by predictions.){kind}',
         Gallery((_fit_figure(orders, chosen),)),
         Table(('order', 'verdict', 'fit [%]', 'held-out fit [%]', 'poles [rad/s]', ''), rows,
               left))),

@@ -66,7 +66,8 @@ def output_section(shown: Shown, settings: Settings, estimate: Estimate | None =
     how = shown.parts[0].how
     if how != 'simulated':
         words.append('Predictions explain these data better than any simulation: the outputs '
-                     f'are {how}, from what was measured before, and the fits are theirs. '
+                     f'are {how}, from what was measured before, and the fits are theirs '
+                     '(the first tenth, not drawn, starts the filter). '
                      'Fit by horizon, below, shows how it simulates.')
     return Section(f'Measured and {how.split()[0]}{shown.which}', (
         *words, Gallery(tuple(output_figures(shown.model, shown.record, shown.parts, shown.offset,
