@@ -136,8 +136,7 @@ class Settings:
         0.3, 'Share of every window, in three parts, that is held out: a model of the rest '
         'is tested on it; 0: no test.',
         name='validation.held_out', low=0.0, high=0.5,
-        when='Set it to 0 to save a little time, if the order is given and models are tested '
-        'elsewhere.')
+        when='Set it to 0 to save a little time, if models are tested elsewhere.')
     cross_check: str = parameter(
         UNCHECKED, 'Second method, by which every window is identified as well; a model is not '
         'GOOD if the two differ by more than the noise explains.', name='validation.cross_check',

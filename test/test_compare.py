@@ -188,11 +188,24 @@ def test_models_without_data_say_how_far_they_are_apart(run):
     assert 'Measured and' not in page
 
 
+def test_models_of_the_same_signals_are_compared_whatever_they_are_called(run):
+    Path('renamed.yaml').write_text(
+        Path('params.yaml').read_text().replace('torque', 'u1').replace('rate', 'y1'))
+    for name in ('params', 'renamed'):
+        assert run('identify', 'bag', '--params', f'{name}.yaml', '--out', name)[0] == 0
+    assert load_estimate('renamed/model.json').model.input_names == ('u1',)
+    code, out, _ = run('compare', 'params', 'renamed', 'bag', '--out', 'alike')
+    assert code == 0
+    assert re.search(r'renamed\s+GOOD.*yes', out)
+
+
 def test_models_that_cannot_be_compared_are_named(run):
     assert run('show', *['methods/gobf.json'] * 7)[2].count('these are 7 models') == 1
     save_model('named.json', replace(TRUTH, output_names=('angle',)), force=True)
     code, _, err = run('show', 'methods/gobf.json', 'named.json')
     assert (code, 'torque to angle; torque to rate' in err) == (1, True)
+    assert 'methods/gobf.json is given more than once' in run(
+        'compare', *['methods/gobf.json'] * 3)[2]
     code, _, err = run('compare', 'methods/gobf.json', '--orders', '1:2')
     assert (code, '--orders is for a bag' in err) == (1, True)
     assert run('compare', 'bag', '--orders', '0:2')[0] == 2

@@ -103,7 +103,9 @@ def test_readme_commands_are_verbs_of_the_tool(capsys):
 
 def test_the_example_in_python_runs_as_it_stands(capsys):
     example, = re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(), re.S)
-    exec(compile(example, 'README.md', 'exec'), {})
+    names = {}
+    exec(compile(example, 'README.md', 'exec'), names)
+    assert not names['estimate'].model.D.any()
     said = capsys.readouterr().out
     assert said.startswith('GOOD Every test is passed')
     pole, fit = re.findall(r'\[(-?[\d.]+)', said)[::2]

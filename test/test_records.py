@@ -223,6 +223,17 @@ def test_short_records_that_are_nothing_by_themselves():
     assert found.held_out_fit[0] > 60.0
 
 
+@pytest.mark.parametrize('count', [20, 40])
+def test_short_records_beside_a_long_one_buy_no_states(count):
+    """Their noise, of so few samples, is easily fitted; records count by their samples."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        lag = plant([[-2.0]], [[2.0]], [[1.0]])
+        records = [held(rng, lag, 50.0, 50.0, snr=20.0, duration=samples / 50.0)
+                   for samples in (1000, count, count, count)]
+        assert identify(records, Settings(feedthrough=False)).settings.order == 1
+
+
 def test_records_are_kept_in_the_file(both, tmp_path):
     save_model(tmp_path / 'model.json', both)
     again = load_estimate(tmp_path / 'model.json')

@@ -78,15 +78,15 @@ def independent(errors: Residuals) -> Array:
     return np.array(found)
 
 
-def coloured_cost(errors: Residuals) -> float:
+def coloured_costs(errors: Residuals) -> Array:
     """
-    Return -2 log likelihood of errors as coloured noise, of each record and output its own.
+    Return -2 log likelihood of the errors of each output as coloured noise, (ny,).
 
-    That of the innovations of an autoregression (Burg), of the order that Schwarz's criterion
-    prefers, its numbers paid.
+    That of the innovations of an autoregression (Burg) of each record, of the order that
+    Schwarz's criterion prefers, its numbers paid.
     """
-    return sum(_as_autoregression(e[:, i]) for own in errors for e in own
-               for i in range(e.shape[1]))
+    return np.array([sum(_as_autoregression(e[:, i]) for e in rows)
+                     for rows in zip(*errors, strict=True) for i in range(rows[0].shape[1])])
 
 
 def _as_autoregression(error: Array) -> float:

@@ -43,7 +43,7 @@ from ctsid_core.search.pole_grid import PoleGrid
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
-LEAST = 1e-4         # if the errors were more than this part of the motion
+LEAST = 1e-4          # if the errors were more than this part of the motion
 _SEARCHED = 1000      # samples of a stream that the search looks at
 _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
@@ -71,19 +71,22 @@ class Tried:
     Parameters
     ----------
     fit : Fit
+    power : ndarray, shape (ny,)
+        Mean square of the errors of each output, over the samples of all records.
     independent : ndarray, shape (ny,)
-        Number of independent samples of the errors of each output.
+        Number of independent samples of these errors.
     parameters : int
     """
 
     fit: Fit
+    power: Array
     independent: Array
     parameters: int
 
     @property
     def rms(self) -> float:
         """Rms error over the motion, of all outputs together."""
-        return float(np.sqrt(np.mean(self.fit.power)))
+        return float(np.sqrt(np.mean(self.power)))
 
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
@@ -187,7 +190,8 @@ def affordable(samples: Samples) -> int:
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(fit, independent(residuals(samples, fit)), parameters(samples, fit, free))
+    power = np.average(fit.power, axis=0, weights=samples.counts)
+    return Tried(fit, power, independent(residuals(samples, fit)), parameters(samples, fit, free))
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
@@ -211,7 +215,7 @@ def choose(found: dict[int, Tried]) -> int:
 
 def explains(smaller: Tried, larger: Tried) -> bool:
     """Return whether what the larger one explains beyond the smaller one matters."""
-    before, after = (np.maximum(t.fit.power.mean(axis=0), ROUNDING) for t in (smaller, larger))
+    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
     return bool(np.max(before - after) > ENOUGH ** 2 or
                 np.max((before / after)[before > LEAST ** 2], initial=0.0) > _CLEANER)
 
@@ -222,7 +226,7 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
 
     A parameter costs the logarithm of the number of independent samples, unless `price` says.
     """
-    power = [np.mean(np.maximum(t.fit.power, ROUNDING), axis=0) for t in (smaller, larger)]
+    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
     n_eff, ratio = np.maximum(smaller.independent, 2.0), np.log(power[0] / power[1])
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio

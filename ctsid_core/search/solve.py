@@ -24,7 +24,7 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_cost, residuals, white_part
+from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import entry_changes, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask
@@ -140,7 +140,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
-                    _choices(part, settings, best, free, order - counted),
+                    _choices(part, settings, best, free,
+                             (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_longest(part, samples, best, free)), whole=whole,
                     hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
                     condition=condition)
@@ -154,11 +155,12 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     but its own past tells most of it; and a state too few, for which a dead time stands in, shows
     in what is new before it shows in the fit.
     """
-    if found[chosen].rms < LEAST:                       # what is left is of no matter
+    matters = found[chosen].power > LEAST ** 2
+    if not matters.any():
         return chosen
     price = float(np.log(np.max(samples.counts.sum(axis=0))))
-    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found), key=lambda n:
-               coloured_cost(residuals(samples, found[n].fit)) + price * found[n].parameters)
+    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found), key=lambda n: float(
+        coloured_costs(residuals(samples, found[n].fit)) @ matters) + price * found[n].parameters)
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
@@ -485,7 +487,7 @@ def _fixed(free: Free, places: NDArray[np.intp]) -> Free:
 def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
     """Return a row of the table of orders: all by the independent samples of the chosen one."""
     n_eff = max(float(np.min(chosen.independent)), 2.0)
-    power = np.mean(one.fit.power, axis=0) / np.mean(chosen.fit.power, axis=0)
+    power = one.power / np.maximum(chosen.power, 1e-300)
     price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
     return OrderTried(n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
-                      100.0 * (1.0 - float(np.sqrt(np.max(np.mean(one.fit.power, axis=0))))))
+                      100.0 * (1.0 - float(np.sqrt(np.max(one.power)))))

@@ -107,7 +107,7 @@ def track_curve(track: Track, times: Array, number: int, *, frequency: bool) -> 
     high = np.minimum(values + 2 * std, 10 * values) if frequency else values + 2 * std
     color = 1 + number % _COLORS if len(track.modes) >= _LASTING else 0
     return Curve(at, values, f'mode {number + 1}' if color else 'seen in few windows', color,
-                 'both' if len(at) <= _MOST_DOTS else 'line', low, high)
+                 'both' if len(track.windows) <= _MOST_DOTS else 'line', low, high)
 
 
 def _known_std(mode: Mode, *, frequency: bool) -> float:

@@ -261,7 +261,10 @@ def read_models(paths: Sequence[str]) -> dict[str, Estimate]:
         file = Path(path)
         name = (file.resolve().parent.name if file.name == 'model.json' else file.stem) or 'model'
         name = f'{name} (rejected)' if estimate.model is None else name
-        found[path if name in found else name] = estimate
+        key = path if name in found else name
+        if key in found:
+            raise DataError(f'{path} is given more than once')
+        found[key] = estimate
     found = _under_one_name(found, paths)
     names = {(m.input_names, m.output_names) for e in found.values()
              if (m := e.model or e.rejected_model)}
@@ -288,7 +291,8 @@ def _under_one_name(found: dict[str, Estimate], paths: Sequence[str]) -> dict[st
     names = {'input_names': given.input_names, 'output_names': given.output_names}
     return {name: replace(estimate, **{
         which: replace(model, **names) for which in ('model', 'rejected_model')
-        if (model := getattr(estimate, which)) is not None and own and own == known[0]})
+        if (model := getattr(estimate, which)) is not None and own and own == known[0]
+        and (model.nu, model.ny) == (given.nu, given.ny)})
         for (name, estimate), own in zip(found.items(), known, strict=True)}
 
 

@@ -312,7 +312,6 @@ class _Report:
         found = along(self.windows, self.number - 1)
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
                 'interrupted': interrupted, 'verdict': found.word,
-
                 'changes': [asdict(c) for c in changes(self.windows)],
                 'unlike': [asdict(one) for one in found.unlike],
                 'accepted': sum(r.estimate.ok for r in self.results),
