@@ -148,3 +148,11 @@ def test_the_order_is_found_in_95_of_100_runs(name):
     right = found.count(len(PLANTS[name].A))
     print(f'{name}: order right in {right} of 100 runs: {Counter(found)}')
     assert right >= 95
+
+
+def test_poles_that_stand_for_feedthrough_give_way_to_it():
+    """At 50 dB a further fast pole is likelier; with D none of them is needed."""
+    p = PLANTS['hd52']
+    found = [identify(running(np.random.default_rng(seed), p, 50)) for seed in range(2)]
+    assert [e.settings.order for e in found] == [3, 3]
+    assert all(e.model.D.any() for e in found)

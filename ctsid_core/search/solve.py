@@ -113,8 +113,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return None
     counted = settings.order or choose(found)
     order = settings.order or _neighbour(samples, found, counted)
-    # A state that was added for what predictions tell, D does not take back.
-    allowed = {n: one for n, one in found.items() if order <= counted or n >= order}
+    # A state that the colour of the errors has added, D takes back only if it stands for D.
+    allowed = found if order <= counted or _may_stand_for_D(found[order].fit.model, free) else {
+        n: one for n, one in found.items() if n >= order}
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     samples, best, hidden = _without_outliers(
@@ -215,6 +216,11 @@ def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tri
     return samples, best, hidden
 
 
+def _may_stand_for_D(model: ModalModel, free: Free) -> bool:
+    """Return whether a pole is beyond what samples can show."""
+    return bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
+
+
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
             free: Free, subspace: _Subspace, settings: Settings) -> tuple[Tried, Free]:
     """Return the model with D, if that explains more than it costs."""
@@ -225,7 +231,7 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
     # A pole beyond what samples can show stands for D: then orders are searched with D.
     orders = found
-    if np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest and \
+    if _may_stand_for_D(model, free) and \
             not samples.effort.beyond(SEARCH) and _gains(
                 start.fit, fit_at(known, model.poles, model.delay, direct)):
         given = np.array(own_delays(part, settings).delays(samples.nu))
