@@ -261,10 +261,10 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
              beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
-    why = {-1: ', and one less', 0: '', 1: ', and one more'}[beside]
+    why = f', and one {"more" if beside > 0 else "less"}, for errors in their own colour say so'
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
-        f'samples{why}{", for errors in their own colour say so" if why else ""}')]
+        'samples' + (why if beside else ''))]
     found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
                      f'of input {name}: the most likely, with the poles')
               for k, name in enumerate(_names(part)) if free.delays[k]]
