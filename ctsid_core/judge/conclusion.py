@@ -167,9 +167,8 @@ def _over_all(solution: Solution) -> Array:
     whole = solution.whole or solution.samples
     fit = solution.fit if whole is solution.samples else \
         fit_states(whole, solution.fit.model, solution.free)
-    counts = whole.counts
-    found: Array = np.sqrt(np.sum(counts * fit.power, axis=0) / counts.sum(axis=0))
-    return found
+    error: Array = np.sqrt(whole.mean(fit.power))
+    return error
 
 
 def _all_inputs(seen: tuple[Excitation, ...], names: tuple[str, ...],

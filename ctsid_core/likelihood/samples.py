@@ -100,6 +100,11 @@ class Samples:
                 row[stream.channels] = len(stream.times)
         return found
 
+    def mean(self, values: Array) -> Array:
+        """Return what records and outputs have, (records, ny), over all their samples, (ny,)."""
+        found: Array = np.average(values, axis=0, weights=self.counts)
+        return found
+
     @property
     def interval(self) -> float:
         """Median interval of the slowest output [s]."""

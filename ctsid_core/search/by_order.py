@@ -190,8 +190,8 @@ def affordable(samples: Samples) -> int:
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
     """Return a model of an order with what its errors say."""
-    power = np.average(fit.power, axis=0, weights=samples.counts)
-    return Tried(fit, power, independent(residuals(samples, fit)), parameters(samples, fit, free))
+    return Tried(fit, samples.mean(fit.power), independent(residuals(samples, fit)),
+                 parameters(samples, fit, free))
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
