@@ -58,6 +58,14 @@ def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed
     assert chosen.why.endswith(', for errors in their own colour say so')
 
 
+def test_an_order_that_D_changes_afterwards_is_not_called_that_of_the_colour():
+    """Two states by independent samples, one by colour, and two with D."""
+    found = identify(experiment('turbulence-weak', 17, 5).record)
+    assert found.settings.order == 2
+    chosen, = (c for c in found.choices if c.name == 'order')
+    assert chosen.why.endswith('independent samples')
+
+
 def test_what_is_left_of_an_output_that_is_all_explained_buys_no_state():
     """One output is curved by two millionths of its motion, the other one is noisy."""
     for seed in range(4):
