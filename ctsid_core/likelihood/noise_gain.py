@@ -17,11 +17,12 @@ Ljung, System Identification, 2nd edition, section 4.3 (innovations form) and 10
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
@@ -35,10 +36,11 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 _STEPS = 10
 _HALVINGS = 6
+_SHARES = 10.0 ** np.arange(-5.0, 1.0)      # of noise in the modes, over that of the outputs
 _LEAST = 0.02         # part of the errors' size that innovations must be smaller, to be worth K
 _FIXED_POINT = 20
 _SETTLED = 1e-6       # relative error of what K does from sample to sample
-_LIMIT = 0.999        # largest magnitude of the predictor's modes
+_LIMIT = 0.999        # largest magnitude of the predictor's modes, unless the plant's are larger
 _WORK, _PER_NUMBER = 6e7, 4e3           # work: at least, and for each entry of K and sample
 
 
@@ -70,8 +72,12 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     total = sum(len(v) for v in parts)
     F, G = (x[0] for x in exponentials(A, np.array([step]), 1))
     weight = 1.0 / np.sqrt(_power(parts) + 1e-300)
-    K, best = np.zeros((n, ny)), float(total * ny)
-    start = best
+    K, start = np.zeros((n, ny)), float(total * ny)
+    best = start
+    # Of a plant that integrates nothing leads from no gain to that of its filter.
+    for power, gain_of_filter in _filters(F, G, C, parts, weight):
+        if power < best:
+            best, K = power, gain_of_filter
     for _ in range(_STEPS):
         found = _run(F, G, C, K, parts, weight, True)
         if found is None:
@@ -99,6 +105,21 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     error = (found[1] if found is not None else np.vstack(parts).ravel() * np.tile(weight, total))
     e = error.reshape(-1, ny) / weight
     return continuous_gain(A, C, update, step), np.asarray(e.T @ e / max(total, 1))
+
+
+def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
+             weight: Array) -> Iterator[tuple[float, Array]]:
+    """Yield gains of Kalman filters, and their sums: all modes disturbed alike, as outputs see."""
+    values, right = np.linalg.eig(F)
+    right = right / np.maximum(np.linalg.norm(weight[:, np.newaxis] * C @ right, axis=0), 1e-300)
+    moved, noise = (right @ right.conj().T).real, np.diag(weight ** -2.0)
+    for share in _SHARES:
+        with suppress(np.linalg.LinAlgError, ValueError):
+            P = solve_discrete_are(F.T, C.T, share * moved, noise)
+            K = np.linalg.solve(G, F @ np.linalg.solve(C @ P @ C.T + noise, C @ P).T)
+            seen = _run(F, G, C, K, parts, weight, False)
+            if seen is not None:
+                yield seen[2], K
 
 
 def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
@@ -162,7 +183,8 @@ def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight:
     """
     P = F - G @ K @ C
     values, right = np.linalg.eig(P)
-    if np.max(np.abs(values), initial=0.0) > _LIMIT or np.linalg.cond(right) > 1e10 or \
+    own = np.max(np.abs(np.linalg.eigvals(F)), initial=_LIMIT)
+    if np.max(np.abs(values), initial=0.0) > own or np.linalg.cond(right) > 1e10 or \
             np.any((values.real < 0.0) & (values.imag == 0.0)):
         return None
     left = np.linalg.inv(right)

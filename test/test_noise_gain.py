@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gain K after the plant: predictions against those of the Kalman filter that knows all."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, solve_discrete_are
+
+from ctsid_core.likelihood.noise_gain import continuous_gain, noise_gain
+
+STEP = 0.02
+
+
+def disturbed(poles, seed, noise=0.02):
+    """What disturbances of a plant of one output leave after its simulation, and its filter."""
+    rng, n = np.random.default_rng(seed), len(poles)
+    A = np.diag(-np.array(poles)) + np.eye(n, k=1)
+    C, F = np.eye(1, n), expm(A * STEP)
+    Q = 1e-4 * np.diag(np.arange(n) + 1.0)
+    x, v = np.zeros(n), np.empty((3000, 1))
+    for k in range(3000):
+        v[k] = C @ x + noise * rng.standard_normal()
+        x = F @ x + np.sqrt(np.diag(Q)) * rng.standard_normal(n)
+    P = solve_discrete_are(F.T, C.T, Q, [[noise ** 2]])
+    return A, C, v, float((C @ P @ C.T)[0, 0] + noise ** 2), \
+        F @ P @ C.T / (C @ P @ C.T + noise ** 2)
+
+
+@pytest.mark.parametrize('poles', [(0.5,), (1e-7,), (1e-7, 2.0), (1e-7, 1e-6, 3.0)])
+@pytest.mark.parametrize('seed', range(3))
+def test_innovations_are_as_small_as_those_of_the_kalman_filter(poles, seed):
+    """Of plants that integrate, too: from no gain at all nothing leads to theirs."""
+    A, C, v, power, best = disturbed(poles, seed)
+    K, R = noise_gain(A, C, [v], STEP)
+    print(f'\ngain {K.ravel()}, of the filter {best.ravel() / STEP}, power {R[0, 0] / power:.3f}')
+    assert R[0, 0] == pytest.approx(power, rel=0.08)       # of 3000 samples: 2.6 %
+    assert np.linalg.eigvals(A - K @ C).real.max() < 0.0
+
+
+def test_white_errors_have_no_gain():
+    v = np.random.default_rng(0).standard_normal((3000, 1))
+    for pole in (0.5, 1e-7):
+        K, _ = noise_gain(np.array([[-pole]]), np.eye(1), [v], STEP)
+        assert not K.any()
+
+
+def test_the_gain_in_continuous_time_is_that_of_the_samples():
+    A, C, _, _, _ = disturbed((1.0, 4.0), 0)
+    update = np.array([[0.2], [0.1]])
+    K = continuous_gain(A, C, update, STEP)
+    times = (np.arange(500) + 0.5) * STEP / 500
+    mean = STEP * np.mean([expm((A - K @ C) * t) for t in times], axis=0)
+    np.testing.assert_allclose(mean @ K, update, rtol=1e-5)
