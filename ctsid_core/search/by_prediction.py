@@ -296,8 +296,29 @@ def _before_inputs(samples: Samples) -> Samples:
 def with_own_past(samples: Samples) -> Samples:
     """Return the samples with the outputs, held from each to the next, as further inputs."""
     records = tuple(replace(r, inputs=(*r.inputs, *(
-        Signal(s.times, s.y, 'zoh') for s in r.streams))) for r in samples.records)
+        Signal(*_carried_on(s.times, s.y), 'zoh') for s in r.streams))) for r in samples.records)
     return replace(samples, records=records, nu=samples.nu + samples.ny)
+
+
+def _carried_on(times: Array, y: Array) -> tuple[Array, Array]:
+    """
+    Return samples with those that were lost, as far as the two before tell.
+
+    On a straight line for as long as these are apart, held from there: what comes later is what
+    is to be predicted.
+    """
+    gaps = np.diff(times)
+    lost = np.zeros(len(times), dtype=int)
+    lost[1:-1] = np.maximum(np.round(gaps[1:] / np.median(gaps)) - 1, 0) if len(gaps) > 1 else 0
+    if not lost.any():
+        return times, y
+    last = np.repeat(np.arange(len(times)), lost + 1)
+    step = np.arange(len(last)) - np.repeat(np.cumsum(lost + 1) - lost - 1, lost + 1)
+    after = step * (np.append(gaps, 0.0) / (lost + 1))[last]
+    before = np.maximum(last - 1, 0)
+    apart = np.where(last > 0, times[last] - times[before], 1.0)
+    share = np.minimum(after / apart, 1.0)
+    return times[last] + after, y[last] + share[:, np.newaxis] * (y[last] - y[before])
 
 
 def is_stable(plant: Matrices) -> bool:
@@ -386,13 +407,14 @@ def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
     """
     record = last.record
     slowest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
-    t = record.outputs[slowest].time
-    t = t[(t >= record.start) & (t <= record.end)]
-    step = float(np.median(np.diff(t)))
-    y = np.column_stack([
-        np.interp(t, s.time[rows], column[rows]) for s, bad in zip(
+    seen = record.outputs[slowest].time
+    seen = seen[(seen >= record.start) & (seen <= record.end)]
+    step = float(np.median(np.diff(seen)))
+    t, y = _carried_on(seen, np.column_stack([
+        np.interp(seen, s.time[rows], column[rows]) for s, bad in zip(
             record.outputs, last.corrupt, strict=True)
-        for rows in [slice(None) if bad is None else ~bad] for column in s.values.T])
+        for rows in [slice(None) if bad is None else ~bad] for column in s.values.T]))
+    real = np.isin(t, seen)
     with np.errstate(over='ignore', invalid='ignore'):
         x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
         rest = y - x @ m.C.T - u @ m.D.T - m.y_trim[:, 0]
@@ -404,8 +426,8 @@ def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
         for horizon in [h for h in HORIZONS if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
-            errors.append(np.sqrt(np.mean(e[max(first - horizon, 0):] ** 2, axis=0))
-                          / np.std(y, axis=0))
+            e = e[max(first - horizon, 0):][real[horizon - 1:][max(first - horizon, 0):]]
+            errors.append(np.sqrt(np.mean(e ** 2, axis=0)) / np.std(y[real], axis=0))
     found = np.array(errors)
     return np.where(np.isfinite(found), found, np.inf)
 
