@@ -24,6 +24,7 @@ from plants import (
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
+from ctsid_core.model.validation import simulation
 
 HD51 = PLANTS['hd51']
 DIRECT = replace(HD51, D=np.array([[0.1], [-0.05]]))
@@ -127,6 +128,45 @@ def test_a_plant_that_acts_at_once_after_its_dead_time():
     assert abs(found.model.delay[0] - 0.08) < 3.0 * found.delay_std[0]
 
 
+def with_jumps(seed: int, order: int, every: float) -> tuple[Record, Record, float]:
+    """A plant whose output jumps with a held input, some time later: two records, and when."""
+    rng = np.random.default_rng(seed)
+    A, B, C = ([[-3.0]], [[3.0]], [[1.0]]) if order == 1 else \
+        ([[0.0, 1.0], [-36.0, -4.0]], [[0.0], [36.0]], [[1.0, 0.0]])
+    p, late = StateSpace(A, B, C, D=[[1.5]], delay=(rng.uniform(0.02, 0.15),)), []
+    for noise in (0.02, 0.0):
+        t_u = np.arange(-1.0, 12.0, every) + rng.uniform(0.0, 0.1 * every)
+        t_u += rng.uniform(0.0, 0.1 * every, len(t_u))
+        u = np.repeat(rng.standard_normal(len(t_u) // 10 + 1), 10)[:len(t_u), np.newaxis]
+        t_y = np.arange(0.0, 12.0, 0.01) + rng.uniform(0.0, 0.003, 1200)
+        y = p.simulate([Signal(t_u, u, 'zoh')], t_y)
+        y += noise * y.std() * rng.standard_normal(y.shape)
+        late.append(Record.from_arrays(t_u, u, t_y, y, input_hold='zoh'))
+    return late[0], late[1], p.delay[0]
+
+
+@pytest.mark.parametrize(('seeds', 'order'), [(range(6), 1), *slow((range(6, 26), 1),
+                                                                    (range(20), 2))])
+def test_a_held_input_that_acts_at_once_after_its_dead_time(seeds, order):
+    """Jumps pass samples only now and then; it is known no better than from one to the next."""
+    right, off, fits = 0, [], []
+    for seed in seeds:
+        record, other, late = with_jumps(seed, order, 0.0413)
+        found = identify(record)
+        model = found.model
+        fits.append(simulation(model, other).fit[0])
+        right += model.n == order and bool(model.D.any())
+        if model.D.any():
+            off.append((model.delay[0] - late) / found.delay_std[0])
+    print(f'\norder and D right {right} of {len(seeds)}, D in {len(off)}, dead time off by '
+          f'{np.round(off, 1)} deviations, fits {np.round(fits, 1)}')
+    assert right >= 0.5 * len(seeds)
+    assert len(off) >= 0.8 * len(seeds)
+    assert np.mean(np.abs(off) < 2.5) >= 0.8
+    assert np.median(fits) > 98.0
+    assert np.min(fits) > 85.0
+
+
 def test_a_given_dead_time_is_taken_as_it_is():
     given = held(np.random.default_rng(5), HD51, 40.0, 100.0, delay=0.08, snr=20.0)
     for delay in (0.0, 0.05):
@@ -214,4 +254,4 @@ def test_a_dead_time_that_is_as_long_as_any_looked_for_is_noted():
                    'zoh')
     y = plant.simulate([whole], t) + 0.02 * rng.standard_normal((len(t), 1))
     found = identify(Record((Signal(t, u, 'zoh'),), (Signal(t, y),), 0.0, t[-1]))
-    assert any('is the longest that is looked for, 0.998 s' in note for note in found.notes)
+    assert any('is near the longest that is looked for, 0.998 s' in note for note in found.notes)

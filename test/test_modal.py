@@ -55,3 +55,18 @@ def test_inputs_are_those_at_the_times(hold):
     np.testing.assert_allclose(found.inputs, wanted, atol=1e-12)
     np.testing.assert_allclose(found.first, input_polynomials(
         inputs(hold), DELAY, np.zeros(1))[0, 0], atol=1e-12)
+
+
+def test_rates_are_derivatives_and_of_a_held_input_spread_evenly_around_its_stamps():
+    late, fine = (0.05, 0.0, 0.0), np.arange(1.0, 9.0, 1e-4)
+    for hold in ('linear', 'smooth'):
+        u = mode_responses(POLES[:1], inputs(hold), late, 0.0, fine)
+        off = np.abs(np.gradient(u.inputs[0], fine) - u.rates[0]) > 0.05 * np.abs(u.rates[0]).max()
+        assert np.mean(off) < 0.02                         # beside corners
+    for place, (signal, delay) in enumerate(zip(inputs('zoh'), (0.05, 0.0), strict=True)):
+        halfway = 0.5 * (signal.time[1:] + signal.time[:-1])
+        within = (signal.time[1:-1] > 1.0) & (signal.time[1:-1] < 9.0)
+        rates = mode_responses(POLES[:1], inputs('zoh'), late, 0.0,
+                               signal.time[1:-1][within] + delay).rates[place]
+        np.testing.assert_allclose(rates * np.diff(halfway)[within],
+                                   np.diff(signal.values[:, 0])[:-1][within], atol=1e-12)

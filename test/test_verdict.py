@@ -360,6 +360,18 @@ def test_well_excited_windows_are_good():
     assert grades[Grade.REJECT] == 0
 
 
+def test_modes_as_of_a_plant_that_a_controller_keeps_in_place_are_noted():
+    """Not told of the controller, a simulation has modes that neither grow nor decay: not GOOD."""
+    name, record, _ = excited(9)
+    assert name == 'closed loop 0.0'
+    found = identify(record)
+    assert not found.good
+    assert any('set `feedthrough: false`' in note for note in found.notes)
+    told = identify(record, Settings(feedthrough=False))
+    assert told.good
+    assert not any('neither grow nor decay' in note for note in told.notes)
+
+
 @pytest.mark.parametrize('worst', ['', ', most of it of record 2'])
 def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     """A change too small to reject has an instant, too: it is a note, not part of the reason."""

@@ -157,7 +157,8 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     samples = samples.thinned(2 * _SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * model.n + 2)
     samples.effort.spend(evaluation_work(samples, len(model.poles)))
-    columns = columns_of(samples, model.poles, model.delay, turned=False)
+    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
+                         turned=False)
     rows, error, places = jacobian(samples, fit_states(samples, model, free, columns), free)
     # What a side's own states and trims explain is no change: they come first.
     own = places.of_states(samples.ny, 1, free.trim)

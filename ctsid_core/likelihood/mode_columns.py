@@ -39,7 +39,7 @@ class Triangle:
         Responses of each mode to the inputs and to its initial state, and their derivatives by
         the pole.
     u, rates : ndarray, shape (r, nu)
-        Inputs after their dead time, and their derivatives.
+        Inputs after their dead time, and their derivatives (0 unless D is free).
     one : ndarray, shape (r,)
         The constant 1.
     y : ndarray, shape (r, channels)
@@ -77,7 +77,7 @@ class Columns:
 
 
 def columns_of(samples: Samples, poles: ComplexArray, delay: Array | Sequence[float], *,
-               turned: bool = True) -> tuple[Columns, ...]:
+               direct: bool, turned: bool = True) -> tuple[Columns, ...]:
     """
     Return the columns of given poles and dead times, of each record.
 
@@ -88,11 +88,13 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array | Sequence[fl
         Real ones first, then one of each pair, that with positive imaginary part [rad/s].
     delay : sequence of float, length nu
         [s]
+    direct : bool
+        Whether D is free: else what dead times do to it is left out.
     turned : bool
         Whether few rows are wanted; else there is one for each sample.
     """
     samples.effort.spend(evaluation_work(samples, len(poles)))
-    return tuple(_of_record(r, poles, delay, turned) for r in samples.records)
+    return tuple(_of_record(r, poles, delay, direct, turned) for r in samples.records)
 
 
 def evaluation_work(samples: Samples, modes: int) -> float:
@@ -109,10 +111,10 @@ def evaluation_work(samples: Samples, modes: int) -> float:
 
 
 def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
-               turned: bool) -> Columns:
+               direct: bool, turned: bool) -> Columns:
     times = record.streams[0].times if len(record.streams) == 1 else \
         np.concatenate([s.times for s in record.streams])
-    rows, shape, first = _rows(record, poles, delay, times)
+    rows, shape, first = _rows(record, poles, delay, direct, times)
     size, triangles, place = len(rows) - record.streams[0].y.shape[1], [], 0
     for s in record.streams:
         both = rows[:, place:place + len(s.times)]
@@ -126,7 +128,7 @@ def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequen
 
 
 def _rows(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
-          times: Array) -> tuple[Array, tuple[int, int, int, bool], Array]:
+          direct: bool, times: Array) -> tuple[Array, tuple[int, int, int, bool], Array]:
     """
     Return the columns as rows, those of the output below, their shape, and the first inputs.
 
@@ -136,7 +138,7 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[fl
     steps = steps_of(record.drives, delay, record.start, times)
     since, first, wide = times - record.start, int(np.sum(poles.imag == 0.0)), len(delay) + 1
     y = record.streams[0].y.T
-    inputs = [steps.inputs] if steps.held else [steps.inputs, steps.rates]
+    inputs = [steps.inputs, steps.rates] if direct else [steps.inputs]
     rows = np.empty((2 * wide * (2 * len(poles) - first) + len(inputs) * (wide - 1) + 1 + len(y),
                      len(times)))
     place = 0
@@ -156,13 +158,13 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[fl
     rows[place] = 1.0
     if len(record.streams) == 1:
         rows[place + 1:] = y
-    return rows, (first, len(poles) - first, wide, steps.held), steps.first
+    return rows, (first, len(poles) - first, wide, direct), steps.first
 
 
 def _triangle(columns: Array, y: Array, shape: tuple[int, int, int, bool], channels: Array,
               count: int) -> Triangle:
     """Return the columns by what they are."""
-    real, pairs, wide, held = shape
+    real, pairs, wide, direct = shape
     at, blocks = 0, []
     for m in (real, real, pairs, pairs, pairs, pairs):      # Z, dZ; Re Z, Im Z, Re dZ, Im dZ
         blocks.append(columns[:, at:at + m * wide].reshape(len(columns), m, wide))
@@ -170,5 +172,5 @@ def _triangle(columns: Array, y: Array, shape: tuple[int, int, int, bool], chann
     z = np.concatenate((blocks[0], blocks[2] + 1j * blocks[3]), axis=1)
     dz = np.concatenate((blocks[1], blocks[4] + 1j * blocks[5]), axis=1)
     u = columns[:, at:at + wide - 1]
-    rates = np.zeros_like(u) if held else columns[:, at + wide - 1:-1]
+    rates = columns[:, at + wide - 1:-1] if direct else np.zeros_like(u)
     return Triangle(z, dz, u, rates, columns[:, -1], y, channels, count)

@@ -111,7 +111,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
         Of these poles and dead times, if they are known.
     """
     poles = canonical(poles)
-    columns = columns or columns_of(samples, poles, delay)
+    columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough)
     power = np.ones((len(columns), samples.ny)) if near is None else near.power
     kept = near is not None and len(near.model.poles) == len(poles) and \
         bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))
@@ -556,7 +556,8 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     columns : tuple of Columns, optional
         Of its poles and dead times, if they are known.
     """
-    columns = columns or columns_of(samples, model.poles, model.delay)
+    columns = columns or columns_of(samples, model.poles, model.delay,
+                                    direct=free.feedthrough)
     power = np.ones((len(columns), samples.ny))
     if len(model.x0) != len(columns):
         model = replace(model, x0=np.zeros((len(columns), len(model.poles)), dtype=complex),

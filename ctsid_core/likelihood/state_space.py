@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
+from ctsid_core.likelihood.output_error import ROUNDING, Fit, Free, Places, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Entries
+from ctsid_core.signals.record import Signal
 
 _MET = 0.03           # relative distance of two poles below which they share a block
 _GAUGE = 1e-7         # relative singular value below which a direction changes nothing
@@ -150,6 +151,11 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     values, vectors = np.linalg.eigh(power)
     root = np.zeros((len(turned), width))
     root[:, wanted] = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ turned
+    if free.feedthrough:
+        alike = np.zeros((places.delays, width))
+        alike[:, places.poles:places.poles + places.delays] = np.diag(
+            _read_alike(samples, fit)[list(free.delays)] / np.sqrt(6.0))    # anywhere in both
+        root = np.vstack((root, alike))
     steps = PoleSteps.of(model.poles, 1.0 / samples.length, samples.several).derivatives()
     m, nu, ny, pairs = *model.b.shape, samples.ny, np.flatnonzero(model.poles.imag > 0.0)
     n, r = model.n, len(root)
@@ -185,7 +191,7 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     error by the fit, and more: what directions take out of it is allowed for.
     """
     whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
-                                            turned=False))
+                                            direct=free.feedthrough, turned=False))
     rows, errors, _ = jacobian(samples, whole, free)
     samples.effort.check()
     found, at = np.zeros((directions.shape[1],) * 2), 0
@@ -225,6 +231,48 @@ def _intervals(samples: Samples, free: Free, places: Places, count: int) -> Arra
     found[np.arange(places.delays), places.poles + np.arange(places.delays)] = \
         1.0 / period[np.flatnonzero(free.delays)]
     return found
+
+
+def _read_alike(samples: Samples, fit: Fit) -> Array:
+    """
+    Return the intervals of dead times within which D tells nothing of them, (nu,) [s].
+
+    Of a jump of a held input, D shows the dead time only where the jump passes a sample.
+    """
+    model = fit.model
+    found = np.zeros(samples.nu)
+    for j in range(samples.nu):
+        passed: list[list[tuple[Array, Array]]] = [[], []]
+        for r, record in enumerate(samples.records):
+            stamps, jumps = _jumps(record.inputs, j)
+            for s in record.streams:
+                effect = jumps ** 2 * np.sum(model.D[s.channels, j] ** 2 / np.maximum(
+                    fit.power[r, s.channels], ROUNDING))
+                place = np.searchsorted(s.times, stamps + model.delay[j])
+                for side, near in zip(passed, (place - 1, place), strict=True):
+                    seen = (near >= 0) & (near < len(s.times))
+                    side.append((np.abs(s.times[near[seen]] - stamps[seen] - model.delay[j]),
+                                 effect[seen]))
+        found[j] = sum(_until_seen(*map(np.concatenate, zip(*side, strict=True)))
+                       for side in passed)
+    return found
+
+
+def _until_seen(change: Array, effect: Array) -> float:
+    """Return by how much a dead time may change until -2 log likelihood does by 1."""
+    order = np.argsort(change)
+    seen = np.flatnonzero(np.cumsum(effect[order]) >= 1.0)
+    return float(change[order[seen[0]]]) if len(seen) else 0.0
+
+
+def _jumps(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
+    """Return the stamps of an input, and by how much it jumps there; none if it is not held."""
+    for s in signals:
+        if place < s.width:
+            return (s.time[1:], np.diff(s.values[:, place])) if s.hold == 'zoh' else \
+                (np.empty(0), np.empty(0))
+        place -= s.width
+    raise IndexError(place)
 
 
 def _orthonormal(columns: Array) -> Array:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 from typing import NamedTuple
 
@@ -44,7 +45,8 @@ class ModeResponses(NamedTuple):
         Of each mode to each input, and their derivatives by the pole (empty unless wanted);
         real if all poles are given as real numbers.
     inputs, rates : ndarray, shape (nu, N)
-        The inputs after their dead time, at a jump the new value, and their derivatives.
+        The inputs after their dead time, at a jump the new value, and their derivatives: of an
+        input that is held, those of one that goes from value to value at an even pace.
     first : ndarray, shape (nu,)
         The inputs at the start.
     """
@@ -84,6 +86,24 @@ class Drive:
         """Number of channels."""
         return int(self.pieces.shape[1])
 
+    @cached_property
+    def paces(self) -> tuple[Array, Array]:
+        """
+        Return the derivatives of a held input that is spread evenly around each stamp.
+
+        Returns
+        -------
+        between : ndarray, shape (K - 1,)
+            Halfway from stamp to stamp [s].
+        rates : ndarray, shape (w, K)
+            Around each stamp, from halfway before to halfway behind.
+        """
+        between = 0.5 * (self.stamps[1:] + self.stamps[:-1])
+        if not len(between):
+            return between, np.zeros((self.width, len(self.stamps)))
+        edges = np.concatenate((self.stamps[:1], between, self.stamps[-1:]))
+        return between, np.diff(self.pieces[0], axis=1) / np.diff(edges)
+
 
 def mode_responses(poles: Array | ComplexArray, inputs: Sequence[Signal] | Sequence[Drive],
                    delay: Array | Sequence[float], start: float, times: Array, *,
@@ -119,8 +139,6 @@ class Steps:
     ----------
     inputs, rates, first
         See `ModeResponses`.
-    held : bool
-        Whether every input is held from stamp to stamp, so that all rates are zero.
     """
 
     def __init__(self, parts: list[_Part]) -> None:
@@ -128,7 +146,6 @@ class Steps:
         self.inputs = np.concatenate([p.inputs for p in parts])
         self.rates = np.concatenate([p.rates for p in parts])
         self.first = np.concatenate([p.first for p in parts])
-        self.held = all(len(p.force) == 1 for p in parts)
 
     def responses(self, poles: Array | ComplexArray, *,
                   slopes: bool = True) -> tuple[ComplexArray, ComplexArray]:
@@ -224,6 +241,9 @@ def _part(drive: Drive, delay: Array, start: float, times: Array) -> _Part:
     for j in range(1, len(v)):
         u = u + now[j] * (far ** j / factorial(j))
         rate = rate + now[j] * (far ** (j - 1) / factorial(j - 1))
+    if len(v) == 1 and len(drive.stamps):
+        between, rates = drive.paces
+        rate = np.take_along_axis(rates, np.searchsorted(between, wanted)[of], axis=1)
     for j in range(len(v)):
         force[j] *= h ** (j + 1)
     return _Part(lengths, which, S, D, slot, force, u, rate,

@@ -149,7 +149,8 @@ def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut
 def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
     """Return the rms error that a model's own uncertainty lets expect on other samples, (ny,)."""
     rows, _, _ = jacobian(early, own, free)
-    there = replace(own, columns=columns_of(late, own.model.poles, own.model.delay))
+    there = replace(own, columns=columns_of(late, own.model.poles, own.model.delay,
+                                            direct=free.feedthrough))
     seen, _, _ = jacobian(late, there, free)
     size = np.linalg.norm(rows, axis=0)
     size[size == 0.0] = np.inf

@@ -30,7 +30,6 @@ from ctsid_core.likelihood.state_space import entry_changes, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
-    ENOUGH,
     LEAST,
     MORE,
     SEARCH,
@@ -40,8 +39,6 @@ from ctsid_core.search.by_order import (
     choose,
     criterion,
     explains,
-    needed,
-    parameters,
     search_orders,
     tried,
 )
@@ -60,11 +57,11 @@ from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import Subspace, realise
 
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
+_NEARLY = 0.95        # of it: states may stand in for more
 _NEAREST = 1e-6       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _OPEN_LOOP = 0.5      # error that is not noise, over the motion, with which a plant in open loop
                       # may need its outputs' own past
-_CLEANER = 1.3        # power of errors without D over that with it, that is worth a look, too
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _SURE = 6.0           # standard deviations from which on a dead time needs no further test
@@ -113,16 +110,13 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return None
     counted = settings.order or choose(found)
     order = settings.order or _neighbour(samples, found, counted)
-    # A state that the colour of the errors has added, D takes back only if it stands for D.
-    allowed = found if order <= counted or _may_stand_for_D(found[order].fit.model, free) else {
-        n: one for n, one in found.items() if n >= order}
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
-    samples, best, hidden = _without_outliers(
-        part, corrupt, samples, found[order], free, seen)
+    best = found[order]
     if own.feedthrough:
-        with_D, free = _direct(part, seen, samples, allowed, best, free, subspace, settings)
+        with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
+    samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     if own.feedthrough and not effort.beyond(SEARCH) and _unexplained(samples, best.fit):
         predicted = _predicted(part, settings, corrupt, samples, free)
     if predicted is not None and (solved := _likelier(
@@ -143,9 +137,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_longest(part, samples, best, free)), whole=whole,
-                    hidden=hidden, simpler=simpler, rivals=_rivals(others), singular_values=values,
-                    condition=condition)
+                    (*notes, *_longest(part, best, free), *_growing(best.fit.model, free, own)),
+                    whole=whole, hidden=hidden, simpler=simpler, rivals=_rivals(others),
+                    singular_values=values, condition=condition)
 
 
 def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
@@ -187,13 +181,23 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     return tried(samples, climb(samples, start, free), free)
 
 
-def _longest(part: Joint, samples: Samples, best: Tried, free: Free) -> tuple[str, ...]:
-    """Return which dead times are, to a sample, as long as any that is looked for, in words."""
+def _longest(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
+    """Return which dead times are nearly as long as any that is looked for, in words."""
     return tuple(
-        f'the dead time of input {name} is the longest that is looked for, {free.longest:.3g} s, '
+        f'the dead time of input {name} is near the longest that is looked for, '
+        f'{free.longest:.3g} s, '
         'and states may stand in for more; give `delay`, or take a longer window'
         for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
-        if late and delay > free.longest - samples.interval)
+        if late and delay > _NEARLY * free.longest)
+
+
+def _growing(model: ModalModel, free: Free, own: Settings) -> tuple[str, ...]:
+    """Return whether modes are as near to growing as a simulation's may be, in words."""
+    near = model.poles.real >= free.limit
+    if not own.feedthrough or np.sum(near) + np.sum(near & (model.poles.imag > 0.0)) < 2:
+        return ()
+    return ('modes neither grow nor decay, as when a controller keeps an unstable plant in place: '
+            'if one does, set `feedthrough: false`',)
 
 
 def _left_out(found: Container[int], order: int, settings: Settings,
@@ -222,27 +226,47 @@ def _may_stand_for_D(model: ModalModel, free: Free) -> bool:
 
 
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
-            free: Free, subspace: _Subspace, settings: Settings) -> tuple[Tried, Free]:
+            free: Free, subspace: _Subspace, settings: Settings,
+            counted: int) -> tuple[Tried, Free]:
     """Return the model with D, if that explains more than it costs."""
     model, direct = best.fit.model, replace(free, feedthrough=True)
     known = seen(_MARGIN * float(np.max(model.delay, initial=0.0)))
-    if np.min(known.counts.sum(axis=0)) <= best.parameters:
+    if samples.effort.beyond(SEARCH) or np.min(known.counts.sum(axis=0)) <= best.parameters:
         return best, free
-    start = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
-    # A pole beyond what samples can show stands for D: then orders are searched with D.
-    orders = found
-    if _may_stand_for_D(model, free) and \
-            not samples.effort.beyond(SEARCH) and _gains(
-                start.fit, fit_at(known, model.poles, model.delay, direct)):
-        given = np.array(own_delays(part, settings).delays(samples.nu))
-        orders = search_orders(
-            known, direct, subspace.poles, order=settings.order,
-            max_order=min(settings.max_order, model.n), known_delay=given) or found
-    with_D, free = _with_feedthrough(known, orders, start, free, settings.order)
-    if not free.feedthrough:
+    # Worth a search if it is worth its price at the poles that are known, or if one of these is
+    # beyond what samples can show, and may stand for D.
+    stands = _may_stand_for_D(model, free)
+    # A state that the colour of the errors has added, D takes back only if it stands for D.
+    fewest = 1 if stands or model.n <= counted else model.n
+    if not stands and not any(_beats(_with_D(samples, one, direct), best)
+                              for n, one in found.items() if fewest <= n <= model.n):
+        return best, free
+    without = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
+    orders = search_orders(known, direct, subspace.poles, order=settings.order,
+                           max_order=model.n,
+                           known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
+    orders = {n: one for n, one in orders.items() if n >= fewest}
+    if not orders or settings.order not in (0, *orders):
+        return best, free
+    with_D = orders[settings.order or choose(orders)]
+    if not _beats(with_D, without):
         return best, free
     model = with_D.fit.model
-    return tried(samples, fit_at(samples, model.poles, model.delay, free, with_D.fit), free), free
+    return tried(samples, fit_at(samples, model.poles, model.delay, direct, with_D.fit),
+                 direct), direct
+
+
+def _with_D(samples: Samples, one: Tried, direct: Free) -> Tried:
+    """Return the same model with D, its poles and dead times as they are."""
+    model = one.fit.model
+    return tried(samples, fit_at(samples, model.poles, model.delay, direct), direct)
+
+
+def _beats(one: Tried, other: Tried) -> bool:
+    """Return whether a model is to be taken instead of another: with more numbers, if it gains."""
+    if one.parameters <= other.parameters:
+        return criterion(one, other) <= 0.0
+    return criterion(other, one) > 0.0 and explains(other, one)
 
 
 def _used(part: Joint, settings: Settings, order: int, delay: Array) -> Settings:
@@ -428,40 +452,6 @@ def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) ->
             mask[rows] = True
             marks[k], count = mask, count + len(rows)
     return count
-
-
-def _with_feedthrough(samples: Samples, found: dict[int, Tried], best: Tried, free: Free,
-                      order: int) -> tuple[Tried, Free]:
-    """Return a model with D, of the same or a smaller order, if it explains more than it costs."""
-    direct, without = replace(free, feedthrough=True), best
-    for n, one in sorted(found.items()):
-        if order and n != order or n > without.fit.model.n:
-            continue
-        if samples.effort.over:
-            break
-        delays = {d.tobytes(): d for d in (one.fit.model.delay, without.fit.model.delay)}
-        own, *others = [fit_at(samples, one.fit.model.poles, delay, direct)
-                        for delay in delays.values()]
-        other = min((own, *others), key=lambda fit: fit.cost)
-        if not _gains(fit_at(samples, own.model.poles, own.model.delay, replace(
-                free, feedthrough=False), columns=own.columns), other):
-            continue
-        rival = needed(best, samples, parameters(samples, other, direct) - best.parameters)
-        with_D = tried(samples, climb(samples, other, direct, rival=rival, least=ROUGHLY),
-                       direct)
-        if with_D.parameters <= best.parameters:
-            better = criterion(with_D, best) <= 0.0
-        else:
-            better = criterion(best, with_D) > 0.0 and explains(best, with_D)
-        if better:
-            best, free = with_D, direct
-    return best, free
-
-
-def _gains(fit: Fit, direct: Fit) -> bool:
-    """Return whether D, at the poles of the model without it, explains anything worth a look."""
-    before, after = fit.power.mean(axis=0), direct.power.mean(axis=0)
-    return bool(np.max(before - after) > 0.1 * ENOUGH ** 2 or np.max(before / after) > _CLEANER)
 
 
 def _without_needless(samples: Samples, best: Tried, free: Free) -> tuple[Tried, Free]:
