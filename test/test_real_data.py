@@ -91,7 +91,7 @@ def test_evaporator_five_steps_ahead(data_folder):
     assert (power <= [0.24, 0.39, 0.14]).all()
 
 
-@pytest.mark.parametrize(('hold', 'seed'), WAYS)
+@pytest.mark.parametrize(('hold', 'seed'), [*WAYS, pytest.param('linear', 2, id='a quarter lost')])
 @pytest.mark.parametrize('order', [0, *slow(2)])
 def test_ball_on_beam(data_folder, order, hold, seed):
     """Unstable, recorded in closed loop: simulation diverges, prediction does not."""

@@ -296,11 +296,11 @@ def _before_inputs(samples: Samples) -> Samples:
 def with_own_past(samples: Samples) -> Samples:
     """Return the samples with the outputs, held from each to the next, as further inputs."""
     records = tuple(replace(r, inputs=(*r.inputs, *(
-        Signal(*_carried_on(s.times, s.y), 'zoh') for s in r.streams))) for r in samples.records)
+        Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams))) for r in samples.records)
     return replace(samples, records=records, nu=samples.nu + samples.ny)
 
 
-def _carried_on(times: Array, y: Array) -> tuple[Array, Array]:
+def carried_on(times: Array, y: Array) -> tuple[Array, Array]:
     """
     Return samples with those that were lost, as far as the two before tell.
 
@@ -410,7 +410,7 @@ def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
     seen = record.outputs[slowest].time
     seen = seen[(seen >= record.start) & (seen <= record.end)]
     step = float(np.median(np.diff(seen)))
-    t, y = _carried_on(seen, np.column_stack([
+    t, y = carried_on(seen, np.column_stack([
         np.interp(seen, s.time[rows], column[rows]) for s, bad in zip(
             record.outputs, last.corrupt, strict=True)
         for rows in [slice(None) if bad is None else ~bad] for column in s.values.T]))

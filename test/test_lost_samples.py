@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that were lost, where outputs are predicted from their own past."""
+
+import numpy as np
+
+from ctsid_core.search.by_prediction import carried_on
+
+
+def test_lost_samples_are_carried_on_by_those_before():
+    times = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 0.7])
+    y = np.array([[0.0, 1.0], [1.0, 1.0], [2.0, 1.0], [9.0, 1.0], [9.0, 1.0], [9.0, 1.0]])
+    found, values = carried_on(times, y)
+    np.testing.assert_allclose(found, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+    # A straight line for as long as the last two are apart, then held; nothing of what comes.
+    np.testing.assert_allclose(values[:, 0], [0.0, 1.0, 2.0, 3.0, 3.0, 9.0, 9.0, 9.0])
+    np.testing.assert_array_equal(values[:, 1], 1.0)
+
+
+def test_what_is_before_a_gap_is_all_that_tells():
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.choice([0.1, 0.1, 0.1, 0.2, 0.31], 200)) + rng.uniform(0, 0.005, 200)
+    y = rng.standard_normal((200, 2))
+    found, values = carried_on(times, y)
+    assert np.all(np.diff(found) > 0.0)
+    assert np.max(np.diff(found[found >= times[1]])) < 0.15     # before two nothing tells
+    np.testing.assert_array_equal(values[np.isin(found, times)], y)
+    for k in (50, 120):
+        other = y.copy()
+        other[k:] += 5.0
+        np.testing.assert_array_equal(carried_on(times, other)[1][found < times[k]],
+                                      values[found < times[k]])
+
+
+def test_samples_of_which_none_is_lost_stay_as_they_are():
+    rng = np.random.default_rng(1)
+    for count in (0, 1, 2, 3, 50):
+        times = np.arange(count) * 0.1 + rng.uniform(-0.02, 0.02, count)
+        y = rng.standard_normal((count, 1))
+        found, values = carried_on(times, y)
+        assert found is times
+        assert values is y
