@@ -147,6 +147,8 @@ def canonical(poles: ComplexArray) -> ComplexArray:
         if 0.0 < p.imag < _APART * abs(p):
             poles[i] = complex(p.real, _APART * abs(p))
         for k in range(i):
-            if abs(poles[i] - poles[k]) < _APART * abs(poles[i]):
+            # A pair stays one, beside whatever real pole.
+            if abs(poles[i] - poles[k]) < _APART * abs(poles[i]) and (p.imag > 0.0) == (
+                    poles[k].imag > 0.0):
                 poles[i] = poles[k] - _APART * max(abs(poles[k]), 1e-300)
     return poles
