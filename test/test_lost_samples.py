@@ -39,3 +39,10 @@ def test_samples_of_which_none_is_lost_stay_as_they_are():
         found, values = carried_on(times, y)
         assert found is times
         assert values is y
+
+
+def test_a_pause_is_not_filled():
+    times = np.concatenate((np.arange(100) * 0.01, 1e5 + np.arange(100) * 0.01))
+    found, values = carried_on(times, np.sin(times)[:, np.newaxis])
+    assert len(found) == len(values) == 250
+    assert np.max(found[found < 1e5]) < 1.6

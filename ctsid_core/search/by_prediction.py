@@ -304,20 +304,20 @@ def carried_on(times: Array, y: Array) -> tuple[Array, Array]:
     """
     Return samples with those that were lost, as far as the two before tell.
 
-    On a straight line for as long as these are apart, held from there: what comes later is what
-    is to be predicted.
+    On a straight line for as long as these are apart, held from there, and no further than
+    predictions go: what comes later is what is to be predicted.
     """
     gaps = np.diff(times)
     lost = np.zeros(len(times), dtype=int)
     lost[1:-1] = np.maximum(np.round(gaps[1:] / np.median(gaps)) - 1, 0) if len(gaps) > 1 else 0
     if not lost.any():
         return times, y
+    apart, lost = np.append(gaps, 0.0) / (lost + 1), np.minimum(lost, HORIZONS[-1])
     last = np.repeat(np.arange(len(times)), lost + 1)
     step = np.arange(len(last)) - np.repeat(np.cumsum(lost + 1) - lost - 1, lost + 1)
-    after = step * (np.append(gaps, 0.0) / (lost + 1))[last]
+    after = step * apart[last]
     before = np.maximum(last - 1, 0)
-    apart = np.where(last > 0, times[last] - times[before], 1.0)
-    share = np.minimum(after / apart, 1.0)
+    share = np.minimum(after / np.where(last > 0, times[last] - times[before], 1.0), 1.0)
     return times[last] + after, y[last] + share[:, np.newaxis] * (y[last] - y[before])
 
 
