@@ -13,7 +13,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
 PYTHON ?=
 # Of the recordings of `make bench`: 300000 are files of 0.6 GB, and take three times as long.
 BENCH_MESSAGES ?= 100000
-PACKAGING := setup.py setup.cfg pyproject.toml
+PACKAGING := setup.py setup.cfg pyproject.toml ctsid_core/likelihood/kernel.c
 
 .PHONY: demo demo-live test test-all lint bench docs studies study-table1 bags clean
 .DEFAULT_GOAL := demo
@@ -65,6 +65,7 @@ bags: $(VENV)/.installed
 
 clean:
 	rm -rf .venv $(VENV) .venv-ci-* results build install log *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -f ctsid_core/likelihood/_kernel.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):

@@ -25,12 +25,13 @@ from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
     Free,
+    Residuals,
     climb,
     fit_at,
     fit_states,
     jacobian,
 )
-from ctsid_core.likelihood.residuals import Residuals, independent, residuals, white_part
+from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array

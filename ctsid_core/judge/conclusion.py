@@ -17,8 +17,8 @@ from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import uniform, with_noise
-from ctsid_core.likelihood.output_error import fit_states
-from ctsid_core.likelihood.residuals import Residuals, driven, residuals, white_part
+from ctsid_core.likelihood.output_error import Residuals, fit_states
+from ctsid_core.likelihood.residuals import driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array

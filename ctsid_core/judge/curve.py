@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.residuals import Residuals
+from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 

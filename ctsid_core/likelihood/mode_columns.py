@@ -14,14 +14,16 @@ part of a response are turned together: the turned ones are complex again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ctsid_core.likelihood.kernel import Layout, Shape
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.model.modal import steps_of
 
 _OVERHEAD = 3e6       # operations that an evaluation of no samples takes, and each output
@@ -56,45 +58,92 @@ class Triangle:
     rates: Array
     one: Array
     y: Array
-    channels: Array
+    channels: Places
     count: int
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
     """
-    The triangles of all streams of one record.
+    The triangles of all streams of all records.
 
     Parameters
     ----------
-    triangles : tuple of Triangle
-    first : ndarray, shape (nu,)
-        Inputs at its start, after their dead time.
+    samples : Samples
+    layout : Layout
+    values : ndarray
+        Columns and outputs of all streams, one after another, in Fortran's order; then `first`.
     """
 
-    triangles: tuple[Triangle, ...]
-    first: Array
+    samples: Samples
+    layout: Layout
+    values: Array
+
+    @property
+    def first(self) -> Array:
+        """Inputs at the start of each record, after their dead time, (records, nu)."""
+        return self.values[self.layout.size:].reshape(-1, self.samples.nu)
+
+    @cached_property
+    def triangles(self) -> tuple[tuple[Triangle, ...], ...]:
+        """Those of each record, apart by what the columns are."""
+        found, at, number = [], 0, iter(self.layout.rows.tolist())
+        width = self.layout.shape.width(self.samples.nu)
+        for record in self.samples.records:
+            own = []
+            for s in record.streams:
+                rows, columns = next(number), width + s.y.shape[1]
+                table = self.values[at:at + rows * columns].reshape(columns, rows).T
+                at += rows * columns
+                own.append(_triangle(table[:, :width], table[:, width:], self.samples.nu + 1,
+                                     self.layout.shape, s.channels, len(s.times)))
+            found.append(tuple(own))
+        return tuple(found)
 
 
-def columns_of(samples: Samples, poles: ComplexArray, delay: Array | Sequence[float], *,
-               direct: bool, turned: bool = True) -> tuple[Columns, ...]:
+def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: bool,
+               turned: bool = True, slopes: bool = True) -> Columns:
     """
-    Return the columns of given poles and dead times, of each record.
+    Return the columns of given poles and dead times.
 
     Parameters
     ----------
     samples : Samples
     poles : ndarray, shape (m,)
         Real ones first, then one of each pair, that with positive imaginary part [rad/s].
-    delay : sequence of float, length nu
+    delay : ndarray, shape (nu,)
         [s]
     direct : bool
         Whether D is free: else what dead times do to it is left out.
     turned : bool
         Whether few rows are wanted; else there is one for each sample.
+    slopes : bool
+        Whether derivatives by poles and dead times are wanted.
     """
     samples.effort.spend(evaluation_work(samples, len(poles)))
-    return tuple(_of_record(r, poles, delay, direct, turned) for r in samples.records)
+    real = int(np.count_nonzero(poles.imag == 0.0))
+    layout = _layout(samples, Shape(real, len(poles) - real, direct, slopes), turned)
+    if samples.kernel is not None:
+        return Columns(samples, layout, samples.kernel.columns(layout, poles, delay))
+    tables, first, number = [], [], iter(layout.rows.tolist())
+    for record in samples.records:
+        own, begin = _tables(record, poles, delay, layout.shape, number)
+        tables += own
+        first.append(begin)
+    return Columns(samples, layout, np.concatenate([t.ravel() for t in (*tables, *first)]))
+
+
+def _layout(samples: Samples, shape: Shape, turned: bool) -> Layout:
+    """Return where columns are; it is kept, for there are few."""
+    key = (shape, turned)
+    if key not in samples.layouts:
+        streams = [s for r in samples.records for s in r.streams]
+        columns = [shape.width(samples.nu) + s.y.shape[1] for s in streams]
+        rows = [min(len(s.times), k) if turned else len(s.times)
+                for s, k in zip(streams, columns, strict=True)]
+        samples.layouts[key] = Layout(shape, np.array(rows, dtype=np.intc), sum(
+            n * k for n, k in zip(rows, columns, strict=True)))
+    return samples.layouts[key]
 
 
 def evaluation_work(samples: Samples, modes: int) -> float:
@@ -110,44 +159,42 @@ def evaluation_work(samples: Samples, modes: int) -> float:
     return _OVERHEAD * (samples.ny + 1) + _PER_RESPONSE * responses + 2.0 * count * columns ** 2
 
 
-def _of_record(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
-               direct: bool, turned: bool) -> Columns:
+def _tables(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape,
+            number: Iterator[int]) -> tuple[list[Array], Array]:
+    """Return the columns of each stream as rows, outputs below, and the first inputs."""
     times = record.streams[0].times if len(record.streams) == 1 else \
         np.concatenate([s.times for s in record.streams])
-    rows, shape, first = _rows(record, poles, delay, direct, times)
-    size, triangles, place = len(rows) - record.streams[0].y.shape[1], [], 0
+    rows, first = _rows(record, poles, delay, shape, times)
+    size, found, place = shape.width(len(delay)), [], 0
     for s in record.streams:
         both = rows[:, place:place + len(s.times)]
         if len(record.streams) > 1:
             both = np.concatenate((both[:size], s.y.T))
         place += len(s.times)
-        both = triangle(both.T) if turned and len(s.times) > len(both) else both.T
-        triangles.append(_triangle(both[:, :size], both[:, size:], shape,
-                                   np.arange(s.channels.start, s.channels.stop), len(s.times)))
-    return Columns(tuple(triangles), first)
+        found.append(both if next(number) == len(s.times) else triangle(both.T).T)
+    return found, first
 
 
-def _rows(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[float],
-          direct: bool, times: Array) -> tuple[Array, tuple[int, int, int, bool], Array]:
+def _rows(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape,
+          times: Array) -> tuple[Array, Array]:
     """
-    Return the columns as rows, those of the output below, their shape, and the first inputs.
+    Return the columns as rows, those of the output below, and the first inputs.
 
     All are written into one table, for records of millions of samples; the output's only where
     there is one stream.
     """
     steps = steps_of(record.drives, delay, record.start, times)
-    since, first, wide = times - record.start, int(np.sum(poles.imag == 0.0)), len(delay) + 1
+    since, first, wide = times - record.start, shape.real, len(delay) + 1
     y = record.streams[0].y.T
-    inputs = [steps.inputs, steps.rates] if direct else [steps.inputs]
-    rows = np.empty((2 * wide * (2 * len(poles) - first) + len(inputs) * (wide - 1) + 1 + len(y),
-                     len(times)))
+    inputs = [steps.inputs, steps.rates] if shape.direct and shape.slopes else [steps.inputs]
+    rows = np.empty((shape.width(len(delay)) + len(y), len(times)))
     place = 0
     for kind in (poles[:first].real, poles[first:]):
         if not len(kind):
             continue
         free = np.exp(kind[:, np.newaxis] * since)
-        responses, slopes = steps.responses(kind)
-        for driven, own in ((responses, free), (slopes, since * free)):
+        responses, bent = steps.responses(kind, slopes=shape.slopes)
+        for driven, own in ((responses, free), (bent, since * free))[:1 + shape.slopes]:
             for part in (np.real, np.imag)[:1 + np.iscomplexobj(own)]:
                 table = rows[place:place + wide * len(kind)].reshape(len(kind), wide, -1)
                 table[:, :-1], table[:, -1] = part(driven), part(own)
@@ -158,19 +205,23 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array | Sequence[fl
     rows[place] = 1.0
     if len(record.streams) == 1:
         rows[place + 1:] = y
-    return rows, (first, len(poles) - first, wide, direct), steps.first
+    return rows, steps.first
 
 
-def _triangle(columns: Array, y: Array, shape: tuple[int, int, int, bool], channels: Array,
+def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice,
               count: int) -> Triangle:
     """Return the columns by what they are."""
-    real, pairs, wide, direct = shape
+    real, pairs, direct, slopes = shape
     at, blocks = 0, []
-    for m in (real, real, pairs, pairs, pairs, pairs):      # Z, dZ; Re Z, Im Z, Re dZ, Im dZ
-        blocks.append(columns[:, at:at + m * wide].reshape(len(columns), m, wide))
-        at += m * wide
-    z = np.concatenate((blocks[0], blocks[2] + 1j * blocks[3]), axis=1)
-    dz = np.concatenate((blocks[1], blocks[4] + 1j * blocks[5]), axis=1)
+    for m, parts in ((real, 1), (pairs, 2)):            # Z, dZ; Re Z, Im Z, Re dZ, Im dZ
+        for _ in range(1 + slopes):
+            both = [columns[:, at + k * m * wide:at + (k + 1) * m * wide].reshape(
+                len(columns), m, wide) for k in range(parts)]
+            blocks.append(both[0] if parts == 1 else both[0] + 1j * both[1])
+            at += parts * m * wide
+    z = np.concatenate((blocks[0], blocks[1 + slopes]), axis=1)
+    dz = np.concatenate((blocks[1], blocks[3]), axis=1) if slopes else z[:, :0]
     u = columns[:, at:at + wide - 1]
-    rates = columns[:, at + wide - 1:-1] if direct else np.zeros_like(u)
-    return Triangle(z, dz, u, rates, columns[:, -1], y, channels, count)
+    rates = columns[:, at + wide - 1:-1] if direct and slopes else np.zeros_like(u)
+    return Triangle(z, dz, u, rates, columns[:, -1], y,
+                    np.arange(channels.start, channels.stop), count)

@@ -25,8 +25,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.output_error import Fit
-from ctsid_core.likelihood.residuals import Residuals
+from ctsid_core.likelihood.output_error import Fit, Residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices

@@ -16,6 +16,7 @@ Numer. Anal. 10; Kaufman 1975, BIT 15.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,9 @@ FEWER = 20            # ... and of a climb of a search
 _DAMPING = 1e-4       # of the first step
 _LEAST_DAMPING = 1e-9
 _AT_BOUND = 1.0 - 1e-9
+
+
+Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class Fit:
     Parameters
     ----------
     model : ModalModel
-    columns : tuple of Columns
+    columns : Columns
         Of its poles and dead times.
     power : ndarray, shape (records, ny)
         Mean square of the errors; outputs have size 1.
@@ -86,13 +90,28 @@ class Fit:
     """
 
     model: ModalModel
-    columns: tuple[Columns, ...]
+    columns: Columns
     power: Array
     cost: float
 
 
+class Guess(NamedTuple):
+    """
+    What a fit at other poles may start from.
+
+    Parameters
+    ----------
+    model : ModalModel
+    power : ndarray, shape (records, ny)
+        Mean square of its errors, as far as it is known.
+    """
+
+    model: ModalModel
+    power: Array
+
+
 def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
-           near: Fit | None = None, columns: tuple[Columns, ...] | None = None) -> Fit:
+           near: Fit | Guess | None = None, columns: Columns | None = None) -> Fit:
     """
     Return the best model with given poles and dead times.
 
@@ -104,15 +123,15 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     delay : ndarray, shape (nu,)
         [s]
     free : Free
-    near : Fit, optional
+    near : Fit or Guess, optional
         Of nearly the same poles, in the same order: its b and initial states are the start where
         there are several inputs and outputs.
-    columns : tuple of Columns, optional
+    columns : Columns, optional
         Of these poles and dead times, if they are known.
     """
     poles = canonical(poles)
     columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough)
-    power = np.ones((len(columns), samples.ny)) if near is None else near.power
+    power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
     kept = near is not None and len(near.model.poles) == len(poles) and \
         bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))
     start = replace(near.model, poles=poles, delay=delay) if kept and near is not None else \
@@ -141,7 +160,8 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     """
     best, damping, gain = start, _DAMPING, np.inf
     for taken in range(steps):
-        gradient, curvature, scale, places = _slopes(samples, best, free)
+        around = PoleSteps.of(best.model.poles, 1.0 / samples.length, samples.several)
+        gradient, curvature, scale, places = _slopes(samples, best, free, around)
         promise = _promise(gradient, curvature)
         moved = None
         hope = max(_at_most(promise, samples), gain if taken else 0.0)
@@ -149,7 +169,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
             break
         for _ in range(6):
             step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
-            trial = _moved(samples, best, step / scale, places, free)
+            trial = _moved(samples, best, step / scale, places, free, around)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
                 break
@@ -173,19 +193,40 @@ def _promise(gradient: Array, curvature: Array) -> float:
         curvature + _LEAST_DAMPING * np.eye(len(gradient)), gradient))
 
 
-def _slopes(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Array, Places]:
+def _slopes(samples: Samples, fit: Fit, free: Free,
+            around: PoleSteps) -> tuple[Array, Array, Array, Places]:
     """Return gradient and curvature over the size of each direction, the sizes, and places."""
-    rows, error, places = jacobian(samples, fit, free)
-    gradient, curvature = rows.T @ error, rows.T @ rows
-    held = _held(samples, fit.model, free, gradient, places)
+    gradient, curvature, places = _normal(samples, fit, free, around)
+    held = _held(fit.model, free, gradient, places, around)
     gradient[held] = curvature[held] = curvature[:, held] = 0.0
     scale = np.sqrt(np.diag(curvature))
     scale[~(scale > 1e-150)] = 1.0
     return gradient / scale, curvature / np.outer(scale, scale), scale, places
 
 
-def _held(samples: Samples, model: ModalModel, free: Free, gradient: Array,
-          places: Places) -> list[int]:
+def _normal(samples: Samples, fit: Fit, free: Free,
+            around: PoleSteps) -> tuple[Array, Array, Places]:
+    """Return gradient and curvature: what is left of a Jacobian in the normal equations."""
+    if samples.kernel is None:
+        rows, error, places = jacobian(samples, fit, free)
+        return rows.T @ error, rows.T @ rows, places
+    dp, late, places = _coordinates(samples, fit.model, free, around)
+    return *samples.kernel.slopes(
+        fit.columns.layout, free.trim, fit.columns.values, fit.model, fit.power, dp, late,
+        places.count(samples.ny, len(samples.records))), places
+
+
+def _coordinates(samples: Samples, model: ModalModel, free: Free,
+                 around: PoleSteps) -> tuple[ComplexArray, NDArray[np.intp], Places]:
+    """Return derivatives of modes by coordinates, inputs of free dead times, and places."""
+    nu, n, records, dp = samples.nu, model.n, len(samples.records), around.derivatives()
+    late = np.flatnonzero(free.delays)
+    return dp, late, Places(len(dp), len(late), n * nu, n,
+                            n + nu * free.feedthrough + records * free.trim)
+
+
+def _held(model: ModalModel, free: Free, gradient: Array, places: Places,
+          around: PoleSteps) -> list[int]:
     """Return the places of real poles and dead times at a bound that would go beyond it."""
     delay = model.delay[list(free.delays)]
     ahead = gradient[places.poles:places.poles + places.delays]
@@ -193,14 +234,13 @@ def _held(samples: Samples, model: ModalModel, free: Free, gradient: Array,
         np.where(ahead < 0.0, delay <= 0.0, delay >= free.longest))]
     slow, fast = model.poles.real >= free.limit, np.abs(model.poles) >= free.fastest * _AT_BOUND
     if slow.any() or fast.any():
-        around = PoleSteps.of(model.poles, 1.0 / samples.length, samples.several)
         found += [k for k, one in around.single() if (slow if gradient[k] > 0.0 else fast)[one]]
     return found
 
 
-def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free) -> Fit | None:
+def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
+           around: PoleSteps) -> Fit | None:
     model = fit.model
-    around = PoleSteps.of(model.poles, 1.0 / samples.length, samples.several)
     n, late = places.poles, np.array(free.delays)
     fraction = 1.0
     for _ in range(10):
@@ -212,9 +252,8 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free) 
     delay[late] = np.clip(delay[late] + fraction * step[n:n + places.delays], 0.0, free.longest)
     if not np.isfinite(poles).all():
         return None
-    near = fit
-    if samples.several:
-        near = replace(fit, model=_with_linear(model, fraction * step, places))
+    near = Guess(_with_linear(model, fraction * step, places) if samples.several else model,
+                 fit.power)
     try:
         return fit_at(samples, poles, delay, free, near)
     except np.linalg.LinAlgError:
@@ -230,6 +269,10 @@ class Places:
     b: int
     x0: int          # of one record
     own: int         # of each output: c, D and trims
+
+    def count(self, ny: int, records: int) -> int:
+        """Return how many there are."""
+        return self.poles + self.delays + self.b + records * self.x0 + ny * self.own
 
     def of_states(self, ny: int, records: int, trim: bool) -> Mask:
         """Return which columns are of initial states and trims."""
@@ -283,16 +326,15 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
     """Return derivatives of the simulation over the noise, the errors over it, and places."""
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
-    dp = PoleSteps.of(poles, 1.0 / samples.length, samples.several).derivatives()
-    late = np.flatnonzero(free.delays)
-    own = n + nu * free.feedthrough + records * free.trim
-    places = Places(len(dp), len(late), n * nu, n, own)
+    dp, late, places = _coordinates(samples, model, free, PoleSteps.of(
+        poles, 1.0 / samples.length, samples.several))
+    own = places.own
     shared = places.poles + places.delays + places.b + records * places.x0
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
-    for r, columns in enumerate(fit.columns):
+    for r, triangles in enumerate(fit.columns.triangles):
         driving = _driving(model, r)
-        for t in columns.triangles:
+        for t in triangles:
             driven = np.sum(t.z * driving, axis=2)
             slopes, of_c = np.sum(t.dz * driving, axis=2), _real(driven, poles)
             error, direct = t.y - _simulated(t, model, r, driven), _direct(t, free, r, records)
@@ -303,7 +345,8 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
                 J = np.zeros((len(t.one), shared + own * ny))
                 J[:, :places.poles] = ((slopes * c) @ dp.T).real
                 at = places.poles
-                J[:, at:at + len(late)] = _by_delay(t, turned, model, int(i), columns.first, late)
+                J[:, at:at + len(late)] = _by_delay(t, turned, model, int(i), fit.columns.first[r],
+                                                       late)
                 at += len(late)
                 J[:, at:at + places.b] = _real(turned[:, :, :nu], poles)
                 at += places.b + r * places.x0
@@ -335,10 +378,10 @@ def _with_linear(model: ModalModel, step: Array, places: Places) -> ModalModel:
     return replace(model, b=model.b + b, x0=model.x0 + x0.T)
 
 
-def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: tuple[Columns, ...],
+def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns,
            free: Free, power: Array) -> ModalModel:
     """Return residues of rank one that are nearest to the best free ones."""
-    m, nu, ny, records = len(poles), samples.nu, samples.ny, len(columns)
+    m, nu, ny, records = len(poles), samples.nu, samples.ny, len(samples.records)
     c = np.ones((ny, m), dtype=complex)
     b, x0 = np.ones((m, nu), dtype=complex), np.zeros((records, m), dtype=complex)
     start = ModalModel(poles, b, c, x0, np.zeros((ny, nu)), np.zeros((records, ny)), delay)
@@ -357,15 +400,15 @@ def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: tuple[C
     return replace(start, b=b, c=c, x0=x0)
 
 
-def _free_residues(samples: Samples, poles: ComplexArray, columns: tuple[Columns, ...],
+def _free_residues(samples: Samples, poles: ComplexArray, columns: Columns,
                    free: Free, power: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return residues (ny, m, nu) and free responses (ny, records, m), of any rank."""
-    m, nu, ny, records = len(poles), samples.nu, samples.ny, len(columns)
+    m, nu, ny, records = len(poles), samples.nu, samples.ny, len(samples.records)
     residues = np.zeros((ny, m, nu), dtype=complex)
     starts = np.zeros((ny, records, m), dtype=complex)
     for i in range(ny):
         rows, targets = [], []
-        for r, own in enumerate(columns):
+        for r, own in enumerate(columns.triangles):
             for t, k in _of_output(own, i):
                 rows.append(np.hstack((*_driven(t.z, poles, r, records),
                                        _direct(t, free, r, records))) / np.sqrt(power[r, i]))
@@ -413,18 +456,18 @@ def split(samples: Samples, fit: Fit, free: Free) -> Fit | None:
         model, poles=poles[order], b=np.vstack((model.b, b.astype(complex)))[order],
         c=np.column_stack((model.c, c.astype(complex)))[:, order],
         x0=np.column_stack((model.x0, x0.astype(complex)))[:, order])
-    return fit_at(samples, joined.poles, model.delay, free, replace(fit, model=joined))
+    return fit_at(samples, joined.poles, model.delay, free, Guess(joined, fit.power))
 
 
 def _residue_of_rest(samples: Samples, fit: Fit,
                      k: int) -> tuple[float, int, Array, Array, Array]:
     """Return what one more mode at a real pole would do to the errors: size, k, c, b, x0."""
     model, nu, ny = fit.model, samples.nu, samples.ny
-    records, reach = len(fit.columns), _reach(fit.columns)[k]
+    records, reach = len(samples.records), _reach(fit.columns)[k]
     residue, x0 = np.zeros((ny, nu)), np.zeros((ny, records))
     for i in range(ny):
         rows, errors = [], []
-        for r, own in enumerate(fit.columns):
+        for r, own in enumerate(fit.columns.triangles):
             driving = _driving(model, r)
             for t, place in _of_output(own, i):
                 both = t.z[:, k].real
@@ -442,14 +485,14 @@ def _residue_of_rest(samples: Samples, fit: Fit,
     return float(s[0]), k, c, s[0] * right[0] / reach, c @ x0 / float(c @ c)
 
 
-def _reach(columns: tuple[Columns, ...]) -> Array:
+def _reach(columns: Columns) -> Array:
     """Return the size of the response of each mode to each input, (m, nu)."""
-    total = sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0) for own in columns for t in own.triangles)
+    total = sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0) for own in columns.triangles for t in own)
     return np.sqrt(np.asarray(total)) + 1e-300
 
 
-def _of_output(columns: Columns, i: int) -> list[tuple[Triangle, int]]:
-    return [(t, int(np.flatnonzero(t.channels == i)[0])) for t in columns.triangles
+def _of_output(triangles: tuple[Triangle, ...], i: int) -> list[tuple[Triangle, int]]:
+    return [(t, int(np.flatnonzero(t.channels == i)[0])) for t in triangles
             if i in t.channels]
 
 
@@ -458,9 +501,13 @@ def _least_squares(rows: Array, target: Array) -> Array:
     return found
 
 
-def _solved(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
+def _solved(samples: Samples, model: ModalModel, columns: Columns, free: Free,
             power: Array) -> Fit:
     """Return the model with b, c, D, initial states and trim at their best, one after another."""
+    if samples.kernel is not None:
+        model, power = samples.kernel.solve(columns.layout, free.trim, columns.values, model,
+                                            power)
+        return Fit(model, columns, power, _cost(samples, power))
     for _ in range(2):                  # the noise of outputs and records is known after one
         if samples.ny > 1:
             model = _solve_c(samples, model, columns, free, power)
@@ -476,27 +523,56 @@ def _cost(samples: Samples, power: Array) -> float:
     return float(np.sum(samples.counts * np.log(np.maximum(power, ROUNDING))))
 
 
-def _powers(samples: Samples, model: ModalModel, columns: tuple[Columns, ...]) -> Array:
-    power = np.ones((len(columns), samples.ny))
-    for r, own in enumerate(columns):
-        driving = _driving(model, r)
-        for t in own.triangles:
-            error = t.y - _simulated(t, model, r, np.sum(t.z * driving, axis=2))
-            power[r, t.channels] = np.sum(error ** 2, axis=0) / max(t.count, 1) + 1e-300
+def _powers(samples: Samples, model: ModalModel, columns: Columns) -> Array:
+    power = np.ones((len(samples.records), samples.ny))
+    for r, own in enumerate(errors_of(samples, model, columns)):
+        for error, s in zip(own, samples.records[r].streams, strict=True):
+            power[r, s.channels] = np.sum(error ** 2, axis=0) / max(len(s.times), 1) + 1e-300
     return power
 
 
-def _solve_c(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
+def errors_of(samples: Samples, model: ModalModel, columns: Columns) -> Residuals:
+    """
+    Return measured less simulated outputs, or what their triangles keep of them.
+
+    Parameters
+    ----------
+    samples : Samples
+    model : ModalModel
+    columns : Columns
+        Of its poles and dead times.
+
+    Returns
+    -------
+    tuple of tuples of ndarray, shape (rows, channels)
+        Of each record and stream.
+    """
+    if samples.kernel is None:
+        return tuple(tuple(t.y - _simulated(t, model, r, np.sum(t.z * _driving(model, r), axis=2))
+                           for t in own) for r, own in enumerate(columns.triangles))
+    values, at, found = samples.kernel.errors(columns.layout, columns.values, model), 0, []
+    rows = iter(columns.layout.rows.tolist())
+    for record in samples.records:
+        own = []
+        for s in record.streams:
+            count, channels = next(rows), s.y.shape[1]
+            own.append(values[at:at + count * channels].reshape(channels, count).T)
+            at += count * channels
+        found.append(tuple(own))
+    return tuple(found)
+
+
+def _solve_c(samples: Samples, model: ModalModel, columns: Columns, free: Free,
              power: Array) -> ModalModel:
-    n, nd, records = model.n, samples.nu * free.feedthrough, len(columns)
+    n, nd, records = model.n, samples.nu * free.feedthrough, len(samples.records)
     c, D, y0 = model.c.copy(), model.D.copy(), model.y0.copy()
     designs = [[np.hstack((_real(np.sum(t.z * _driving(model, r), axis=2), model.poles),
-                           _direct(t, free, r, records))) for t in own.triangles]
-               for r, own in enumerate(columns)]
+                           _direct(t, free, r, records))) for t in own]
+               for r, own in enumerate(columns.triangles)]
     for i in range(samples.ny):
         rows, targets = [], []
-        for r, own in enumerate(columns):
-            for t, design in zip(own.triangles, designs[r], strict=True):
+        for r, own in enumerate(columns.triangles):
+            for t, design in zip(own, designs[r], strict=True):
                 for k in np.flatnonzero(t.channels == i):
                     rows.append(design / np.sqrt(power[r, i]))
                     targets.append(t.y[:, k] / np.sqrt(power[r, i]))
@@ -508,14 +584,14 @@ def _solve_c(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], 
     return replace(model, c=c, D=D, y0=y0)
 
 
-def _solve_b(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
+def _solve_b(samples: Samples, model: ModalModel, columns: Columns, free: Free,
              power: Array) -> ModalModel:
-    poles, nu, ny, records = model.poles, samples.nu, samples.ny, len(columns)
+    poles, nu, ny, records = model.poles, samples.nu, samples.ny, len(samples.records)
     nd, driven = nu * free.feedthrough, model.n * (nu + records)
     own_of_output = nd + records * free.trim
     rows, targets = [], []
-    for r, own in enumerate(columns):
-        for t in own.triangles:
+    for r, own in enumerate(columns.triangles):
+        for t in own:
             direct = _direct(t, free, r, records)
             for k, i in enumerate(t.channels):
                 block = np.zeros((len(t.one), driven + ny * own_of_output))
@@ -544,7 +620,7 @@ def _normalised(model: ModalModel) -> ModalModel:
 
 
 def fit_states(samples: Samples, model: ModalModel, free: Free,
-               columns: tuple[Columns, ...] | None = None) -> Fit:
+               columns: Columns | None = None) -> Fit:
     """
     Return a model as it is, with the initial states and the trim that suit the samples best.
 
@@ -553,31 +629,29 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     samples : Samples
     model : ModalModel
     free : Free
-    columns : tuple of Columns, optional
+    columns : Columns, optional
         Of its poles and dead times, if they are known.
     """
     columns = columns or columns_of(samples, model.poles, model.delay,
                                     direct=free.feedthrough)
-    power = np.ones((len(columns), samples.ny))
-    if len(model.x0) != len(columns):
-        model = replace(model, x0=np.zeros((len(columns), len(model.poles)), dtype=complex),
-                        y0=np.zeros((len(columns), samples.ny)))
+    power = np.ones((len(samples.records), samples.ny))
+    if len(model.x0) != len(samples.records):
+        model = replace(model, x0=np.zeros((len(power), len(model.poles)), dtype=complex),
+                        y0=np.zeros_like(power))
     for _ in range(2):
         model = _solve_states(samples, model, columns, free, power)
         power = _powers(samples, model, columns)
     return Fit(model, columns, power, _cost(samples, power))
 
 
-def _solve_states(samples: Samples, model: ModalModel, columns: tuple[Columns, ...], free: Free,
+def _solve_states(samples: Samples, model: ModalModel, columns: Columns, free: Free,
                   power: Array) -> ModalModel:
     poles, ny, n = model.poles, samples.ny, model.n
     x0, y0 = np.zeros_like(model.x0), np.zeros_like(model.y0)
-    for r, own in enumerate(columns):
-        still = replace(model, x0=x0, y0=y0)
-        driving = _driving(still, r)
+    errors = errors_of(samples, replace(model, x0=x0, y0=y0), columns)
+    for r, own in enumerate(columns.triangles):
         rows, targets = [], []
-        for t in own.triangles:
-            error = t.y - _simulated(t, still, r, np.sum(t.z * driving, axis=2))
+        for t, error in zip(own, errors[r], strict=True):
             for k, i in enumerate(t.channels):
                 block = np.zeros((len(t.one), n + ny * free.trim))
                 block[:, :n] = _real(t.z[:, :, -1] * model.c[i], poles)

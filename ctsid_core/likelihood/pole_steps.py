@@ -9,6 +9,8 @@ and become a pair, a and b move on. A real pole left over moves by itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+import math
 
 import numpy as np
 
@@ -46,18 +48,17 @@ class PoleSteps:
         each other.
         """
         poles = canonical(poles)
-        scale = np.maximum(np.abs(poles), slowest)
-        real = [int(i) for i in np.flatnonzero(poles.imag == 0.0)]
-        real.sort(key=lambda i: poles[i].real)
-        factors, i = [(int(k), -1) for k in np.flatnonzero(poles.imag > 0.0)], 0
-        gaps = [abs(poles[b].real - poles[a].real) / min(scale[a], scale[b])
-                for a, b in zip(real[:-1], real[1:], strict=True)]
+        p = poles.tolist()
+        scale = [max(abs(x), slowest) for x in p]
+        real = sorted((k for k, x in enumerate(p) if x.imag == 0.0), key=lambda k: p[k].real)
+        factors, i = [(k, -1) for k, x in enumerate(p) if x.imag > 0.0], 0
+        gaps = [abs(p[b].real - p[a].real) / min(scale[a], scale[b]) for a, b in pairwise(real)]
         while i < len(real):
             joins = not several and i < len(gaps) and gaps[i] < _NEAR and not (
                 i + 1 < len(gaps) and gaps[i + 1] < gaps[i])
             factors.append((real[i], real[i + 1] if joins else -1))
             i += 2 if joins else 1
-        return cls(poles, tuple(factors), scale)
+        return cls(poles, tuple(factors), np.array(scale))
 
     def single(self) -> list[tuple[int, int]]:
         """Return the coordinate and the place of each real pole that moves by itself."""
@@ -70,23 +71,23 @@ class PoleSteps:
 
     def derivatives(self) -> ComplexArray:
         """Return d poles / d coordinates, (n, m)."""
-        rows = []
+        poles, scale, place = self.poles.tolist(), self.scale.tolist(), 0
+        found = np.zeros((len(poles) + sum(p.imag > 0.0 for p in poles), len(poles)),
+                         dtype=complex)
         for one, other in self.factors:
-            p = self.poles[one]
+            p = poles[one]
             if p.imag == 0.0 and other < 0:
-                row = np.zeros(len(self.poles), dtype=complex)
-                row[one] = self.scale[one]
-                rows.append(row)
+                found[place, one] = scale[one]
+                place += 1
                 continue
-            q = p.conjugate() if other < 0 else self.poles[other]
-            size = self.scale[one] if other < 0 else np.sqrt(self.scale[one] * self.scale[other])
+            q = p.conjugate() if other < 0 else poles[other]
+            size = scale[one] if other < 0 else math.sqrt(scale[one] * scale[other])
             for of_a, of_b in ((size, 0.0), (0.0, size * size)):
-                row = np.zeros(len(self.poles), dtype=complex)
-                row[one] = -(p * of_a + of_b) / (p - q)
+                found[place, one] = -(p * of_a + of_b) / (p - q)
                 if other >= 0:
-                    row[other] = -(q * of_a + of_b) / (q - p)
-                rows.append(row)
-        return np.array(rows).reshape(-1, len(self.poles))
+                    found[place, other] = -(q * of_a + of_b) / (q - p)
+                place += 1
+        return found
 
     def moved(self, step: Array, limit: float, fastest: float) -> ComplexArray:
         """
@@ -101,32 +102,36 @@ class PoleSteps:
             Largest magnitude [rad/s].
         """
         found, place = [], 0
+        poles, scale, by = self.poles.tolist(), self.scale.tolist(), step.tolist()
         for one, other in self.factors:
-            p = self.poles[one]
+            p = poles[one]
             if p.imag == 0.0 and other < 0:
-                found.append(p + self.scale[one] * step[place])
+                found.append(p + scale[one] * by[place])
                 place += 1
                 continue
-            q = p.conjugate() if other < 0 else self.poles[other]
-            size = self.scale[one] if other < 0 else np.sqrt(self.scale[one] * self.scale[other])
-            a = -(p + q).real + size * step[place]
-            b = (p * q).real + size * size * step[place + 1]
+            q = p.conjugate() if other < 0 else poles[other]
+            size = scale[one] if other < 0 else math.sqrt(scale[one] * scale[other])
+            a = -(p + q).real + size * by[place]
+            b = (p * q).real + size * size * by[place + 1]
             place += 2
             middle, turn = -0.5 * a, 0.25 * a * a - b
             if turn < 0.0:
-                found.append(complex(middle, np.sqrt(-turn)))
+                found.append(complex(middle, math.sqrt(-turn)))
             else:
-                far = middle + np.copysign(np.sqrt(turn), middle)
+                far = middle + math.copysign(math.sqrt(turn), middle)
                 found += [complex(far), complex(b / far if far else -far)]
         poles = np.array(found)
         return canonical(bounded(poles, limit, fastest))
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""
-        def sizes(p: ComplexArray) -> Array:
-            every = np.concatenate((p, p[p.imag > 0.0]))
-            return np.sort(np.log(np.maximum(np.abs(every), np.min(self.scale) * 0.1)))
-        return float(np.max(np.abs(sizes(poles) - sizes(self.poles)), initial=0.0))
+        least = 0.1 * float(np.min(self.scale))
+
+        def sizes(p: ComplexArray) -> list[float]:
+            return sorted(math.log(max(abs(x), least)) for x in p.tolist()
+                          for _ in range(1 + (x.imag > 0.0)))
+        return max((abs(a - b) for a, b in zip(sizes(poles), sizes(self.poles), strict=True)),
+                   default=0.0)
 
 
 def bounded(poles: ComplexArray, limit: float, fastest: float) -> ComplexArray:
@@ -138,17 +143,14 @@ def bounded(poles: ComplexArray, limit: float, fastest: float) -> ComplexArray:
 
 def canonical(poles: ComplexArray) -> ComplexArray:
     """Return real poles and one of each pair, kept apart where they are equal."""
-    poles = np.asarray(poles, dtype=complex)
-    poles = poles[poles.imag >= 0.0]
-    order = np.lexsort((poles.real, np.abs(poles), poles.imag > 0.0))
-    poles = poles[order].copy()
-    for i in range(len(poles)):
-        p = poles[i]
+    found = sorted((p for p in np.asarray(poles, dtype=complex).tolist() if p.imag >= 0.0),
+                   key=lambda p: (p.imag > 0.0, abs(p), p.real))
+    for i, p in enumerate(found):
         if 0.0 < p.imag < _APART * abs(p):
-            poles[i] = complex(p.real, _APART * abs(p))
-        for k in range(i):
+            found[i] = complex(p.real, _APART * abs(p))
+        for other in found[:i]:
             # A pair stays one, beside whatever real pole.
-            if abs(poles[i] - poles[k]) < _APART * abs(poles[i]) and (p.imag > 0.0) == (
-                    poles[k].imag > 0.0):
-                poles[i] = poles[k] - _APART * max(abs(poles[k]), 1e-300)
-    return poles
+            if abs(found[i] - other) < _APART * abs(found[i]) and (p.imag > 0.0) == (
+                    other.imag > 0.0):
+                found[i] = other - _APART * max(abs(other), 1e-300)
+    return np.array(found, dtype=complex)

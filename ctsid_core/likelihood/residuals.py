@@ -5,17 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.mode_columns import evaluation_work
-from ctsid_core.likelihood.output_error import ROUNDING, Fit
+from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.output_error import ROUNDING, Fit, Residuals, errors_of
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
-from ctsid_core.model.modal import mode_responses
 
 _SMALL = 0.05         # autocorrelation below which the sum over lags ends
 _LAGS = 20            # of an autoregression of errors, at most, ...
 _FEWEST = 10          # ... with so many samples for each
-
-Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, channels)
 
 
 def residuals(samples: Samples, fit: Fit) -> Residuals:
@@ -27,26 +24,8 @@ def residuals(samples: Samples, fit: Fit) -> Residuals:
     tuple of tuples of ndarray, shape (N, channels)
         Of each record and stream.
     """
-    return tuple(tuple(s.y - y for s, y in zip(r.streams, own, strict=True))
-                 for r, own in zip(samples.records, _simulated(samples, fit), strict=True))
-
-
-def _simulated(samples: Samples, fit: Fit) -> Residuals:
-    """Return the simulation at the samples, over the size of the outputs, likewise."""
-    m, found = fit.model, []
-    samples.effort.spend(0.3 * evaluation_work(samples, len(m.poles)))
-    for i, record in enumerate(samples.records):
-        own = []
-        for s in record.streams:
-            seen = mode_responses(m.poles, record.drives, m.delay.tolist(), record.start, s.times,
-                                  slopes=False)
-            z = np.einsum('mj,mjt->mt', m.b, seen.responses) + m.x0[i][:, np.newaxis] * np.exp(
-                m.poles[:, np.newaxis] * (s.times - record.start))
-            y = (m.c[s.channels] @ z).real + m.D[s.channels] @ seen.inputs \
-                + m.y0[i, s.channels][:, np.newaxis]
-            own.append(np.asarray(y.T))
-        found.append(tuple(own))
-    return tuple(found)
+    return errors_of(samples, fit.model, columns_of(
+        samples, fit.model.poles, fit.model.delay, direct=False, turned=False, slopes=False))
 
 
 def driven(samples: Samples, fit: Fit, errors: Residuals) -> Array:

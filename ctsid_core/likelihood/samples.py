@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ctsid_core.effort import Effort
+from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, kernel_of
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Record, Signal, channel_slices
@@ -99,6 +100,16 @@ class Samples:
             for stream in record.streams:
                 row[stream.channels] = len(stream.times)
         return found
+
+    @cached_property
+    def layouts(self) -> dict[tuple[Shape, bool], Layout]:
+        """Where columns are, as far as it was asked."""
+        return {}
+
+    @cached_property
+    def kernel(self) -> Kernel | None:
+        """The compiled kernel with these samples, where there is one."""
+        return kernel_of(self.records, self.nu, self.ny)
 
     def mean(self, values: Array) -> Array:
         """Return what records and outputs have, (records, ny), over all their samples, (ny,)."""

@@ -195,8 +195,8 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     rows, errors, _ = jacobian(samples, whole, free)
     samples.effort.check()
     found, at = np.zeros((directions.shape[1],) * 2), 0
-    for own in whole.columns:
-        for t in own.triangles:
+    for own in whole.columns.triangles:
+        for t in own:
             for _ in t.channels:
                 samples.effort.check()
                 block = slice(at, at + t.count)

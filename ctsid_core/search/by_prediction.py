@@ -28,7 +28,7 @@ from scipy.linalg import logm
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
-from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, Guess, climb, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -247,12 +247,12 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit |
     return min(known, key=lambda fit: fit.information, default=None)
 
 
-def _near(start: Start, joint: Samples, delay: Array) -> Fit:
+def _near(start: Start, joint: Samples, delay: Array) -> Guess:
     """Return a start of the regression as what `fit_at` starts from."""
     m, ny, records = len(start.poles), joint.ny, len(joint.records)
-    return Fit(ModalModel(start.poles, start.b, np.ones((ny, m), dtype=complex),
-                          np.zeros((records, m), dtype=complex), np.zeros((ny, joint.nu)),
-                          np.zeros((records, ny)), delay), (), np.ones((records, ny)), np.inf)
+    return Guess(ModalModel(start.poles, start.b, np.ones((ny, m), dtype=complex),
+                            np.zeros((records, m), dtype=complex), np.zeros((ny, joint.nu)),
+                            np.zeros((records, ny)), delay), np.ones((records, ny)))
 
 
 def information(errors: Array, samples: Samples, parameters: int) -> float:

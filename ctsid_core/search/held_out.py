@@ -158,8 +158,8 @@ def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
     kept = s > _GAUGE * s[0]
     moved = np.sum(((seen / size) @ (right[kept] / s[kept, np.newaxis]).T) ** 2, axis=1)
     squares, at = np.zeros(late.ny), 0
-    for r, columns in enumerate(there.columns):
-        for t in columns.triangles:
+    for r, triangles in enumerate(there.columns.triangles):
+        for t in triangles:
             for i in t.channels:
                 squares[i] += own.power[r, i] * np.sum(moved[at:at + len(t.y)])
                 at += len(t.y)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled kernel and NumPy: the same columns, fits and slopes, for every kind of samples."""
+
+from dataclasses import replace
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from ctsid_core.likelihood import kernel
+from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.output_error import Free, _normal, climb, fit_at, jacobian
+from ctsid_core.likelihood.pole_steps import PoleSteps
+from ctsid_core.likelihood.samples import Samples, samples_of
+from ctsid_core.signals.record import Record, Signal
+
+pytestmark = pytest.mark.skipif(kernel._library() is None,
+                                reason='the kernel was not built: there is no C compiler')
+
+POLES = {'real': [-2.0, -30.0], 'pair': [-1.0 + 4.0j],
+         'both': [-0.02, -400.0, -3.0 + 9.0j, -0.01 + 60.0j]}
+
+
+def record(rng, nu, ny, hold, streams=1, samples=400):
+    """Return one of some seconds, with jitter, a gap, and outputs that move."""
+    def stamps(count):
+        t = np.sort(rng.uniform(0.0, 6.0, count))
+        return t[(t < 3.0) | (t > 3.2)]
+
+    inputs = []
+    for _ in range(nu):
+        t = stamps(150)
+        inputs.append(Signal(t, np.cumsum(rng.normal(size=(len(t), 1)), axis=0), hold))
+    if nu > 1:                                     # two channels that share their stamps
+        two = np.cumsum(rng.normal(size=(len(inputs[0].time), 2)), axis=0)
+        inputs[:2] = [Signal(inputs[0].time, two, hold)]
+    parts = np.array_split(np.arange(ny), streams)
+    outputs = []
+    for part in parts:
+        t = stamps(samples)
+        outputs.append(Signal(t, np.sin(np.outer(t, 1.0 + part)) + rng.normal(
+            size=(len(t), len(part))), 'smooth'))
+    return Record(tuple(inputs), tuple(outputs), 0.1, 6.0)
+
+
+def both_ways(samples: Samples):
+    """Return the same samples twice: for the kernel, and for NumPy."""
+    plain = replace(samples)
+    plain.__dict__['kernel'] = None
+    assert samples.kernel is not None
+    return samples, plain
+
+
+def free_of(samples, direct):
+    return Free(direct, True, (True,) + (False,) * (samples.nu - 1), 0.5, -1e-6, 500.0)
+
+
+CASES = [(1, 1, 'zoh', 1, 1, 400), (1, 2, 'linear', 2, 1, 400), (3, 2, 'zoh', 1, 2, 400),
+         (2, 3, 'smooth', 2, 1, 2600), (2, 1, 'linear', 1, 3, 12), (1, 1, 'zoh', 1, 1, 5000)]
+
+
+@pytest.mark.parametrize('direct', [False, True])
+@pytest.mark.parametrize('poles', POLES)
+@pytest.mark.parametrize(('nu', 'ny', 'hold', 'streams', 'records', 'count'), CASES)
+def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, poles, direct):
+    rng = np.random.default_rng(count + nu)
+    found = [record(rng, nu, ny, hold, streams, count) for _ in range(records)]
+    samples = samples_of(found, [[None] * streams] * records)
+    free, p = free_of(samples, direct), np.array(POLES[poles], dtype=complex)
+    delay = np.where(np.arange(nu) == 0, 0.21, 0.0)
+    compiled, plain = both_ways(samples)
+    for slopes in (False, True):
+        rows = [columns_of(s, p, delay, direct=direct, turned=False, slopes=slopes)
+                for s in (compiled, plain)]
+        assert np.array_equal(rows[0].layout.rows, rows[1].layout.rows)
+        np.testing.assert_allclose(rows[0].values, rows[1].values, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(rows[0].first, rows[1].first, rtol=1e-12)
+        triangles = [columns_of(s, p, delay, direct=direct, slopes=slopes)
+                     for s in (compiled, plain)]
+        for mine, theirs in zip(*(t.triangles for t in triangles), strict=True):
+            for a, b in zip(mine, theirs, strict=True):
+                products = [np.hstack((t.z[:, :, 0], t.u, t.one[:, np.newaxis])).T @ t.y
+                            for t in (a, b)]
+                np.testing.assert_allclose(*products, rtol=1e-9, atol=1e-9 * count)
+    one, other = (fit_at(s, p, delay, free) for s in (compiled, plain))
+    np.testing.assert_allclose(one.power, other.power, rtol=1e-8)
+    assert one.cost == pytest.approx(other.cost, rel=1e-8, abs=1e-6)
+    around = PoleSteps.of(p, 1.0 / samples.length, samples.several)
+    a, b = (_normal(s, one, free, around) for s in (compiled, plain))
+    assert a[2] == b[2]
+    np.testing.assert_allclose(a[0], b[0], rtol=1e-7, atol=1e-9 * np.linalg.norm(b[0]) + 1e-9)
+    np.testing.assert_allclose(a[1], b[1], rtol=1e-7, atol=1e-10 * np.max(b[1]))
+    rows, error, _ = jacobian(compiled, one, free)
+    np.testing.assert_allclose(a[0], rows.T @ error, rtol=1e-7,
+                               atol=1e-9 * np.linalg.norm(b[0]) + 1e-9)
+
+
+@pytest.mark.parametrize(('nu', 'ny'), [(1, 1), (2, 2)])
+def test_a_climb_ends_at_the_same_maximum(nu, ny):
+    samples = samples_of([record(np.random.default_rng(3), nu, ny, 'zoh')], [[None]])
+    free = free_of(samples, False)
+    start = np.array([-1.0, -2.0 + 3.0j])
+    one, other = (climb(s, fit_at(s, start, np.full(nu, 0.1), free), free)
+                  for s in both_ways(samples))
+    assert one.cost == pytest.approx(other.cost, abs=1e-3)
+
+
+def test_the_kernel_can_be_switched_off():
+    code = ('from ctsid_core.likelihood import kernel; '
+            'raise SystemExit(0 if kernel._library() is None else 1)')
+    for value, status in (('0', 0), ('1', 1)):
+        done = subprocess.run([sys.executable, '-c', code], check=False,
+                              env={**os.environ, kernel.VARIABLE: value})
+        assert done.returncode == status
