@@ -13,7 +13,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
 PYTHON ?=
 # Of the recordings of `make bench`: 300000 are files of 0.6 GB, and take three times as long.
 BENCH_MESSAGES ?= 100000
-PACKAGING := setup.py setup.cfg pyproject.toml ctsid_core/likelihood/kernel.c
+PACKAGING := setup.py setup.cfg pyproject.toml $(wildcard ctsid_core/likelihood/kernel.c)
 
 .PHONY: demo demo-live test test-all lint bench docs studies study-table1 bags clean
 .DEFAULT_GOAL := demo

@@ -210,7 +210,7 @@ static int of_modes(const Samples *s, const Shape *shape) {
 
 /* How many columns there are, the outputs apart. */
 static int width_of(const Samples *s, const Shape *shape) {
-    return of_modes(s, shape) + s->nu * (1 + (shape->direct && shape->slopes)) + 1;
+    return of_modes(s, shape) + s->nu * (shape->direct + shape->slopes) + 1;
 }
 
 /* The column of a mode's response to an input, or to its initial state (input nu). */
@@ -256,7 +256,7 @@ static void read_inputs(const Samples *s, const Shape *shape, const Entry *group
                     table[(size_t)place_in(s, shape, 1, 1, l, input + c) * ld + i] = cimag(bent);
             }
         }
-        for (int c = 0; c < inputs; c++) {
+        for (int c = 0; c < inputs && (shape->direct || shape->slopes); c++) {
             const Entry *e = group + c;
             double value = 0.0, rate = 0.0, power = 1.0;
             for (int j = 0; j <= d->degree; j++) {
@@ -449,7 +449,8 @@ static void error_of(const Table *t, const Model *m, int k, double *error) {
     int i = t->stream->first + k;
     memset(error, 0, sizeof(double) * t->rows);
     for (int l = 0; l < modes; l++) add_driven(t, m, 0, l, -((cplx *)m->c)[i * modes + l], 0, error);
-    for (int j = 0; j < nu; j++) add(t, input_place(t) + j, -m->D[i * nu + j], error);
+    for (int j = 0; j < nu && (t->shape->direct || t->shape->slopes); j++)
+        add(t, input_place(t) + j, -m->D[i * nu + j], error);
     add(t, one_place(t), -m->y0[t->stream->record * ny + i], error);
     add(t, one_place(t) + 1 + k, 1.0, error);
 }

@@ -25,7 +25,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 if TYPE_CHECKING:
     from ctsid_core.likelihood.modal_model import ModalModel
-    from ctsid_core.likelihood.samples import RecordSamples
+    from ctsid_core.model.modal import Drive
 
 VARIABLE = 'CTSID_KERNEL'
 _HIGHEST = 6          # degree of inputs between their stamps; DEGREES in kernel.c is more
@@ -65,9 +65,9 @@ class Shape(NamedTuple):
     real, pairs : int
         Modes of each kind.
     direct : bool
-        Whether there are derivatives of the inputs.
+        Whether outputs may follow inputs at once.
     slopes : bool
-        Whether there are derivatives of the responses.
+        Whether there are derivatives by poles and dead times.
     """
 
     real: int
@@ -78,7 +78,7 @@ class Shape(NamedTuple):
     def width(self, nu: int) -> int:
         """Return how many columns there are, the outputs apart."""
         of_modes = (nu + 1) * (self.real + 2 * self.pairs) * (1 + self.slopes)
-        return of_modes + nu * (1 + (self.direct and self.slopes)) + 1
+        return of_modes + nu * (self.direct + self.slopes) + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +142,14 @@ def _at(array: NDArray[Any]) -> int:
     return place
 
 
+class Timed(NamedTuple):
+    """The samples of one record: its start, its inputs, and stamps, values and first channels."""
+
+    start: float
+    drives: Sequence[Drive]
+    streams: Sequence[tuple[Array, Array, int]]
+
+
 class Kernel:
     """
     The kernel with the samples of records; made by `kernel_of`.
@@ -149,11 +157,11 @@ class Kernel:
     Parameters
     ----------
     library : CDLL
-    records : sequence of RecordSamples
+    records : sequence of Timed
     nu, ny : int
     """
 
-    def __init__(self, library: CDLL, records: Sequence[RecordSamples], nu: int, ny: int) -> None:
+    def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
         self._kept: list[object] = []
         self._shapes: dict[tuple[int, ...], _Shape] = {}
@@ -167,16 +175,16 @@ class Kernel:
                 between, rates = d.paces
                 drives.append(_Drive(*map(self._keep, (d.stamps, d.pieces, between, rates)),
                                      len(d.stamps), d.width, len(d.pieces) - 1))
-            for s in record.streams:
-                streams.append(_Stream(self._keep(s.times), self._keep(s.y), len(s.times),
-                                       s.channels.start, s.y.shape[1], r))
+            for times, y, channel in record.streams:
+                streams.append(_Stream(self._keep(times), self._keep(y), len(times), channel,
+                                       y.shape[1], r))
         tables = ((_Record * len(rows))(*rows), (_Drive * len(drives))(*drives),
                   (_Stream * len(streams))(*streams))
         self._samples = _Samples(*(ctypes.addressof(t) for t in tables), len(rows), len(streams),
                                  nu, ny)
         self._kept.append(tables)
         self._place, self._records = ctypes.addressof(self._samples), len(rows)
-        self._channels = np.array([s.y.shape[1] for r in records for s in r.streams])
+        self._channels = np.array([s.channels for s in streams])
 
     def _keep(self, values: Array) -> int:
         kept = np.ascontiguousarray(values, dtype=float)
@@ -251,13 +259,13 @@ def _packed(model: ModalModel, power: Array, *more: Array) -> Array:
     return found
 
 
-def kernel_of(records: Sequence[RecordSamples], nu: int, ny: int) -> Kernel | None:
+def kernel_of(records: Sequence[Timed], nu: int, ny: int) -> Kernel | None:
     """
     Return the kernel with the samples of records; None: NumPy has to do.
 
     Parameters
     ----------
-    records : sequence of RecordSamples
+    records : sequence of Timed
     nu, ny : int
         Numbers of inputs and outputs.
     """

@@ -41,7 +41,8 @@ class Triangle:
         Responses of each mode to the inputs and to its initial state, and their derivatives by
         the pole.
     u, rates : ndarray, shape (r, nu)
-        Inputs after their dead time, and their derivatives (0 unless D is free).
+        Inputs after their dead time (0 unless D is free, or with derivatives by dead times), and
+        their derivatives (0 unless both).
     one : ndarray, shape (r,)
         The constant 1.
     y : ndarray, shape (r, channels)
@@ -85,8 +86,8 @@ class Columns:
         return self.values[self.layout.size:].reshape(-1, self.samples.nu)
 
     @cached_property
-    def triangles(self) -> tuple[tuple[Triangle, ...], ...]:
-        """Those of each record, apart by what the columns are."""
+    def tables(self) -> tuple[tuple[tuple[Array, Array], ...], ...]:
+        """Columns and outputs of each stream of each record, a row for each sample or fewer."""
         found, at, number = [], 0, iter(self.layout.rows.tolist())
         width = self.layout.shape.width(self.samples.nu)
         for record in self.samples.records:
@@ -95,10 +96,31 @@ class Columns:
                 rows, columns = next(number), width + s.y.shape[1]
                 table = self.values[at:at + rows * columns].reshape(columns, rows).T
                 at += rows * columns
-                own.append(_triangle(table[:, :width], table[:, width:], self.samples.nu + 1,
-                                     self.layout.shape, s.channels, len(s.times)))
+                own.append((table[:, :width], table[:, width:]))
             found.append(tuple(own))
         return tuple(found)
+
+    @cached_property
+    def triangles(self) -> tuple[tuple[Triangle, ...], ...]:
+        """The same, apart by what the columns are."""
+        return tuple(tuple(_triangle(*table, self.samples.nu + 1, self.layout.shape, s.channels,
+                                     len(s.times))
+                           for table, s in zip(own, record.streams, strict=True))
+                     for own, record in zip(self.tables, self.samples.records, strict=True))
+
+    def unexplained(self, trim: bool) -> Array:
+        """
+        Return the sum of squares of each output that no residues explain, (ny,).
+
+        Of each record by itself. Of turned columns; the constant, the last one, may be left out.
+        """
+        found = np.zeros(self.samples.ny)
+        for own, record in zip(self.tables, self.samples.records, strict=True):
+            for (columns, y), s in zip(own, record.streams, strict=True):
+                if len(y) < len(s.times):                  # else there are as many columns as rows
+                    rest = y[columns.shape[1] - (not trim):]
+                    found[s.channels] += np.sum(rest ** 2, axis=0)
+        return found
 
 
 def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: bool,
@@ -114,7 +136,7 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: b
     delay : ndarray, shape (nu,)
         [s]
     direct : bool
-        Whether D is free: else what dead times do to it is left out.
+        Whether there is D: else what is its own is left out.
     turned : bool
         Whether few rows are wanted; else there is one for each sample.
     slopes : bool
@@ -186,7 +208,7 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape
     steps = steps_of(record.drives, delay, record.start, times)
     since, first, wide = times - record.start, shape.real, len(delay) + 1
     y = record.streams[0].y.T
-    inputs = [steps.inputs, steps.rates] if shape.direct and shape.slopes else [steps.inputs]
+    inputs = (steps.inputs, steps.rates)[:shape.direct + shape.slopes]
     rows = np.empty((shape.width(len(delay)) + len(y), len(times)))
     place = 0
     for kind in (poles[:first].real, poles[first:]):
@@ -221,7 +243,7 @@ def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice
             at += parts * m * wide
     z = np.concatenate((blocks[0], blocks[1 + slopes]), axis=1)
     dz = np.concatenate((blocks[1], blocks[3]), axis=1) if slopes else z[:, :0]
-    u = columns[:, at:at + wide - 1]
-    rates = columns[:, at + wide - 1:-1] if direct and slopes else np.zeros_like(u)
+    u, rates = (columns[:, at + k * (wide - 1):at + (k + 1) * (wide - 1)] if k < direct + slopes
+                else np.zeros((len(columns), wide - 1)) for k in range(2))
     return Triangle(z, dz, u, rates, columns[:, -1], y,
                     np.arange(channels.start, channels.stop), count)

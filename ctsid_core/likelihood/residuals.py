@@ -25,7 +25,8 @@ def residuals(samples: Samples, fit: Fit) -> Residuals:
         Of each record and stream.
     """
     return errors_of(samples, fit.model, columns_of(
-        samples, fit.model.poles, fit.model.delay, direct=False, turned=False, slopes=False))
+        samples, fit.model.poles, fit.model.delay, direct=bool(fit.model.D.any()), turned=False,
+        slopes=False))
 
 
 def driven(samples: Samples, fit: Fit, errors: Residuals) -> Array:

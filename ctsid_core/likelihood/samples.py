@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, kernel_of
+from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, Timed, kernel_of
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Record, Signal, channel_slices
@@ -52,17 +52,15 @@ class RecordSamples:
     start, end : float
         Where its states begin, and where it ends [s].
     streams : tuple of Stream
+    drives : tuple of Drive
+        The inputs as polynomials.
     """
 
     inputs: tuple[Signal, ...]
     start: float
     end: float
     streams: tuple[Stream, ...]
-
-    @cached_property
-    def drives(self) -> tuple[Drive, ...]:
-        """The inputs as polynomials."""
-        return tuple(Drive.of(s) for s in self.inputs)
+    drives: tuple[Drive, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +107,9 @@ class Samples:
     @cached_property
     def kernel(self) -> Kernel | None:
         """The compiled kernel with these samples, where there is one."""
-        return kernel_of(self.records, self.nu, self.ny)
+        return kernel_of([Timed(r.start, r.drives, [(s.times, s.y, s.channels.start)
+                                                    for s in r.streams])
+                          for r in self.records], self.nu, self.ny)
 
     def mean(self, values: Array) -> Array:
         """Return what records and outputs have, (records, ny), over all their samples, (ny,)."""
@@ -189,5 +189,6 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
                 rows &= ~left_out
             streams.append(Stream(signal.time[rows], signal.values[rows] / size[channels],
                                   channels))
-        found.append(RecordSamples(record.inputs, first, record.end, tuple(streams)))
+        found.append(RecordSamples(record.inputs, first, record.end, tuple(streams),
+                                   tuple(Drive.of(s) for s in record.inputs)))
     return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())

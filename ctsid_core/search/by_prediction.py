@@ -35,6 +35,7 @@ from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.covariance import Entries
+from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCH, Tried, affordable, nearest, parameters, tried
 from ctsid_core.search.past_regression import Start, regressed
@@ -295,9 +296,12 @@ def _before_inputs(samples: Samples) -> Samples:
 
 def with_own_past(samples: Samples) -> Samples:
     """Return the samples with the outputs, held from each to the next, as further inputs."""
-    records = tuple(replace(r, inputs=(*r.inputs, *(
-        Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams))) for r in samples.records)
-    return replace(samples, records=records, nu=samples.nu + samples.ny)
+    records = []
+    for r in samples.records:
+        past = tuple(Signal(*carried_on(s.times, s.y), 'zoh') for s in r.streams)
+        records.append(replace(r, inputs=r.inputs + past,
+                               drives=r.drives + tuple(Drive.of(s) for s in past)))
+    return replace(samples, records=tuple(records), nu=samples.nu + samples.ny)
 
 
 def carried_on(times: Array, y: Array) -> tuple[Array, Array]:

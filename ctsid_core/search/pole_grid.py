@@ -15,6 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.output_error import ROUNDING
+from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
 from ctsid_core.linear.recursion import chain
 from ctsid_core.linear.types import Array, ComplexArray
@@ -77,46 +80,47 @@ class PoleGrid:
         """
         key = (poles.tobytes(), delay.tobytes())
         if key not in self._ranked:
-            score = self._scores(poles, delay, self._shapes)
+            score = self._scores(poles, delay)
             self._ranked[key] = [(float(score[i]), complex(self.poles[i]))
                                  for i in np.argsort(score, kind='stable')]
         return self._ranked[key]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""
-        return float(self._scores(poles, delay, [None] * len(self._cells))[0])
+        columns = columns_of(self.samples, canonical(poles), delay, direct=self._feedthrough,
+                             slopes=False)
+        return float(self._likelihood(columns.unexplained(self._trim)))
 
-    def _scores(self, poles: ComplexArray, delay: Array,
-                shapes: list[list[_Shape]] | list[None]) -> Array:
+    def _likelihood(self, squares: Array) -> Array:
         # The power of all records together decides here: residues are theirs together.
-        count = len(self.poles) if shapes[0] is not None else 1
-        self.samples.effort.spend(_LOOK + _PER_POLE * count * (self.samples.nu + 1) * float(
-            np.max(self.samples.counts.sum(axis=0))))
-        power, number = np.zeros((count, self.samples.ny)), np.zeros(self.samples.ny)
-        for cells, shape in zip(self._cells, shapes, strict=True):
-            base = [_Shape(cells, poles[kind]) for kind in (poles.imag == 0.0, poles.imag > 0.0)
-                    if kind.any()]
-            for stream in cells.record.streams:
-                known = cells.columns(base, stream, delay, self._trim, self._feedthrough)
-                basis = np.linalg.qr(known)[0]
-                left = stream.y - basis @ (basis.T @ stream.y)
-                squares = np.broadcast_to(np.sum(left ** 2, axis=0), (count, left.shape[1]))
-                if shape is not None:
-                    squares = squares - self._explained(cells, shape, stream, delay, basis, left)
-                power[:, stream.channels] += squares
-                number[stream.channels] += len(left)
-        power = np.maximum(power / np.maximum(number, 1.0), 1e-24)
-        found: Array = np.log(power) @ number
+        number = self.samples.counts.sum(axis=0)
+        found: Array = np.log(np.maximum(squares / np.maximum(number, 1.0), ROUNDING)) @ number
         return found
+
+    def _scores(self, poles: ComplexArray, delay: Array) -> Array:
+        self.samples.effort.spend(_LOOK + _PER_POLE * len(self.poles) * (
+            self.samples.nu + 1) * float(np.max(self.samples.counts.sum(axis=0))))
+        squares = np.zeros((len(self.poles), self.samples.ny))
+        columns = columns_of(self.samples, poles, delay, direct=self._feedthrough, turned=False,
+                             slopes=False)
+        for cells, shapes, own in zip(self._cells, self._shapes, columns.tables, strict=True):
+            for stream, (known, y) in zip(cells.record.streams, own, strict=True):
+                known = known if self._trim else known[:, :-1]
+                size = np.linalg.norm(known, axis=0)
+                basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
+                left = y - basis @ (basis.T @ y)
+                squares[:, stream.channels] += np.sum(left ** 2, axis=0) - self._explained(
+                    cells, shapes, stream, delay, basis, left)
+        return self._likelihood(squares)
 
     def _explained(self, cells: _Cells, shapes: list[_Shape], stream: Stream, delay: Array,
                    basis: Array, left: Array) -> Array:
         found = np.zeros((len(self.poles), left.shape[1]))
         for kind, shape in zip(self._kinds, shapes, strict=True):
             own = cells.candidates(shape, stream, delay)                           # (G, q, N)
-            own = own - (own @ basis) @ basis.T
-            gram = own @ own.swapaxes(1, 2)
-            scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
+            inner = own @ basis
+            gram = own @ own.swapaxes(1, 2) - inner @ inner.swapaxes(1, 2)
+            scale = np.sqrt(np.maximum(np.einsum('gii->gi', gram), 0.0)) + 1e-150
             gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
                 + _RIDGE * np.eye(gram.shape[1])
             pull = (own @ left) / scale[:, :, np.newaxis]
@@ -157,24 +161,6 @@ class _Cells:
                 found[:, :, j] = before + part * (after - before)
         found[:, :, -1] = shape.free(stream, self.record.start)
         return found.reshape(len(found), -1, len(times))
-
-    def columns(self, shapes: list[_Shape], stream: Stream, delay: Array, trim: bool,
-                feedthrough: bool) -> Array:
-        """Return the columns of a model of given poles, (N, k)."""
-        rows = [np.ones((1, len(stream.times)))] if trim else []
-        if feedthrough:
-            place = 0
-            for s in self.record.inputs:
-                for j in range(s.width):
-                    at = np.searchsorted(s.time, stream.times - delay[place], side='right') - 1
-                    rows.append(s.values[np.maximum(at, 0), j][np.newaxis])
-                    place += 1
-        for shape in shapes:
-            own = self.candidates(shape, stream, delay)
-            rows.append(own.reshape(-1, own.shape[2]))
-        known: Array = np.concatenate(rows).T if rows else np.zeros((len(stream.times), 1))
-        size = np.linalg.norm(known, axis=0)
-        return known / np.where(size > 0.0, size, 1.0)
 
 
 class _Shape:
