@@ -76,7 +76,7 @@ static Geqrf *geqrf;
 static Gelsy *gelsy;
 static Syrk *syrk;
 
-enum { PANEL = 32, ROWS = 1024, DEGREES = 8 };
+enum { PANEL = 32, ROWS = 1024, DEGREES = 8, FEW = 32 };
 static const double ROUNDING = 1e-24, RANK = 1e-13;
 
 void ctsid_lapack(void *qr, void *least_squares, void *product) {
@@ -101,40 +101,96 @@ static double over_factorial(int k) {
     return known[k];
 }
 
-/* phi_0 ... phi_count of x: `matrix_functions.py:phi`. */
-static inline void phis(cplx x, int count, cplx *f) {
-    double size = creal(x) * creal(x) + cimag(x) * cimag(x);
-    if (size >= 1.0) {
-        f[0] = cimag(x) == 0.0 ? exp(creal(x)) : cexp(x);
-        cplx inverse = conj(x) / size;
-        for (int j = 0; j < count; j++) f[j + 1] = (f[j] - over_factorial(j)) * inverse;
-        return;
-    }
-    int terms = size < 1e-4 ? 7 : size < 1e-2 ? 10 : 17;
-    if (cimag(x) == 0.0) {
-        double t = creal(x), value = over_factorial(terms + count);
-        for (int k = terms - 1; k >= 0; k--) value = value * t + over_factorial(k + count);
-        f[count] = value;
-        for (int j = count - 1; j >= 0; j--) f[j] = value = t * value + over_factorial(j);
-        return;
-    }
-    cplx value = over_factorial(terms + count);
-    for (int k = terms - 1; k >= 0; k--) value = value * x + over_factorial(k + count);
-    f[count] = value;
-    for (int j = count - 1; j >= 0; j--) f[j] = value = x * value + over_factorial(j);
+/* Terms of the power series of phi_j at |x| < 1: more change nothing. */
+static int terms_of(double size) {
+    static const double below[] = {1e-3, 1e-2, 0.03, 0.1, 0.2, 0.4, 0.7};
+    static const int terms[] = {5, 7, 8, 10, 11, 13, 15, 17};
+    int k = 0;
+    while (k < 7 && size >= below[k]) k++;
+    return terms[k];
 }
 
-/* A mode h later, and its derivative by the pole: (1) and (2) of `modal.py`. */
-static inline void step(const cplx *f, double h, int degree, const double *u, int slopes, cplx z,
-                        cplx s, cplx *later, cplx *bent) {
-    cplx push = 0.0, turn = 0.0;
-    double power = h;
-    for (int j = 0; j <= degree; j++, power *= h) {
-        push += f[j + 1] * (power * u[j]);
-        if (slopes) turn += (f[j + 1] - (j + 1) * f[j + 2]) * (power * h * u[j]);
+/*
+ * phi_0 ... phi_count of p h for a few h, `matrix_functions.py:phi`: f[j][i], real parts before
+ * imaginary ones. Sums over all h at once, for a processor has several under way.
+ */
+static void phis(cplx p, const double *h, int number, int count, double f[][2][FEW]) {
+    double re[FEW], im[FEW], largest = 0.0, size = sqrt(creal(p) * creal(p) + cimag(p) * cimag(p));
+    int real = cimag(p) == 0.0, small = 1;
+    for (int i = 0; i < number; i++) largest = fmax(largest, fabs(h[i]));
+    small = size * largest < 1.0;
+    for (int i = 0; i < number; i++) {
+        int far = size * fabs(h[i]) >= 1.0;
+        re[i] = far ? 0.0 : creal(p) * h[i];
+        im[i] = far ? 0.0 : cimag(p) * h[i];
     }
-    *later = f[0] * z + push;
-    if (slopes) *bent = f[0] * (s + h * z) + turn;
+    int terms = terms_of(small ? size * largest : 0.999) + (count ? 0 : 2);
+    double(*top)[FEW] = f[count];
+    for (int i = 0; i < number; i++) {
+        top[0][i] = over_factorial(terms + count);
+        top[1][i] = 0.0;
+    }
+    for (int k = terms - 1; k >= 0; k--) {
+        double c = over_factorial(k + count);
+        if (real)
+            for (int i = 0; i < number; i++) top[0][i] = top[0][i] * re[i] + c;
+        else
+            for (int i = 0; i < number; i++) {
+                double x = top[0][i] * re[i] - top[1][i] * im[i] + c;
+                top[1][i] = top[0][i] * im[i] + top[1][i] * re[i];
+                top[0][i] = x;
+            }
+    }
+    for (int j = count - 1; j >= 0; j--) {
+        double c = over_factorial(j);
+        for (int i = 0; i < number; i++) {
+            f[j][0][i] = f[j + 1][0][i] * re[i] - f[j + 1][1][i] * im[i] + c;
+            f[j][1][i] = f[j + 1][0][i] * im[i] + f[j + 1][1][i] * re[i];
+        }
+    }
+    for (int i = 0; i < number && !small; i++) {
+        if (size * fabs(h[i]) < 1.0) continue;
+        cplx x = p * h[i], value = real ? exp(creal(x)) : cexp(x);
+        cplx inverse = conj(x) / (creal(x) * creal(x) + cimag(x) * cimag(x));
+        for (int j = 0; j <= count; value = (value - over_factorial(j)) * inverse, j++) {
+            f[j][0][i] = creal(value);
+            f[j][1][i] = cimag(value);
+        }
+    }
+}
+
+/* What a mode does over a time h: the factors in (1) and (2) of `modal.py`, for any input. */
+typedef struct {
+    cplx keep, lag, push[DEGREES], turn[DEGREES];
+} Step;
+
+static void steps_of(cplx pole, const double *h, int number, int degree, int slopes, Step *to) {
+    double f[DEGREES + 2][2][FEW];
+    phis(pole, h, number, degree + 1 + slopes, f);
+    for (int i = 0; i < number; i++) {
+        double power = h[i];
+        to[i].keep = f[0][0][i] + I * f[0][1][i];
+        to[i].lag = h[i] * to[i].keep;
+        for (int j = 0; j <= degree; j++, power *= h[i]) {
+            cplx own = f[j + 1][0][i] + I * f[j + 1][1][i];
+            to[i].push[j] = power * own;
+            if (slopes)
+                to[i].turn[j] = (power * h[i])
+                    * (own - (j + 1) * (f[j + 2][0][i] + I * f[j + 2][1][i]));
+        }
+    }
+}
+
+/* A mode after a step, and its derivative by the pole. u: derivatives of the input, so far apart. */
+static inline void take(const Step *by, int degree, const double *u, size_t apart, int slopes,
+                        cplx z, cplx s, cplx *later, cplx *bent) {
+    cplx push = by->push[0] * u[0];
+    for (int j = 1; j <= degree; j++) push += by->push[j] * u[j * apart];
+    *later = by->keep * z + push;
+    if (!slopes) return;
+    cplx turn = by->turn[0] * u[0];
+    for (int j = 1; j <= degree; j++) turn += by->turn[j] * u[j * apart];
+    *bent = by->keep * s + by->lag * z + turn;
 }
 
 /* How many stamps are not later than t. */
@@ -171,9 +227,10 @@ typedef struct {
 
 static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, int slopes) {
     const Drive *d = group->drive;
-    int low = d->count, high = 0;
-    double u[DEGREES];
-    cplx f[DEGREES + 2];
+    int low = d->count, high = 0, degree = d->degree;
+    size_t apart = (size_t)d->width * (d->count + 1);
+    double h[FEW];
+    Step by[FEW], own;
     for (int c = 0; c < inputs; c++) {
         low = least(low, group[c].first);
         high = most(high, group[c].end);
@@ -181,22 +238,25 @@ static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, 
     for (int l = 0; l < modes; l++) {
         size_t row = (size_t)l * d->count;
         for (int k = low; k < high; k++) {
-            if (k > low) phis(poles[l] * (d->stamps[k] - d->stamps[k - 1]), d->degree + 1 + slopes, f);
+            int now = (k - low) % FEW;
+            if (now == 0) {
+                int number = least(FEW, high - k);
+                for (int i = 0; i < number; i++)
+                    h[i] = k + i > low ? d->stamps[k + i] - d->stamps[k + i - 1] : 0.0;
+                steps_of(poles[l], h, number, degree, slopes, by);
+            }
             for (int c = 0; c < inputs; c++) {
                 Entry *e = group + c;
                 if (k < e->first || k >= e->end) continue;
                 if (k == e->first) {
-                    cplx own[DEGREES + 2];
-                    double h = d->stamps[k] - e->begin;
-                    phis(poles[l] * h, d->degree + 1 + slopes, own);
-                    step(own, h, d->degree, e->u, slopes, 0.0, 0.0, e->z + row + k,
-                         e->s + row + k);
+                    double since = d->stamps[k] - e->begin;
+                    steps_of(poles[l], &since, 1, degree, slopes, &own);
+                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + row + k, e->s + row + k);
                     continue;
                 }
-                for (int j = 0; j <= d->degree; j++)
-                    u[j] = d->pieces[((size_t)j * d->width + e->channel) * (d->count + 1) + k];
-                step(f, d->stamps[k] - d->stamps[k - 1], d->degree, u, slopes, e->z[row + k - 1],
-                     e->s[row + k - 1], e->z + row + k, e->s + row + k);
+                take(by + now, degree, d->pieces + (size_t)e->channel * (d->count + 1) + k, apart,
+                     slopes, e->z[row + k - 1], e->s[row + k - 1], e->z + row + k,
+                     e->s + row + k);
             }
         }
     }
@@ -222,67 +282,89 @@ static int place_in(const Samples *s, const Shape *shape, int slope, int imag, i
                    + (2 * slope + imag) * shape->pairs + mode - shape->real) + input;
 }
 
-/* Read inputs of the same delay at some times of a stream, and write their columns. */
+/* Where some times of a stream lie among the stamps of an input, and how long after them. */
+typedef struct {
+    int place[FEW], start[FEW];
+    double h[FEW], wanted[FEW];
+} Spots;
+
+static void spots_of(const Entry *e, const double *times, int number, Spots *to) {
+    const Drive *d = e->drive;
+    int pos = 0;
+    for (int i = 0; i < number; i++) {
+        double wanted = to->wanted[i] = times[i] - e->delay;
+        if (i == 0 || wanted < to->wanted[i - 1]) pos = place_of(d->stamps, d->count, wanted);
+        while (pos < d->count && d->stamps[pos] <= wanted) pos++;
+        to->place[i] = pos;
+        to->start[i] = pos <= e->first;
+        to->h[i] = wanted - (to->start[i] ? e->begin : d->stamps[pos - 1]);
+    }
+}
+
+/* The input itself, and its derivative: of a held one that of `modal.py:Drive.paces`. */
+static double input_at(const Entry *e, const Spots *spots, int i, double *rate) {
+    const Drive *d = e->drive;
+    int pos = spots->place[i], degree = d->degree;
+    size_t apart = spots->start[i] ? 1 : (size_t)d->width * (d->count + 1);
+    const double *u = spots->start[i] ? e->u
+        : d->pieces + (size_t)e->channel * (d->count + 1) + pos;
+    double value = 0.0, power = 1.0;
+    *rate = 0.0;
+    for (int j = 0; j <= degree; j++, power *= spots->h[i]) {
+        value += u[j * apart] * power * over_factorial(j);
+        if (j < degree) *rate += u[(j + 1) * apart] * power * over_factorial(j);
+    }
+    if (degree == 0 && d->count) {
+        int between = least(pos, d->count - 1);         /* at most one more or less */
+        while (between > 0 && d->between[between - 1] >= spots->wanted[i]) between--;
+        while (between < d->count - 1 && d->between[between] < spots->wanted[i]) between++;
+        *rate = d->rates[(size_t)e->channel * d->count + between];
+    }
+    return value;
+}
+
+/* Read inputs of the same delay at a few times of a stream, and write their columns. */
 static void read_inputs(const Samples *s, const Shape *shape, const Entry *group, int inputs,
-                        int input, const cplx *poles, const double *times, int count,
+                        int input, const cplx *poles, const double *times, int number,
                         double *table, int ld) {
     const Drive *d = group->drive;
-    int modes = shape->real + shape->pairs, pos = 0;
-    double u[DEGREES];
-    cplx f[DEGREES + 2], z, bent = 0.0;
-    for (int i = 0; i < count; i++) {
-        double wanted = times[i] - group->delay;
-        if (i == 0 || wanted < times[i - 1] - group->delay)
-            pos = place_of(d->stamps, d->count, wanted);
-        while (pos < d->count && d->stamps[pos] <= wanted) pos++;
-        int start = pos <= group->first;
-        double h = wanted - (start ? group->begin : d->stamps[pos - 1]);
-        for (int l = 0; l < modes; l++) {
-            size_t row = (size_t)l * d->count + pos - 1;
-            phis(poles[l] * h, d->degree + 1 + shape->slopes, f);
-            for (int c = 0; c < inputs; c++) {
-                const Entry *e = group + c;
-                for (int j = 0; j <= d->degree; j++)
-                    u[j] = start ? e->u[j]
-                        : d->pieces[((size_t)j * d->width + e->channel) * (d->count + 1) + pos];
-                step(f, h, d->degree, u, shape->slopes, start ? 0.0 : e->z[row],
-                     start ? 0.0 : e->s[row], &z, &bent);
-                table[(size_t)place_in(s, shape, 0, 0, l, input + c) * ld + i] = creal(z);
-                if (l >= shape->real)
-                    table[(size_t)place_in(s, shape, 0, 1, l, input + c) * ld + i] = cimag(z);
-                if (!shape->slopes) continue;
-                table[(size_t)place_in(s, shape, 1, 0, l, input + c) * ld + i] = creal(bent);
-                if (l >= shape->real)
-                    table[(size_t)place_in(s, shape, 1, 1, l, input + c) * ld + i] = cimag(bent);
-            }
-        }
-        for (int c = 0; c < inputs && (shape->direct || shape->slopes); c++) {
+    int modes = shape->real + shape->pairs, degree = d->degree, slopes = shape->slopes;
+    size_t apart = (size_t)d->width * (d->count + 1);
+    Spots spots;
+    Step by[FEW];
+    cplx z, bent = 0.0;
+    spots_of(group, times, number, &spots);
+    for (int l = 0; l < modes; l++) {
+        steps_of(poles[l], spots.h, number, degree, slopes, by);
+        for (int c = 0; c < inputs; c++) {
             const Entry *e = group + c;
-            double value = 0.0, rate = 0.0, power = 1.0;
-            for (int j = 0; j <= d->degree; j++) {
-                u[j] = start ? e->u[j]
-                    : d->pieces[((size_t)j * d->width + e->channel) * (d->count + 1) + pos];
-                value += u[j] * power * over_factorial(j);
-                if (j < d->degree)
-                    rate += power * over_factorial(j) * (start ? e->u[j + 1]
-                        : d->pieces[((size_t)(j + 1) * d->width + e->channel) * (d->count + 1)
-                                    + pos]);
-                power *= h;
+            double *parts[2][2] = {{0}};
+            for (int slope = 0; slope < 1 + slopes; slope++)
+                for (int imag = 0; imag < 1 + (l >= shape->real); imag++)
+                    parts[slope][imag] = table
+                        + (size_t)place_in(s, shape, slope, imag, l, input + c) * ld;
+            for (int i = 0; i < number; i++) {
+                size_t at = (size_t)l * d->count + spots.place[i] - 1;
+                if (spots.start[i])
+                    take(by + i, degree, e->u, 1, slopes, 0.0, 0.0, &z, &bent);
+                else
+                    take(by + i, degree,
+                         d->pieces + (size_t)e->channel * (d->count + 1) + spots.place[i], apart,
+                         slopes, e->z[at], e->s[at], &z, &bent);
+                parts[0][0][i] = creal(z);
+                if (l >= shape->real) parts[0][1][i] = cimag(z);
+                if (!slopes) continue;
+                parts[1][0][i] = creal(bent);
+                if (l >= shape->real) parts[1][1][i] = cimag(bent);
             }
-            double *column = table + (size_t)(of_modes(s, shape) + input + c) * ld + i;
-            *column = value;
-            if (!(shape->direct && shape->slopes)) continue;
-            if (d->degree == 0 && d->count) {
-                int between = pos;      /* at most one more or less */
-                while (between > 0 && between - 1 < d->count - 1
-                       && d->between[between - 1] >= wanted) between--;
-                while (between < d->count - 1 && d->between[between] < wanted) between++;
-                between = least(between, d->count - 1);
-                rate = d->rates[(size_t)e->channel * d->count + between];
-            }
-            column[(size_t)s->nu * ld] = rate;
         }
     }
+    for (int c = 0; c < inputs && (shape->direct || slopes); c++)
+        for (int i = 0; i < number; i++) {
+            double rate, *column = table + (size_t)(of_modes(s, shape) + input + c) * ld + i;
+            *column = input_at(group + c, &spots, i, &rate);
+            if (shape->direct && slopes) column[(size_t)s->nu * ld] = rate;
+        }
 }
 
 /* Write the columns of some samples of a stream, outputs beside. */
@@ -295,13 +377,25 @@ static void fill(const Samples *s, const Shape *shape, const Record *record, con
         int same = 1;
         while (j + same < s->nu && entries[j + same].drive == entries[j].drive
                && entries[j + same].delay == entries[j].delay) same++;
-        read_inputs(s, shape, entries + j, same, j, poles, times, count, table, ld);
+        for (int i = 0; i < count; i += FEW)
+            read_inputs(s, shape, entries + j, same, j, poles, times + i, least(FEW, count - i),
+                        table + i, ld);
         j += same;
     }
-    for (int l = 0; l < modes; l++)
+    double h[FEW], grown[1][2][FEW];
+    for (int l = 0; l < modes; l++) {
+        cplx free = 1.0;
         for (int i = 0; i < count; i++) {
             double since = times[i] - record->start;
-            cplx free = l < shape->real ? exp(creal(poles[l]) * since) : cexp(poles[l] * since);
+            int now = i % FEW;
+            if (now == 0) {             /* from here in steps: an exponential takes long */
+                for (int k = 0; k < least(FEW, count - i); k++)
+                    h[k] = k ? times[i + k] - times[i + k - 1] : 0.0;
+                phis(poles[l], h, least(FEW, count - i), 0, grown);
+                free = l < shape->real ? exp(creal(poles[l]) * since) : cexp(poles[l] * since);
+            } else {
+                free *= grown[0][0][now] + I * grown[0][1][now];
+            }
             for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {
                 double value = imag ? cimag(free) : creal(free);
                 table[(size_t)place_in(s, shape, 0, imag, l, s->nu) * ld + i] = value;
@@ -309,6 +403,7 @@ static void fill(const Samples *s, const Shape *shape, const Record *record, con
                     table[(size_t)place_in(s, shape, 1, imag, l, s->nu) * ld + i] = since * value;
             }
         }
+    }
     for (int i = 0; i < count; i++) table[(size_t)(width - 1) * ld + i] = 1.0;
     for (int k = 0; k < stream->channels; k++)
         for (int i = 0; i < count; i++)

@@ -26,6 +26,7 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.model.modal import steps_of
 
+ROUNDING = 1e-24      # of an output's power: what is left of it is rounding
 _OVERHEAD = 3e6       # operations that an evaluation of no samples takes, and each output
 _PER_RESPONSE = 700.0  # operations for each sample and response
 
@@ -108,20 +109,6 @@ class Columns:
                            for table, s in zip(own, record.streams, strict=True))
                      for own, record in zip(self.tables, self.samples.records, strict=True))
 
-    def unexplained(self, trim: bool) -> Array:
-        """
-        Return the sum of squares of each output that no residues explain, (ny,).
-
-        Of each record by itself. Of turned columns; the constant, the last one, may be left out.
-        """
-        found = np.zeros(self.samples.ny)
-        for own, record in zip(self.tables, self.samples.records, strict=True):
-            for (columns, y), s in zip(own, record.streams, strict=True):
-                if len(y) < len(s.times):                  # else there are as many columns as rows
-                    rest = y[columns.shape[1] - (not trim):]
-                    found[s.channels] += np.sum(rest ** 2, axis=0)
-        return found
-
 
 def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: bool,
                turned: bool = True, slopes: bool = True) -> Columns:
@@ -168,14 +155,38 @@ def _layout(samples: Samples, shape: Shape, turned: bool) -> Layout:
     return samples.layouts[key]
 
 
+def least_cost(columns: Columns, trim: bool) -> float:
+    """
+    Return -2 log likelihood with residues that are free, for each record by itself.
+
+    Parameters
+    ----------
+    columns : Columns
+        Turned, without derivatives.
+    trim : bool
+        Whether outputs have offsets: else the constant, the last column, does not count.
+    """
+    squares, number = np.zeros(columns.samples.ny), columns.samples.counts.sum(axis=0)
+    for own, record in zip(columns.tables, columns.samples.records, strict=True):
+        for (known, y), s in zip(own, record.streams, strict=True):
+            if len(y) < len(s.times):                   # else there are as many columns as rows
+                squares[s.channels] += np.sum(y[known.shape[1] - (not trim):] ** 2, axis=0)
+    return float(cost_of(squares, number))
+
+
+def cost_of(squares: Array, number: Array) -> Array:
+    """Return -2 log likelihood of sums of squares of so many errors of each output."""
+    found: Array = np.log(np.maximum(squares / np.maximum(number, 1.0), ROUNDING)) @ number
+    return found
+
+
 def evaluation_work(samples: Samples, modes: int) -> float:
     """
     Return the work of one evaluation and the step after it, in operations (`effort.py`).
 
     Measured, within 40 %.
     """
-    count = sum(float(len(s.times)) for r in samples.records for s in r.streams)
-    stamps = sum(float(len(s.time)) for r in samples.records for s in r.inputs)
+    count, stamps = samples.size_of_all
     columns = 4.0 * modes * (samples.nu + 1) + samples.nu + samples.ny + 1
     responses = modes * (count * (samples.nu + 1) + stamps)
     return _OVERHEAD * (samples.ny + 1) + _PER_RESPONSE * responses + 2.0 * count * columns ** 2

@@ -20,15 +20,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgesv
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import Columns, Triangle, columns_of
+from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
 from ctsid_core.likelihood.pole_steps import PoleSteps, canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 
-ROUNDING = 1e-24      # of an output's power: what is left of it is rounding
 _RANK = 1e-13         # relative singular value below which a linear direction is not determined
 _LEAST_GAIN = 1e-4    # -2 log likelihood: a hundredth of a standard deviation
 ROUGHLY = 0.3         # the same where models are only compared
@@ -111,7 +111,8 @@ class Guess(NamedTuple):
 
 
 def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
-           near: Fit | Guess | None = None, columns: Columns | None = None) -> Fit:
+           near: Fit | Guess | None = None, columns: Columns | None = None,
+           slopes: bool = True) -> Fit:
     """
     Return the best model with given poles and dead times.
 
@@ -128,9 +129,11 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
         there are several inputs and outputs.
     columns : Columns, optional
         Of these poles and dead times, if they are known.
+    slopes : bool
+        Whether it may be climbed from: else derivatives are left out, until they are needed.
     """
     poles = canonical(poles)
-    columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough)
+    columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough, slopes=slopes)
     power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
     kept = near is not None and len(near.model.poles) == len(poles) and \
         bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))
@@ -158,7 +161,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
         Gain of -2 log likelihood that another step has to promise, and the last one to have
         brought.
     """
-    best, damping, gain = start, _DAMPING, np.inf
+    best, damping, gain = _with_slopes(samples, start, free), _DAMPING, np.inf
     for taken in range(steps):
         around = PoleSteps.of(best.model.poles, 1.0 / samples.length, samples.several)
         gradient, curvature, scale, places = _slopes(samples, best, free, around)
@@ -168,7 +171,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
         if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
             break
         for _ in range(6):
-            step = np.linalg.solve(curvature + damping * np.eye(len(scale)), gradient)
+            step = _damped(gradient, curvature, damping)
             trial = _moved(samples, best, step / scale, places, free, around)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
@@ -182,6 +185,12 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     return best
 
 
+def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:
+    """Return a fit with the derivatives of its columns."""
+    return fit if fit.columns.layout.shape.slopes else replace(fit, columns=columns_of(
+        samples, fit.model.poles, fit.model.delay, direct=free.feedthrough))
+
+
 def _at_most(promise: float, samples: Samples) -> float:
     """Return -2 log likelihood of so much less power, as if all of it were of one output."""
     count = float(np.min(samples.counts[samples.counts > 0.0]))
@@ -189,8 +198,17 @@ def _at_most(promise: float, samples: Samples) -> float:
 
 
 def _promise(gradient: Array, curvature: Array) -> float:
-    return float(gradient @ np.linalg.solve(
-        curvature + _LEAST_DAMPING * np.eye(len(gradient)), gradient))
+    return float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
+
+
+def _damped(gradient: Array, curvature: Array, damping: float) -> Array:
+    """Return the Gauss-Newton step, damped."""
+    matrix = curvature.copy()
+    matrix.ravel()[::len(gradient) + 1] += damping
+    _, _, found, failed = dgesv(matrix.T, gradient, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError('no step of Gauss-Newton: the curvature is singular')
+    return np.asarray(found)
 
 
 def _slopes(samples: Samples, fit: Fit, free: Free,
@@ -198,10 +216,11 @@ def _slopes(samples: Samples, fit: Fit, free: Free,
     """Return gradient and curvature over the size of each direction, the sizes, and places."""
     gradient, curvature, places = _normal(samples, fit, free, around)
     held = _held(fit.model, free, gradient, places, around)
-    gradient[held] = curvature[held] = curvature[:, held] = 0.0
-    scale = np.sqrt(np.diag(curvature))
+    if held:
+        gradient[held] = curvature[held] = curvature[:, held] = 0.0
+    scale = np.sqrt(curvature.diagonal())
     scale[~(scale > 1e-150)] = 1.0
-    return gradient / scale, curvature / np.outer(scale, scale), scale, places
+    return gradient / scale, curvature / scale / scale[:, np.newaxis], scale, places
 
 
 def _normal(samples: Samples, fit: Fit, free: Free,
@@ -230,10 +249,12 @@ def _held(model: ModalModel, free: Free, gradient: Array, places: Places,
     """Return the places of real poles and dead times at a bound that would go beyond it."""
     delay = model.delay[list(free.delays)]
     ahead = gradient[places.poles:places.poles + places.delays]
-    found = [places.poles + int(k) for k in np.flatnonzero(
-        np.where(ahead < 0.0, delay <= 0.0, delay >= free.longest))]
-    slow, fast = model.poles.real >= free.limit, np.abs(model.poles) >= free.fastest * _AT_BOUND
-    if slow.any() or fast.any():
+    found = [places.poles + k for k, (g, d) in enumerate(
+        zip(ahead.tolist(), delay.tolist(), strict=True))
+        if (d <= 0.0 if g < 0.0 else d >= free.longest)]
+    slow = [p.real >= free.limit for p in model.poles.tolist()]
+    fast = [abs(p) >= free.fastest * _AT_BOUND for p in model.poles.tolist()]
+    if any(slow) or any(fast):
         found += [k for k, one in around.single() if (slow if gradient[k] > 0.0 else fast)[one]]
     return found
 
@@ -324,6 +345,7 @@ def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray
 
 def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Places]:
     """Return derivatives of the simulation over the noise, the errors over it, and places."""
+    fit = _with_slopes(samples, fit, free)
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
     dp, late, places = _coordinates(samples, model, free, PoleSteps.of(
@@ -632,8 +654,8 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     columns : Columns, optional
         Of its poles and dead times, if they are known.
     """
-    columns = columns or columns_of(samples, model.poles, model.delay,
-                                    direct=free.feedthrough)
+    columns = columns or columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
+                                    slopes=False)
     power = np.ones((len(samples.records), samples.ny))
     if len(model.x0) != len(samples.records):
         model = replace(model, x0=np.zeros((len(power), len(model.poles)), dtype=complex),

@@ -136,9 +136,11 @@ class PoleSteps:
 
 def bounded(poles: ComplexArray, limit: float, fastest: float) -> ComplexArray:
     """Return poles of at most so large a magnitude, and then of so large a real part [rad/s]."""
-    less = np.fmin(1.0, fastest / np.maximum(np.abs(poles), 1e-300))
-    found: ComplexArray = np.minimum(poles.real * less, limit) + 1j * (poles.imag * less)
-    return found
+    found = []
+    for p in poles.tolist():
+        less = min(1.0, fastest / max(abs(p), 1e-300))
+        found.append(complex(min(p.real * less, limit), p.imag * less))
+    return np.array(found, dtype=complex)
 
 
 def canonical(poles: ComplexArray) -> ComplexArray:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.mode_columns import columns_of
-from ctsid_core.likelihood.output_error import ROUNDING, Fit, Residuals, errors_of
+from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
+from ctsid_core.likelihood.output_error import Fit, Residuals, errors_of
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 

@@ -100,6 +100,12 @@ class Samples:
         return found
 
     @cached_property
+    def size_of_all(self) -> tuple[float, float]:
+        """Number of stamps of all outputs, and of all inputs."""
+        return (sum(float(len(s.times)) for r in self.records for s in r.streams),
+                sum(float(len(s.time)) for r in self.records for s in r.inputs))
+
+    @cached_property
     def layouts(self) -> dict[tuple[Shape, bool], Layout]:
         """Where columns are, as far as it was asked."""
         return {}
@@ -126,7 +132,7 @@ class Samples:
         """Median interval of the finest output [s]."""
         return min(s.period for r in self.records for s in r.streams)
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length of the longest record [s]."""
         return max(r.end - r.start for r in self.records)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import columns_of
-from ctsid_core.likelihood.output_error import ROUNDING, Fit, Free, Places, jacobian
+from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
+from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices

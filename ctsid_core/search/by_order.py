@@ -23,11 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctsid_core.likelihood.mode_columns import evaluation_work
+from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
 from ctsid_core.likelihood.output_error import (
     FEWER,
     ROUGHLY,
-    ROUNDING,
     STEPS,
     Fit,
     Free,
@@ -161,7 +160,7 @@ def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, f
         starts = list(_by_subspace(n, subspace, grid, free, delay, known))
         with suppress(np.linalg.LinAlgError):
             if starts:
-                fit = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free)
+                fit = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free, slopes=False)
                 costs[n] = float(np.sum(samples.counts * np.log(
                     np.maximum(fit.power, ENOUGH ** 2))))
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)

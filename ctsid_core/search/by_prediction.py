@@ -27,8 +27,10 @@ import numpy as np
 from scipy.linalg import logm
 
 from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import columns_of, least_cost
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, Guess, climb, fit_at
+from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -199,20 +201,17 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
         return None
     size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
     moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
-    fits: dict[float, Fit] = {}
-    costs: dict[float, float] = {}
+    known: dict[float, tuple[float, ComplexArray]] = {}
+    delay = one.found.fit.model.delay
 
     def at(noise: float) -> float:
-        if noise not in costs:
+        if noise not in known:
             both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
-            poles = np.sort_complex(both)[:n]
-            costs[noise] = np.inf
-            if poles.real.max() < free.limit:
-                with suppress(np.linalg.LinAlgError):
-                    fits[noise] = fit_at(joint, poles[poles.imag >= 0.0],
-                                         one.found.fit.model.delay, free)
-                    costs[noise] = fits[noise].cost
-        return costs[noise]
+            poles = canonical(np.sort_complex(both)[:n])
+            known[noise] = least_cost(columns_of(
+                joint, poles, delay, direct=False, slopes=False), free.trim) \
+                if float(np.max(poles.real)) < free.limit else np.inf, poles
+        return known[noise][0]
 
     noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
     step = np.sqrt(noises[1:] / noises[:-1]).mean()
@@ -220,7 +219,12 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     for _ in range(_HALVINGS):
         best = min((best / step, best, best * step), key=at)
         step = np.sqrt(step)
-    return fits[best] if at(best) < one.found.fit.cost else None
+    if not np.isfinite(at(best)):
+        return None
+    with suppress(np.linalg.LinAlgError):
+        fit = fit_at(joint, known[best][1], delay, free)
+        return fit if fit.cost < one.found.fit.cost else None
+    return None
 
 
 def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit | None:

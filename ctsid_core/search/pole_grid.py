@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.mode_columns import columns_of
-from ctsid_core.likelihood.output_error import ROUNDING
+from ctsid_core.likelihood.mode_columns import columns_of, cost_of, least_cost
 from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
 from ctsid_core.linear.recursion import chain
@@ -89,13 +88,7 @@ class PoleGrid:
         """Return -2 log likelihood with these poles and no more."""
         columns = columns_of(self.samples, canonical(poles), delay, direct=self._feedthrough,
                              slopes=False)
-        return float(self._likelihood(columns.unexplained(self._trim)))
-
-    def _likelihood(self, squares: Array) -> Array:
-        # The power of all records together decides here: residues are theirs together.
-        number = self.samples.counts.sum(axis=0)
-        found: Array = np.log(np.maximum(squares / np.maximum(number, 1.0), ROUNDING)) @ number
-        return found
+        return least_cost(columns, self._trim)
 
     def _scores(self, poles: ComplexArray, delay: Array) -> Array:
         self.samples.effort.spend(_LOOK + _PER_POLE * len(self.poles) * (
@@ -111,7 +104,7 @@ class PoleGrid:
                 left = y - basis @ (basis.T @ y)
                 squares[:, stream.channels] += np.sum(left ** 2, axis=0) - self._explained(
                     cells, shapes, stream, delay, basis, left)
-        return self._likelihood(squares)
+        return cost_of(squares, self.samples.counts.sum(axis=0))
 
     def _explained(self, cells: _Cells, shapes: list[_Shape], stream: Stream, delay: Array,
                    basis: Array, left: Array) -> Array:
