@@ -111,12 +111,13 @@ class PoleGrid:
         found = np.zeros((len(self.poles), left.shape[1]))
         for kind, shape in zip(self._kinds, shapes, strict=True):
             own = cells.candidates(shape, stream, delay)                           # (G, q, N)
-            inner = own @ basis
+            flat = own.reshape(-1, len(basis))              # one product is quicker than many
+            inner = (flat @ basis).reshape(*own.shape[:2], -1)
             gram = own @ own.swapaxes(1, 2) - inner @ inner.swapaxes(1, 2)
             scale = np.sqrt(np.maximum(np.einsum('gii->gi', gram), 0.0)) + 1e-150
             gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
                 + _RIDGE * np.eye(gram.shape[1])
-            pull = (own @ left) / scale[:, :, np.newaxis]
+            pull = (flat @ left).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
             found[kind] = np.sum(pull * np.linalg.solve(gram, pull), axis=1)
         return found
 
@@ -142,16 +143,17 @@ class _Cells:
 
     def candidates(self, shape: _Shape, stream: Stream, delay: Array) -> Array:
         """Return the columns of each pole: responses to the inputs and free, (m, q, N)."""
-        times, driven = stream.times, shape.driven
-        found = np.empty((*driven.shape[:2], len(delay) + 1, len(times)))
+        times = stream.times
+        found = np.empty((*shape.size, len(delay) + 1, len(times)))
         for d in np.unique(delay):
             at = np.clip((times - d - self._edges[0]) / self._step, 0.0,
                          len(self._edges) - 1.001)
             place = at.astype(int)
-            part = at - place
+            part = (at - place)[:, np.newaxis]
             for j in np.flatnonzero(delay == d):
-                before, after = driven[:, :, j, place], driven[:, :, j, place + 1]
-                found[:, :, j] = before + part * (after - before)
+                read = shape.driven[j][place]
+                read += part * (shape.driven[j][place + 1] - read)
+                found[:, :, j] = read.T.reshape(*shape.size, -1)
         found[:, :, -1] = shape.free(stream, self.record.start)
         return found.reshape(len(found), -1, len(times))
 
@@ -162,7 +164,10 @@ class _Shape:
     def __init__(self, cells: _Cells, poles: ComplexArray) -> None:
         self._poles = poles if len(poles) and poles[0].imag > 0.0 else poles.real
         self._free: dict[int, Array] = {}
-        self.driven = _parts(cells.responses(self._poles))         # (m, parts, nu, cells + 1)
+        driven = _parts(cells.responses(self._poles))
+        self.size = driven.shape[:2]
+        # (nu, cells + 1, m parts): all at one instant are neighbours, for they are read together.
+        self.driven = driven.transpose(2, 3, 0, 1).reshape(*driven.shape[2:], -1).copy()
 
     def free(self, stream: Stream, start: float) -> Array:
         """Return the free responses, (m, parts, N); kept, for dead times do not matter."""
