@@ -58,7 +58,8 @@ from ctsid_core.subspace.pbsid_equations import Subspace, realise
 
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more
-_NEAREST = 1e-6       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
+_NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0,
+                      # and nearer ones leave too few digits between a mode and the trim
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _OPEN_LOOP = 0.5      # error that is not noise, over the motion, with which a plant in open loop
                       # may need its outputs' own past
