@@ -27,7 +27,7 @@ from scipy.interpolate import make_interp_spline
 
 from ctsid_core.bases.hermite_functions import integral_of_first
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array
 from ctsid_core.signals.record import Signal
 
 UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
@@ -115,7 +115,7 @@ def _free_motion(nc: int) -> tuple[Array, Array]:
 
 def _held(t: Array, values: Array, start: float, end: float, alpha: float,
           top: float) -> Samples:
-    nodes, inside = _with_ends(t, start, end)
+    nodes = _with_ends(t, start, end)
     at = np.clip(np.searchsorted(t, nodes[:-1], side='right') - 1, 0, None)
     level = values[:, at]                                  # on [node k, node k + 1)
     jumps = np.diff(level, axis=1, prepend=0.0, append=0.0)
@@ -126,7 +126,8 @@ def _held(t: Array, values: Array, start: float, end: float, alpha: float,
 
 def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
            top: float) -> Samples:
-    nodes, inside = _with_ends(t, start, end)
+    nodes = _with_ends(t, start, end)
+    inside = (t >= start) & (t <= end)
     level = values[:, inside] if len(nodes) == np.count_nonzero(inside) else \
         np.array([np.interp(nodes, t, row) for row in values])
     x = _dimensionless(nodes, start, end, alpha)
@@ -163,7 +164,7 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
     degree = spline_degree(t, values)
     if degree == 1:
         return _lines(t, values, start, end, alpha, top)
-    nodes = divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
+    nodes = divided(_with_ends(t, start, end), _PHASE * alpha / top)
     middle, half = 0.5 * (nodes[1:] + nodes[:-1]), 0.5 * np.diff(nodes)
     point, weight = np.polynomial.legendre.leggauss(2)
     at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
@@ -265,13 +266,9 @@ def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
 
 
-def _with_ends(t: Array, start: float, end: float) -> tuple[Array, Mask]:
-    """Return the stamps inside of [start, end] joined by its two ends, and which they are."""
-    inside = (t >= start) & (t <= end)
-    kept = t[inside]
-    before = [start] if len(kept) == 0 or kept[0] > start else []
-    after = [end] if len(kept) == 0 or kept[-1] < end else []
-    return np.concatenate((before, kept, after)), inside
+def _with_ends(t: Array, start: float, end: float) -> Array:
+    """Return the stamps inside of [start, end] joined by its two ends."""
+    return np.concatenate(([start], t[(t > start) & (t < end)], [end]))
 
 
 def _dimensionless(t: Array, start: float, end: float, alpha: float) -> Array:

@@ -140,6 +140,12 @@ def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
     return w
 
 
+def of_one_degree(parts: Sequence[Array]) -> list[Array]:
+    """Return derivatives (degree + 1, ...) with zeros up to the highest degree among them."""
+    degree = max(map(len, parts))
+    return [np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:])))) for p in parts]
+
+
 def _recursion(a: Array, g: Array) -> Array:
     """
     Return w_1 .. w_K of w_(k+1) = a_k w_k + g_k, w_0 = 0, shape (K, N, m).

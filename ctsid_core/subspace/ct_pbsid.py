@@ -40,10 +40,9 @@ from scipy.special import eval_laguerre
 
 from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.hermite import by_delay
-from ctsid_core.bases.kinks import of_one_degree
 from ctsid_core.bases.quadrature import SPLINED, smooth_values, spline_degree
 from ctsid_core.bases.records import Joint
-from ctsid_core.bases.takenaka_malmquist import chain, respond
+from ctsid_core.bases.takenaka_malmquist import chain, of_one_degree, respond
 from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
