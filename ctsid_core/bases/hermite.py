@@ -105,8 +105,6 @@ def project_record(record: Record, settings: Settings, nmax: int,
     for start, end in pairwise(bounds.tolist()):
         check()
         parts.append(_project_part(record, settings, nmax, start, end))
-    if len(parts) == 1:
-        return parts[0]
     return replace(
         parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
         y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]),

@@ -54,16 +54,8 @@ def coefficients(signals: Sequence[Signal], start: float, end: float, alpha: flo
     """
     Project signals on h_0 .. h_nmax, [HD] eq. 33, 34: each of shape (channels, nmax + 1).
 
-    Nodes that signals share are evaluated once.
-
-    Parameters
-    ----------
-    start, end : float
-        Interval outside of which the signals are taken as zero [s].
-    alpha : float
-        Time scale [s]; the interval's centre is x = 0.
-    delays : sequence of float
-        Dead time of each signal: it is projected as f(t - delay) [s].
+    Signals are later by their delays [s], and zero outside of [start, end]. Alpha is the time
+    scale [s]; the interval's centre is x = 0. Nodes that signals share are evaluated once.
     """
     top = np.sqrt(2.0 * nmax + 1.0)                    # highest frequency of the basis, per alpha
     ready = [_PREPARE[signal.hold](*_known(signal, start, end, delay), start, end, alpha, top)

@@ -78,19 +78,10 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
-    Each record of the one plant has an initial state and, with `trim`, a constant of its own.
-
-    Parameters
-    ----------
-    delay : tuple of float, length nu
-        Dead time of the inputs [s].
-    feedthrough : bool
-        Whether u acts on y at once, so that y is as uneven as u.
-    pieces : callable
-        What signals are between their samples; by default what their holds say.
-    kinks : int
-        How many integrals of inputs that are held, or on straight lines, are looked at for what
-        interpolation of the outputs misses of them (`bases.kinks`).
+    Each record of the one plant has an initial state and, with `trim`, a constant of its own. Dead
+    times are those of the inputs [s]; with feedthrough u acts on y at once, and y is as uneven.
+    `pieces` says what signals are between their samples, and `kinks` how many integrals of inputs
+    that are held, or on straight lines, are looked at for what interpolation misses of them.
     """
     found = [_filtered(record, chain, delay, pieces, kinks, feedthrough) for record in records]
     nu, ny, count = records[0].nu, records[0].ny, len(records)
