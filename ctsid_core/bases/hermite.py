@@ -24,8 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.blocks import Blocks
-from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.hermite_functions import Blocks, hermite_functions
 from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines

@@ -247,7 +247,7 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
 
 def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
     """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
-    t = signal.time[(signal.time >= start) & (signal.time <= end)]
+    t = signal.time[signal.rows(start, end)]
     step = np.diff(t)
     if len(step) < PAUSES:
         return np.empty(0)
