@@ -30,9 +30,9 @@ from ctsid_core.bases.hermite_sums import project
 from ctsid_core.linear.types import Array
 from ctsid_core.signals.record import Signal
 
-UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
-GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
-PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
+_UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
+_GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
+_PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
 SPLINED = 8           # samples from which on there is a spline
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
@@ -151,7 +151,7 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
     step = np.diff(t)
     if len(t) < SPLINED:
         return _lines(t, values, start, end, alpha, top)
-    if np.ptp(step) <= UNIFORM * step.mean():
+    if np.ptp(step) <= _UNIFORM * step.mean():
         return _trapezoid(t, values, start, end, alpha)
     degree = spline_degree(t, values)
     if degree == 1:
@@ -217,7 +217,7 @@ def smooth_values(t: Array, values: Array, at: Array, degree: int = 3) -> Array:
     """
     out = np.array([np.interp(at, t, row) for row in values]).reshape(len(values), len(at))
     step = np.diff(t)
-    gaps = np.flatnonzero(step > GAP_PERIODS * np.median(step)) if len(step) else step.astype(int)
+    gaps = np.flatnonzero(step > _GAP_PERIODS * np.median(step)) if len(step) else step.astype(int)
     bounds = np.concatenate(([0], gaps + 1, [len(t)]))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         here = slice(*np.searchsorted(at, (t[first], t[last - 1])))
@@ -240,19 +240,15 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
         return max(min(float(t[0]), end) - start, 0.0) if len(t) else end - start
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
-    pauses = pauses_between_bursts(signal, start, end)
-    usual = float(np.median(pauses)) if len(pauses) else signal.period
-    return float(covered[np.diff(bounds) > GAP_PERIODS * usual].sum())
+    usual = _usual_interval(signal, start, end)
+    return float(covered[np.diff(bounds) > _GAP_PERIODS * usual].sum())
 
 
-def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
-    """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
-    t = signal.time[signal.rows(start, end)]
-    step = np.diff(t)
-    if len(step) < PAUSES:
-        return np.empty(0)
-    pauses = step[step > GAP_PERIODS * np.median(step)]
-    return pauses if len(pauses) >= PAUSES else np.empty(0)
+def _usual_interval(signal: Signal, start: float, end: float) -> float:
+    """Return the period of a signal; if its samples come in bursts, the usual pause [s]."""
+    step = np.diff(signal.time[signal.rows(start, end)])
+    pauses = step[step > _GAP_PERIODS * np.median(step)] if len(step) >= _PAUSES else step[:0]
+    return float(np.median(pauses)) if len(pauses) >= _PAUSES else signal.period
 
 
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
