@@ -15,7 +15,7 @@ import pytest
 from scipy.signal import lsim
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.bases.laguerre import reach
+from ctsid_core.subspace.ct_pbsid import reach
 
 FOLDER = Path(__file__).resolve().parent.parent / 'benchmarks'
 

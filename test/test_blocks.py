@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctsid_core.bases.blocks import Blocks
-from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.hermite_functions import Blocks, hermite_functions
 
 
 @pytest.mark.parametrize('vectors', [0, 1, 4, 5, 20])

@@ -10,7 +10,6 @@ from marks import slow
 import numpy as np
 import pytest
 
-from ctsid_core.bases.kinks import integrated, interpolation_errors
 from ctsid_core.bases.takenaka_malmquist import chain
 from ctsid_core.errors import SettingsError
 from ctsid_core.identify import identify
@@ -19,7 +18,14 @@ from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.gobf_equations import dynamics, filter_records, observe, realise
+from ctsid_core.subspace.gobf_equations import (
+    dynamics,
+    filter_records,
+    integrated,
+    interpolation_errors,
+    observe,
+    realise,
+)
 from ctsid_ros.studies import takenaka_malmquist as study
 from ctsid_ros.studies.experiments import flexible, from_rest, quadrotor, running
 from ctsid_ros.studies.local_polynomials import derivatives, local_polynomials
@@ -139,7 +145,7 @@ def test_what_is_missed_is_what_interpolation_misses():
     y = integrated(parts, knots)[0]
     stamps = knots[::7]
     sampled = Signal(stamps, y[::7], 'smooth')
-    missed = interpolation_errors(parts, knots, (sampled,), input_polynomials, 1)
+    missed = interpolation_errors(parts, knots, (sampled,), input_polynomials, 1, 1)
     curve = input_polynomials((sampled,), (0.0,), knots)
     inside = knots < stamps[-1]
     np.testing.assert_allclose(missed[0, inside, 0], (y - curve[0])[inside, 0], atol=1e-12)

@@ -1,49 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laguerre functions and coefficients, against quadrature and closed forms."""
+"""Laguerre coefficients, against quadrature and closed forms."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import quad_vec
+from scipy.special import eval_laguerre
 
-from ctsid_core.bases.laguerre import coefficients, laguerre_functions, reach, shifted
 from ctsid_core.signals.record import Signal
+from ctsid_core.subspace.ct_pbsid import coefficients, reach
 
 A = 3.0
 
 
-def test_functions_are_orthonormal():
-    """Gauss-Legendre quadrature on panels out to where all have decayed."""
-    count, end = 22, reach(22) / A
-    x, w = np.polynomial.legendre.leggauss(20)
-    edges = np.linspace(0.0, end, 101)
-    half = 0.5 * np.diff(edges)[:, np.newaxis]
-    t = (edges[:-1, np.newaxis] + half * (x + 1.0)).ravel()
-    values = laguerre_functions(count, A, t)
-    gram = values * (half * w).ravel() @ values.T
-    np.testing.assert_allclose(gram, np.eye(count), atol=1e-9)
-
-
-def test_transforms_are_powers_of_an_all_pass():
-    s = 0.7 + 2.0j
-    found = quad_vec(lambda t: laguerre_functions(12, A, np.array(t)) * np.exp(-s * t), 0.0, 40.0,
-                     epsabs=1e-12)[0]
-    k = np.arange(12)
-    np.testing.assert_allclose(found, np.sqrt(2 * A) / (s + A) * ((s - A) / (s + A)) ** k,
-                               atol=1e-10)
+def laguerre_functions(count, a, t):
+    k = np.arange(count).reshape(-1, *(1,) * np.ndim(t))
+    return np.sqrt(2.0 * a) * np.exp(-a * t) * eval_laguerre(k, 2.0 * a * t)
 
 
 def test_functions_have_decayed_where_said():
     for count in (1, 5, 12, 52):
         t = np.linspace(reach(count), 10 * reach(count), 500)
         assert np.abs(laguerre_functions(count, 1.0, t)).max() < 2e-10
-
-
-def test_a_shift_is_a_matrix():
-    t, h = np.linspace(0.0, 4.0, 50), 0.37
-    np.testing.assert_allclose(shifted(12, A, np.array(h)) @ laguerre_functions(12, A, t),
-                               laguerre_functions(12, A, t + h), atol=1e-12)
 
 
 def direct(f, at, span, count, kinks, sign):

@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csc_array
 from scipy.special import jv
@@ -77,13 +78,8 @@ def _scatter(x: Array, grid: Grid) -> csc_array:
     """Return what takes samples to their moments, T_d(z_k) in row (g_k, d) of column k."""
     nearest = np.rint(x / grid.step)
     z = (x - nearest * grid.step) * (2.0 / grid.step)      # near stamps keep their distance
-    polynomials = np.empty((_TERMS, len(z)))
-    polynomials[0], polynomials[1] = 1.0, z
-    for d in range(2, _TERMS):
-        np.multiply(2.0 * z, polynomials[d - 1], out=polynomials[d])
-        polynomials[d] -= polynomials[d - 2]
     first = (nearest.astype(np.int64) % grid.size * _TERMS).astype(np.int32)
     rows = first[:, np.newaxis] + np.arange(_TERMS, dtype=np.int32)
     ends = np.arange(0, rows.size + 1, _TERMS, dtype=np.int32)
-    return csc_array((polynomials.T.ravel(), rows.ravel(), ends),
+    return csc_array((chebvander(z, _TERMS - 1).ravel(), rows.ravel(), ends),
                      shape=(grid.size * _TERMS, len(x)))

@@ -24,8 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.blocks import Blocks
-from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.hermite_functions import Blocks, hermite_functions
 from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
@@ -105,8 +104,6 @@ def project_record(record: Record, settings: Settings, nmax: int,
     for start, end in pairwise(bounds.tolist()):
         check()
         parts.append(_project_part(record, settings, nmax, start, end))
-    if len(parts) == 1:
-        return parts[0]
     return replace(
         parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
         y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]),

@@ -11,6 +11,7 @@ therefore runs on mantissas, and the power of two of every argument is carried a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -21,23 +22,33 @@ from ctsid_core.linear.types import Array
 
 _PLAIN_LIMIT = 37.0     # exp(-37^2/2) = 1e-297 is still a normal number
 _EXPONENT_STEP = 512    # mantissas are brought back by 2^-512 when they exceed 2^512
-BLOCK = 8192           # samples and
+BLOCK = 8192            # samples and
 _ORDERS = 32            # orders evaluated at a time, to stay in the cache
 _CHECK_EVERY = 16       # steps between two such checks: growth stays below (2 x)^16
 _LN2_HIGH = 0.693145751953125           # 16 bits: times any exponent here is exact
 _LN2_LOW = 1.42860682030941723212e-6
+_NOTHING = 1e-18        # of the largest entry of a table: far below rounding
+_ROWS = 48              # of a block of it
+_FEW = 4                # vectors that are taken one after the other
 
 
 def hermite_functions(nmax: int, x: Array) -> Array:
     """Return h_0 .. h_nmax at dimensionless times x (N,): (nmax + 1, N) ([HD] eq. 16 to 18)."""
     x = np.asarray(x, dtype=float)
-    if x.size == 0 or np.abs(x).max() < _PLAIN_LIMIT:
-        g = _recursion(nmax, x)
-        g /= _balanced_coefficients(nmax)[1][:, np.newaxis]
-        return g
-    # Outside of |x| = R + 40 every h_n is below 1e-300: moving x there changes nothing.
-    edge = np.sqrt(2.0 * nmax + 1.0) + 40.0
-    return _scaled_recursion(nmax, np.clip(x, -edge, edge))
+    if x.size and np.abs(x).max() >= _PLAIN_LIMIT:
+        # Outside of |x| = R + 40 every h_n is below 1e-300: moving x there changes nothing.
+        edge = np.sqrt(2.0 * nmax + 1.0) + 40.0
+        return _scaled_recursion(nmax, np.clip(x, -edge, edge))
+    (r, s), g = _balanced_coefficients(nmax), np.empty((nmax + 1, x.size))
+    g[0] = np.pi ** -0.25 * np.exp(-0.5 * x * x)
+    if nmax > 0:
+        np.multiply(x, np.sqrt(2.0) * g[0], out=g[1])
+    for n in range(1, nmax):                                                 # eq. 16
+        np.multiply(x, r[n], out=g[n + 1])
+        np.multiply(g[n + 1], g[n], out=g[n + 1])
+        np.subtract(g[n + 1], g[n - 1], out=g[n + 1])
+    g /= s[:, np.newaxis]
+    return g
 
 
 def _coefficients(nmax: int) -> tuple[Array, Array]:
@@ -57,20 +68,6 @@ def _balanced_coefficients(nmax: int) -> tuple[Array, Array]:
     s[2::2] = np.cumprod(1.0 / b[1::2])
     s[3::2] = np.cumprod(1.0 / b[2::2])
     return a * s[1:] / s[:-1], s
-
-
-def _recursion(nmax: int, x: Array) -> Array:
-    """Return g_n(x) = s_n h_n(x), (nmax + 1, N); |x| must stay below the plain limit."""
-    r, out = _balanced_coefficients(nmax)[0], np.empty((nmax + 1, x.size))
-    out[0] = np.pi ** -0.25 * np.exp(-0.5 * x * x)
-    if nmax > 0:
-        np.multiply(x, np.sqrt(2.0) * out[0], out=out[1])
-    for n in range(1, nmax):                                                 # eq. 16
-        g = out[n + 1]
-        np.multiply(x, r[n], out=g)
-        np.multiply(g, out[n], out=g)
-        np.subtract(g, out[n - 1], out=g)
-    return out
 
 
 def project_directly(nmax: int, x: Array, weights: Array) -> Array:
@@ -151,3 +148,44 @@ def _scaled_recursion(nmax: int, x: Array) -> Array:
 def integral_of_first(x: Array) -> Array:
     """Return I_0(x), the integral of h_0 from minus infinity to x."""
     return np.asarray(np.pi ** 0.25 / np.sqrt(2.0) * (1.0 + erf(x / np.sqrt(2.0))))
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """
+    A large table of which much is zero, in blocks of rows, for products with few vectors.
+
+    A Hermite function is nothing beyond its reach, so that a fourth of a table of them is zero, on
+    one side of each row. Such products take the time to read the table from memory: without its
+    zeros, each block is read once and serves all vectors.
+    """
+
+    shape: tuple[int, int]                      # rows and columns
+    blocks: tuple[tuple[int, int, Array], ...]  # of each: first row, first column, entries
+
+    @classmethod
+    def of(cls, matrix: Array) -> Blocks:
+        """Return the blocks of a matrix (r, c)."""
+        least = _NOTHING * float(np.abs(matrix).max(initial=0.0))
+        found = []
+        for row in range(0, len(matrix), _ROWS):
+            part = matrix[row:row + _ROWS]
+            there = np.flatnonzero((np.abs(part) > least).any(axis=0))
+            if len(there):
+                found.append((row, int(there[0]), np.ascontiguousarray(
+                    part[:, there[0]:there[-1] + 1])))
+        return cls((matrix.shape[0], matrix.shape[1]), tuple(found))
+
+    def times(self, vectors: Array) -> Array:
+        """Return the products of the matrix (r, c) with vectors (m, c): (m, r)."""
+        found = np.zeros((len(vectors), self.shape[0]))
+        vectors = np.ascontiguousarray(vectors)
+        for row, column, entries in self.blocks:
+            rows, columns = (slice(first, first + n) for first, n in
+                             zip((row, column), entries.shape, strict=True))
+            if len(vectors) > _FEW:
+                np.matmul(vectors[:, columns], entries.T, out=found[:, rows])
+                continue
+            for vector, out in zip(vectors, found, strict=True):
+                np.dot(entries, vector[columns], out=out[rows])
+        return found

@@ -18,9 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ctsid_core.bases.blocks import Blocks
 from ctsid_core.bases.fourier_sums import Grid, fourier_grid, fourier_sums
-from ctsid_core.bases.hermite_functions import hermite_functions, project_directly
+from ctsid_core.bases.hermite_functions import Blocks, hermite_functions, project_directly
 from ctsid_core.linear.types import Array
 
 _DECAY = 36.0               # beyond its reach h_nmax is below exp(-36) = 2e-16

@@ -27,12 +27,12 @@ from scipy.interpolate import make_interp_spline
 
 from ctsid_core.bases.hermite_functions import integral_of_first
 from ctsid_core.bases.hermite_sums import project
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array
 from ctsid_core.signals.record import Signal
 
-UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
-GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
-PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
+_UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
+_GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
+_PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
 SPLINED = 8           # samples from which on there is a spline
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
@@ -54,16 +54,8 @@ def coefficients(signals: Sequence[Signal], start: float, end: float, alpha: flo
     """
     Project signals on h_0 .. h_nmax, [HD] eq. 33, 34: each of shape (channels, nmax + 1).
 
-    Nodes that signals share are evaluated once.
-
-    Parameters
-    ----------
-    start, end : float
-        Interval outside of which the signals are taken as zero [s].
-    alpha : float
-        Time scale [s]; the interval's centre is x = 0.
-    delays : sequence of float
-        Dead time of each signal: it is projected as f(t - delay) [s].
+    Signals are later by their delays [s], and zero outside of [start, end]. Alpha is the time
+    scale [s]; the interval's centre is x = 0. Nodes that signals share are evaluated once.
     """
     top = np.sqrt(2.0 * nmax + 1.0)                    # highest frequency of the basis, per alpha
     ready = [_PREPARE[signal.hold](*_known(signal, start, end, delay), start, end, alpha, top)
@@ -115,7 +107,7 @@ def _free_motion(nc: int) -> tuple[Array, Array]:
 
 def _held(t: Array, values: Array, start: float, end: float, alpha: float,
           top: float) -> Samples:
-    nodes, inside = _with_ends(t, start, end)
+    nodes = _with_ends(t, start, end)
     at = np.clip(np.searchsorted(t, nodes[:-1], side='right') - 1, 0, None)
     level = values[:, at]                                  # on [node k, node k + 1)
     jumps = np.diff(level, axis=1, prepend=0.0, append=0.0)
@@ -126,7 +118,8 @@ def _held(t: Array, values: Array, start: float, end: float, alpha: float,
 
 def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
            top: float) -> Samples:
-    nodes, inside = _with_ends(t, start, end)
+    nodes = _with_ends(t, start, end)
+    inside = (t >= start) & (t <= end)
     level = values[:, inside] if len(nodes) == np.count_nonzero(inside) else \
         np.array([np.interp(nodes, t, row) for row in values])
     x = _dimensionless(nodes, start, end, alpha)
@@ -158,12 +151,12 @@ def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
     step = np.diff(t)
     if len(t) < SPLINED:
         return _lines(t, values, start, end, alpha, top)
-    if np.ptp(step) <= UNIFORM * step.mean():
+    if np.ptp(step) <= _UNIFORM * step.mean():
         return _trapezoid(t, values, start, end, alpha)
     degree = spline_degree(t, values)
     if degree == 1:
         return _lines(t, values, start, end, alpha, top)
-    nodes = divided(_with_ends(t, start, end)[0], _PHASE * alpha / top)
+    nodes = divided(_with_ends(t, start, end), _PHASE * alpha / top)
     middle, half = 0.5 * (nodes[1:] + nodes[:-1]), 0.5 * np.diff(nodes)
     point, weight = np.polynomial.legendre.leggauss(2)
     at = (middle[:, np.newaxis] + half[:, np.newaxis] * point).ravel()
@@ -224,7 +217,7 @@ def smooth_values(t: Array, values: Array, at: Array, degree: int = 3) -> Array:
     """
     out = np.array([np.interp(at, t, row) for row in values]).reshape(len(values), len(at))
     step = np.diff(t)
-    gaps = np.flatnonzero(step > GAP_PERIODS * np.median(step)) if len(step) else step.astype(int)
+    gaps = np.flatnonzero(step > _GAP_PERIODS * np.median(step)) if len(step) else step.astype(int)
     bounds = np.concatenate(([0], gaps + 1, [len(t)]))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         here = slice(*np.searchsorted(at, (t[first], t[last - 1])))
@@ -247,31 +240,23 @@ def gap_time(signal: Signal, start: float, end: float) -> float:
         return max(min(float(t[0]), end) - start, 0.0) if len(t) else end - start
     bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
     covered = np.diff(np.clip(bounds, start, end))
-    pauses = pauses_between_bursts(signal, start, end)
-    usual = float(np.median(pauses)) if len(pauses) else signal.period
-    return float(covered[np.diff(bounds) > GAP_PERIODS * usual].sum())
+    usual = _usual_interval(signal, start, end)
+    return float(covered[np.diff(bounds) > _GAP_PERIODS * usual].sum())
 
 
-def pauses_between_bursts(signal: Signal, start: float, end: float) -> Array:
-    """Return the pauses of a signal whose samples come in bursts; none if they do not [s]."""
-    t = signal.time[(signal.time >= start) & (signal.time <= end)]
-    step = np.diff(t)
-    if len(step) < PAUSES:
-        return np.empty(0)
-    pauses = step[step > GAP_PERIODS * np.median(step)]
-    return pauses if len(pauses) >= PAUSES else np.empty(0)
+def _usual_interval(signal: Signal, start: float, end: float) -> float:
+    """Return the period of a signal; if its samples come in bursts, the usual pause [s]."""
+    step = np.diff(signal.time[signal.rows(start, end)])
+    pauses = step[step > _GAP_PERIODS * np.median(step)] if len(step) >= _PAUSES else step[:0]
+    return float(np.median(pauses)) if len(pauses) >= _PAUSES else signal.period
 
 
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}
 
 
-def _with_ends(t: Array, start: float, end: float) -> tuple[Array, Mask]:
-    """Return the stamps inside of [start, end] joined by its two ends, and which they are."""
-    inside = (t >= start) & (t <= end)
-    kept = t[inside]
-    before = [start] if len(kept) == 0 or kept[0] > start else []
-    after = [end] if len(kept) == 0 or kept[-1] < end else []
-    return np.concatenate((before, kept, after)), inside
+def _with_ends(t: Array, start: float, end: float) -> Array:
+    """Return the stamps inside of [start, end] joined by its two ends."""
+    return np.concatenate(([start], t[(t > start) & (t < end)], [end]))
 
 
 def _dimensionless(t: Array, start: float, end: float, alpha: float) -> Array:

@@ -286,18 +286,13 @@ def _read_statistics(value: Any, where: str) -> dict[str, float]:
             for key, v in read.mapping(value, where).items()}
 
 
-def _later(value: Any, where: str) -> Any:
-    """Keep what is read when the rest is known."""
-    return value
-
-
 _ROW = read.numbers(nan=True)
 TOP: dict[str, Reader] = {
     **dict.fromkeys(('format', 'version', 'equations'), read.anything),
-    'status': read.member(Status), 'message': read.anything, 'verdict': _later,
+    'status': read.member(Status), 'message': read.anything, 'verdict': read.anything,
     'start_ns': read.whole, 'end_ns': read.whole, 'model': _read_model,
     'rejected_model': _read_model, 'pole_std': _ROW, 'deviations': read.anything,
-    'covariance': _later, 'fit': _ROW, 'held_out_fit': _ROW, 'singular_values': _ROW,
+    'covariance': read.anything, 'fit': _ROW, 'held_out_fit': _ROW, 'singular_values': _ROW,
     'condition': read.number, 'statistics': _read_statistics,
     'choices': read.listed(_made(Choice, value=read.anything)),
     'notes': read.listed(read.word), 'settings': _read_settings, 'metadata': read.mapping,

@@ -79,7 +79,7 @@ def _outputs(records: Sequence[Record], found: Modes, delay: tuple[float, ...], 
     for i, record in enumerate(records):
         channel = 0
         for signal in record.outputs:
-            inside = (signal.time >= record.start) & (signal.time <= record.end)
+            inside = signal.rows(record.start, record.end)
             own, u = _responses(record, found, delay, signal.time[inside], trim)
             made = np.zeros((len(u), modes_count, total), dtype=complex)
             made[:, :, [*range(nu), nu + i, *([nu + count + i] if trim else [])]] = own

@@ -75,29 +75,13 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
     """
     Return a solution x of dx/dt = A x + B u(t - delay) + offset, exactly, and its inputs.
 
-    Parameters
-    ----------
-    inputs : sequence of Signal
-        Together nu channels.
-    delay : sequence of float, length nu
-        [s]
-    times : ndarray, shape (M,)
-        Where the solution is wanted, not decreasing [s].
-    x0 : ndarray, shape (n,), or None
-        State at `times[0]`. None: the solution whose stable modes start and whose unstable modes
-        end at zero. It is bounded, however unstable A is, so that e^(A t) can be added to it
-        without cancellation. (If the eigenvectors of A are ill-conditioned, modes that grow by
-        less than some e^5 over all times may start at zero, too.)
+    At times (M,) that do not decrease [s]: (M, n) and (M, nu), inputs after their dead time [s]
+    and at a jump the new value. `x0` is the state at `times[0]`. None: the solution whose stable
+    modes start and whose unstable modes end at zero. It is bounded, however unstable A is, so that
+    e^(A t) can be added to it without cancellation. (If the eigenvectors of A are ill-conditioned,
+    modes that grow by less than some e^5 over all times may start at zero, too.)
 
-    Returns
-    -------
-    x, u : ndarray, shapes (M, n), (M, nu)
-        Inputs at `times` are after their dead time; at a jump the new value.
-
-    Raises
-    ------
-    DataError
-        If an input has no sample or `times` decreases or is not finite.
+    Raises `DataError` if an input has no sample, or `times` decreases or is not finite.
     """
     _check_times(inputs, times)
     if not len(times):

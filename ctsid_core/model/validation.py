@@ -94,7 +94,7 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
     """Return the merged stamps of all outputs, their samples there, and where each has its own."""
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
-    inside = [(s.time >= record.start) & (s.time <= record.end) for s in record.outputs]
+    inside = [s.rows(record.start, record.end) for s in record.outputs]
     stamps = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     times = np.unique(np.concatenate(stamps))
     y, streams = np.full((len(times), record.ny), np.nan), []

@@ -91,7 +91,7 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
     """
     notes, counts, rest = [], {}, iter(names)
     for signal, spiky in zip(signals, found, strict=True):
-        inside = (signal.time >= record.start) & (signal.time <= record.end)
+        inside = signal.rows(record.start, record.end)
         times = signal.time[inside] - record.start
         for j, name in zip(range(signal.width), rest, strict=False):
             bad = spiky.mask[inside, j]

@@ -38,7 +38,7 @@ def stuck_outputs(record: Record) -> tuple[Stuck, ...]:
     """Return the outputs of a record that are stuck for a part of it."""
     found = []
     for signal, channels in zip(record.outputs, channel_slices(record.outputs), strict=True):
-        inside = (signal.time >= record.start) & (signal.time <= record.end)
+        inside = signal.rows(record.start, record.end)
         times, values = signal.time[inside], signal.values[inside]
         for output, y in enumerate(values.T, channels.start):
             run = _longest_run(times, y, record.duration)
@@ -79,6 +79,5 @@ def _inputs_move(record: Record, start: float, end: float) -> bool:
 
 
 def _spread(signal: Signal, start: float, end: float) -> Array:
-    inside = (signal.time >= start) & (signal.time <= end)
-    values = signal.values[inside]
+    values = signal.values[signal.rows(start, end)]
     return values.std(axis=0) if len(values) > 1 else np.zeros(signal.width)

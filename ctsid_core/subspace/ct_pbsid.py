@@ -31,18 +31,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
+from math import factorial
+from typing import Literal
 
 import numpy as np
+from scipy.special import eval_laguerre
 
 from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.hermite import by_delay
-from ctsid_core.bases.laguerre import Direction, coefficients, reach
+from ctsid_core.bases.quadrature import SPLINED, smooth_values, spline_degree
 from ctsid_core.bases.records import Joint
+from ctsid_core.bases.takenaka_malmquist import chain, of_one_degree, respond
 from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Record
+from ctsid_core.signals.record import Record, Signal
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
 from ctsid_core.subspace.pbsid_equations import Levels, Tuning, realise, regress
 
@@ -50,6 +55,9 @@ _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried
 _LONGEST = 0.4            # of the record that functions may reach at most, if the pole is chosen
 _MOST = 20000             # instants of a record
+_DECAYED = 1e-10          # of a Laguerre function: what counts as zero
+
+Direction = Literal['ahead', 'back']
 
 
 def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
@@ -130,6 +138,57 @@ def _block(record: Record, settings: Settings, a: float, count: int,
     z = coefficients((*inputs, *record.outputs), at, (record.start, record.end), a, count,
                      (*delays, *(0.0,) * len(record.outputs)), direction)
     return z - z.mean(axis=2, keepdims=True) if settings.trim else z
+
+
+def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
+                 count: int, delays: Sequence[float], direction: Direction) -> Array:
+    """
+    Return `count` Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
+
+    Of pole a [rad/s], signals later by their delays [s] and zero outside of the span [s]. They are
+    the responses of a chain of equal Takenaka-Malmquist filters; ahead, in reversed time.
+    """
+    late = [s.time + delay for s, delay in zip(signals, delays, strict=True)]
+    knots = np.unique(np.concatenate([span, at, *(
+        t[(t > span[0]) & (t < span[1])] for t in late)]))
+    pieces = [_pieces(t, s, knots) for t, s in zip(late, signals, strict=True)]
+    if direction == 'ahead':
+        pieces = [values[::-1, ::-1] for values in pieces]
+    way = -1 if direction == 'ahead' else 1
+    h = np.diff(knots)[::way, np.newaxis]
+    derivatives = np.concatenate(of_one_degree([_derivatives(p, h) for p in pieces]), axis=2)
+    seen = respond(chain([a] * count), derivatives, (way * knots)[::way])
+    return seen[::way][np.searchsorted(knots, at)].transpose(1, 2, 0)
+
+
+def _pieces(t: Array, signal: Signal, knots: Array) -> Array:
+    """Return a signal at the equidistant points of each interval that tell a polynomial there."""
+    if signal.hold == 'zoh':
+        row = np.clip(np.searchsorted(t, knots[:-1], side='right') - 1, 0, None)
+        return signal.values[np.newaxis, row]
+    values, degree = signal.values.T, 1
+    if signal.hold == 'smooth' and len(t) >= SPLINED:
+        degree = max(spline_degree(t, values), 3)
+    points = knots[:-1, np.newaxis] + np.diff(knots)[:, np.newaxis] * np.linspace(0, 1, degree + 1)
+    level = smooth_values(t, values, points.ravel(), degree).T
+    return level.reshape(len(points), degree + 1, -1).transpose(1, 0, 2)
+
+
+def _derivatives(values: Array, h: Array) -> Array:
+    """Return the derivatives at the start of intervals h of values at points within them."""
+    q = len(values)
+    powers = np.linalg.inv(np.vander(np.arange(q) / max(q - 1, 1), increasing=True))
+    found = np.tensordot(powers, values, axes=1)
+    return np.array([factorial(j) * part / h ** j for j, part in enumerate(found)])
+
+
+@lru_cache(maxsize=64)
+def reach(count: int) -> float:
+    """Return the time after which so many Laguerre functions have decayed, times their pole."""
+    x = np.linspace(0.0, 12.0 * count + 80.0, 2000)
+    functions = np.exp(-0.5 * x) * eval_laguerre(np.arange(count)[:, np.newaxis], x)
+    alive = np.abs(functions).max(axis=0) > _DECAYED
+    return 0.5 * float(x[np.flatnonzero(alive)[-1] + 1])
 
 
 def instants(record: Record, length: float, direction: Direction) -> Array:

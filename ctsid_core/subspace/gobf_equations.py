@@ -20,26 +20,34 @@ Errata of [TM], found by deriving (6) anew; `docs/method.md` has the list. What 
 - T_0 has the sign of D_0 reversed, and all T_i lack 1/sqrt(2 sigma) of the row (eq. 4 has it).
 - Eq. 13 means M^+ R. Eq. 14 lacks a root: C = Theta_(1,0) (A + sigma_0) / sqrt(2 sigma_0).
 - With complex poles, eq. 10 to 12 need conj sigma of the pole left, and Re sigma under roots.
+
+An output is D u + C B J u + C A B J^2 u + ..., J the integral, beside the smooth free response.
+A held input jumps at its stamps, so J u has corners there, and J^2 u jumps of curvature. No
+polynomial through samples of the output follows these. With S the interpolation, linear in the
+samples, what it misses is (1 - S) y = C B (1 - S) J u + C A B (1 - S) J^2 u + ...: known signals
+times unknown numbers. As inputs that act on the outputs at once, they make the equations of
+interpolated outputs exact to the next power of the sampling period.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import factorial
 
 import numpy as np
 
-from ctsid_core.bases.kinks import interpolation_errors, of_one_degree
-from ctsid_core.bases.takenaka_malmquist import Chain, respond
+from ctsid_core.bases.takenaka_malmquist import Chain, of_one_degree, respond
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between
-from ctsid_core.signals.record import Record
+from ctsid_core.signals.record import Record, Signal
 
 KINKS = 2             # integrals of held inputs whose kinks are worth it
+_NOTHING = 1e-12      # of a signal, that interpolation misses by rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +78,10 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
-    Each record of the one plant has an initial state and, with `trim`, a constant of its own.
-
-    Parameters
-    ----------
-    delay : tuple of float, length nu
-        Dead time of the inputs [s].
-    feedthrough : bool
-        Whether u acts on y at once, so that y is as uneven as u.
-    pieces : callable
-        What signals are between their samples; by default what their holds say.
-    kinks : int
-        How many integrals of inputs that are held, or on straight lines, are looked at for what
-        interpolation of the outputs misses of them (`bases.kinks`).
+    Each record of the one plant has an initial state and, with `trim`, a constant of its own. Dead
+    times are those of the inputs [s]; with feedthrough u acts on y at once, and y is as uneven.
+    `pieces` says what signals are between their samples, and `kinks` how many integrals of inputs
+    that are held, or on straight lines, are looked at for what interpolation misses of them.
     """
     found = [_filtered(record, chain, delay, pieces, kinks, feedthrough) for record in records]
     nu, ny, count = records[0].nu, records[0].ny, len(records)
@@ -113,7 +112,7 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     uneven = np.repeat([s.hold != 'smooth' for s in record.inputs],
                        [s.width for s in record.inputs]).astype(bool)
     missed = interpolation_errors(u[:, :, uneven], knots, record.outputs, pieces, kinks,
-                            0 if feedthrough else 1)
+                                  0 if feedthrough else 1)
     ones = np.ones((1, len(knots), 1))
     signals = np.concatenate(of_one_degree((u, ones, missed, y)), axis=2)
     w = respond(chain, signals, knots)[np.searchsorted(knots, times)]
@@ -209,3 +208,58 @@ def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Ar
     D = np.zeros((ny, filtered.inputs.shape[1]))
     D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
     return B[:, :nu], D[:, :nu]
+
+
+def integrated(derivatives: Array, knots: Array) -> Array:
+    """
+    Return the integral from the first knot of piecewise polynomials, in the same form.
+
+    From derivatives just after each knot, (degree + 1, K, m), at knots (K,) [s]; one degree more.
+    """
+    h = np.diff(knots)[:, np.newaxis]
+    steps = sum((v[:-1] * h ** (j + 1) / factorial(j + 1) for j, v in enumerate(derivatives)),
+                np.zeros(()))
+    value = np.concatenate([np.zeros_like(derivatives[0, :1]), np.cumsum(steps, axis=0)])
+    return np.concatenate([value[np.newaxis], derivatives])
+
+
+def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal], interpolate: Pieces,
+                         count: int, first: int) -> Array:
+    """
+    Return what interpolation of each output signal misses of the inputs' integrals.
+
+    Inputs u (degree + 1, K, nu) are given with derivatives just after each knot; all stamps are
+    among the knots (K,) [s]. Of the outputs, stamps and holds count. `count` integrals are looked
+    at, none at all for 0, and with `first` = 0 the inputs themselves, which outputs follow at
+    once. Shape (degree + 1 + count or
+    less, K, (count + 1 - first) * nu * signals), zero where it is no more than rounding.
+    """
+    found: list[Array] = []
+    integral = u
+    for power in range(count + 1 if u.shape[2] and count else 0):
+        integral = integrated(integral, knots) if power else integral
+        if power >= first:
+            found += [x for signal in outputs
+                      for x in _interpolation_error(integral, knots, signal, interpolate)]
+    return np.stack(of_one_degree(found), axis=2) if found else np.zeros((1, len(knots), 0))
+
+
+def _interpolation_error(signal: Array, knots: Array, output: Signal,
+                         interpolate: Pieces) -> list[Array]:
+    inside = np.isin(output.time, knots)
+    places = np.searchsorted(knots, output.time[inside])
+    m = signal.shape[2]
+    sampled = replace(output, time=output.time[inside], values=signal[0, places], names=(),
+                      units=())
+    curve = interpolate((sampled,), (0.0,) * m, knots)
+    whole, smooth = of_one_degree((signal, curve))
+    error = whole - smooth
+    size = np.abs(signal[0]).max(axis=0) + 1e-300
+    error[:, :, np.abs(_middles(error, knots)).max(axis=0) <= _NOTHING * size] = 0.0
+    return [error[:, :, j] for j in range(m)]
+
+
+def _middles(derivatives: Array, knots: Array) -> Array:
+    half = 0.5 * np.diff(knots)[:, np.newaxis]
+    return sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
+               np.zeros(()))

@@ -88,8 +88,7 @@ def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
 
 def stack_levels(projection: Projection, beta: float, gamma: float, top: int) -> Levels:
     """Return the levels z g^0 .. z g^top ([HD] eq. 37), compressed by one QR factorisation."""
-    blocks = (projection.u, projection.tail, projection.ones, projection.y)
-    z = np.vstack(blocks)
+    z = projection.signals
     scale = np.sqrt(np.sum(as_real(z) ** 2, axis=1))
     scale[scale == 0.0] = 1.0
     g = gamma / (projection.s + beta)                                         # inverse of eq. 37
