@@ -98,3 +98,7 @@ def test_both_factors_are_those_of_numpy_where_nothing_is_zero(m, n):
     columns = np.random.default_rng(7).standard_normal((m, n))
     for found, wanted in zip(factors(columns), np.linalg.qr(columns), strict=True):
         np.testing.assert_array_equal(found, wanted)
+
+
+def test_no_rows_have_an_empty_triangle():
+    assert triangle(np.zeros((0, 3))).shape == (0, 3)

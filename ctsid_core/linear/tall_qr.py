@@ -45,6 +45,8 @@ def triangle(columns: Array) -> Array:
         That of `numpy.linalg.qr` but for rounding and the signs of its rows.
     """
     m, n = columns.shape
+    if not m:
+        return np.zeros((0, n))
     if m * n < _SMALL or m < 4 * n:
         small = dgeqrf(columns, lwork=_BLOCK * max(n, 1))[0][:n]
         return np.triu(small)
