@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import columns_of, evaluation_work
+from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
@@ -39,6 +39,7 @@ from ctsid_core.linear.types import Array
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
 _CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
+_LOOK = 1e7           # work of looking for them, beside the triangles
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
@@ -157,13 +158,14 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(2 * _SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * model.n + 2)
-    samples.effort.spend(evaluation_work(samples, len(model.poles)))
     columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
                          turned=False)
     rows, error, places = jacobian(samples, fit_states(samples, model, free, columns), free)
     # What a side's own states and trims explain is no change: they come first.
     own = places.of_states(samples.ny, 1, free.trim)
     both = np.column_stack((rows[:, own], rows[:, ~own], error))
+    samples.effort.spend(_LOOK + 4.0 * both.shape[1] ** 2 * (
+        len(both) + len(_INSTANTS) * both.shape[1]))
     times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
     shares = (times - record.start) / (record.end - record.start)
     least = np.argmin([len(s.times) for s in record.streams])

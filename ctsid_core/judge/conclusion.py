@@ -59,7 +59,9 @@ def conclude(solution: Solution) -> Estimate:
         most_likely_change(*simulating, solution.simpler,
                            (samples, fit, solution.free) if solution.by_prediction else None)
     names = tuple(last.whole.input_names[j] for j in last.u)
+    effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
+    effort.check()
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,
                          deviation)
     status, verdict = judge(evidence)

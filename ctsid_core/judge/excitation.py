@@ -13,12 +13,13 @@ import numpy as np
 
 from ctsid_core.likelihood.excited import input_spectra
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
+_AT_ONCE = 25         # frequencies
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
 
 
@@ -40,13 +41,7 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     """
     omega, weight, lines, inputs, frequencies = input_spectra(samples, delay)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
-    variance, changes = np.full(response.shape, np.inf), None
-    if covariance is not None:
-        try:
-            changes = covariance.response_changes(moving, omega)
-            variance = np.sum(np.abs(changes) ** 2, axis=0) / samples.size[:, np.newaxis] ** 2
-        except np.linalg.LinAlgError:
-            pass
+    variance, moved = _uncertain(samples, covariance, moving, omega, lines)
     own = _uncorrelated(inputs)
     found = []
     for j, name in enumerate(names):
@@ -61,14 +56,35 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
         unsure = float(np.sqrt((weight[:, j, np.newaxis] * variance[:, :, j]).sum() / total)) \
             if own[j] > _ALONE else np.inf
         found.append(Excitation(name, low, high, float(frequencies[j]), float(own[j]), unsure))
-    by_output = np.full(samples.ny, np.inf)
-    if changes is not None:
-        moved = np.einsum('rfij,jf->fir', changes, lines) / samples.size[:, np.newaxis]
-        seen = np.einsum('fij,jf->fi', response, lines)
-        with np.errstate(invalid='ignore', divide='ignore'):
-            by_output = np.sqrt(np.sum(np.abs(moved) ** 2, axis=(0, 2))
-                                / np.sum(np.abs(seen) ** 2, axis=0))
+    seen = np.einsum('fij,jf->fi', response, lines)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        by_output = np.sqrt(moved / np.sum(np.abs(seen) ** 2, axis=0))
     return tuple(found), np.nan_to_num(by_output, nan=np.inf)
+
+
+def _uncertain(samples: Samples, covariance: Covariance | None, moving: StateSpace, omega: Array,
+               lines: ComplexArray) -> tuple[Array, Array]:
+    """
+    Return the variance of the response, (M, ny, nu), and that of each output's motion, (ny,).
+
+    Outputs over their size; infinite where nothing is known.
+    """
+    variance = np.full((len(omega), samples.ny, len(lines)), np.inf)
+    moved, size = np.full(samples.ny, np.inf), samples.size
+    if covariance is None:
+        return variance, moved
+    found, total = np.empty_like(variance), np.zeros(samples.ny)
+    for start in range(0, len(omega), _AT_ONCE):            # all at once do not fit into the cache
+        samples.effort.check()
+        part = slice(start, start + _AT_ONCE)
+        try:
+            changes = covariance.response_changes(moving, omega[part])
+        except np.linalg.LinAlgError:
+            return variance, moved
+        found[part] = np.sum(np.abs(changes) ** 2, axis=0) / size[:, np.newaxis] ** 2
+        total += np.sum(np.abs(np.einsum('rfij,jf->rfi', changes, lines[:, part])) ** 2,
+                        axis=(0, 1)) / size ** 2
+    return found, total
 
 
 def _uncorrelated(u: Array) -> Array:

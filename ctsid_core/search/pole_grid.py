@@ -28,7 +28,7 @@ _DAMPING = (0.02, 0.1, 0.4, 0.8)
 _CELLS = 4000         # of time, at most
 _RIDGE = 1e-9         # of the inner products of a candidate's columns
 _PER_CELL = 150.0     # work: of each pole, input and cell of time
-_LOOK, _PER_POLE = 3e6, 300.0           # work: of any look, and for each pole, input and sample
+_LOOK, _PER_POLE = 1e6, 80.0            # work: of any look, and for each pole, input and sample
 
 
 class PoleGrid:

@@ -58,8 +58,9 @@ from ctsid_core.subspace.pbsid_equations import Subspace, realise
 
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more
-_NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0,
+_NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
                       # and nearer ones leave too few digits between a mode and the trim
+_STEADY = 10.0        # times that: a mode neither grows nor decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _OPEN_LOOP = 0.5      # error that is not noise, over the motion, with which a plant in open loop
                       # may need its outputs' own past
@@ -71,7 +72,7 @@ _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 
-_PROJECTION, _PER_SAMPLE, _REGRESSION = 2.5e7, 1e4, 2e7      # work of HD-PBSID
+_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 1.5e7      # work of HD-PBSID
 
 Corrupt = list[list[Mask | None]]
 Other = tuple[float, Tried]              # advantage over the choice, and the model
@@ -193,8 +194,8 @@ def _longest(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
 
 
 def _growing(model: ModalModel, free: Free, own: Settings) -> tuple[str, ...]:
-    """Return whether modes are as near to growing as a simulation's may be, in words."""
-    near = model.poles.real >= free.limit
+    """Return whether modes neither grow nor decay, as far as the window shows, in words."""
+    near = model.poles.real >= _STEADY * free.limit
     if not own.feedthrough or np.sum(near) + np.sum(near & (model.poles.imag > 0.0)) < 2:
         return ()
     return ('modes neither grow nor decay, as when a controller keeps an unstable plant in place: '
