@@ -54,6 +54,8 @@ def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
     """
     samples = samples.thinned(_SEARCHED)
     model, gains, errors = fit.model, np.zeros(samples.ny), residuals(samples, fit)
+    if not samples.counts.all():
+        return gains
     columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough, turned=False)
     samples.effort.spend(evaluation_work(samples, len(model.poles)))
     curved = _powers(samples, errors)
