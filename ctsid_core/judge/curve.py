@@ -35,7 +35,7 @@ from ctsid_core.signals.record import Signal
 _POWERS = (2, 3)
 _SEARCHED = 600       # samples of a stream that are looked at
 _MOST = 0.5           # columns for each sample: with more nothing is told
-_DEPENDENT = 1e-6     # part of a column that others do not explain: less is none
+_DEPENDENT = 1e-4     # part of a column that others do not explain: less is rounding, or none
 _LEAST = 0.02         # motion within a tenth of a record, over all: less is as much
 
 
@@ -75,8 +75,10 @@ def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:
                for r, own in zip(samples.records, errors, strict=True)]
     means = [np.mean(np.concatenate([s.values for s in same]), axis=0)
              for same in zip(*signals, strict=True)]
-    return [[replace(s, values=(s.values - mean) ** power) for power in _POWERS
-             for s, mean in zip(own, means, strict=True)] for own in signals]
+    sizes = [max(float(np.max(np.abs(s.values - mean))) for s in same) or 1.0
+             for same, mean in zip(zip(*signals, strict=True), means, strict=True)]
+    return [[replace(s, values=((s.values - mean) / size) ** power) for power in _POWERS
+             for s, mean, size in zip(own, means, sizes, strict=True)] for own in signals]
 
 
 def _linear(t: Triangle, poles: ComplexArray, free: Free) -> tuple[Array, Array]:
