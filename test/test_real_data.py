@@ -127,25 +127,32 @@ def joints():
 
 @pytest.mark.slow
 @pytest.mark.parametrize('leg', range(4))
-def test_a_walking_leg_is_not_explained(data_folder, joints, leg):
+def test_a_walking_leg_is_not_good(data_folder, joints, leg):
     """Contacts make it a hybrid system: the right answer is a verdict, not a model."""
     record = joints(data_folder, [3 * leg, 3 * leg + 1, 3 * leg + 2])
     estimate = identify(record)
     print(f'\nleg {leg}: {estimate.status.name}, fit {estimate.fit.round()}, held out '
           f'{estimate.held_out_fit.round()}')
-    assert estimate.status is not Status.OK
-    assert estimate.model is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('joint', range(12))
-def test_a_walking_joint_is_not_explained(data_folder, joints, joint):
-    """Of joint 9, which stands still in the part held out, that is not known: it is WEAK."""
-    estimate = identify(joints(data_folder, [joint]))
-    print(f'\njoint {joint}: {estimate.status.name}, fit {estimate.fit.round()}, held out '
-          f'{estimate.held_out_fit.round()}')
     assert estimate.verdict.grade is not Grade.GOOD
-    assert estimate.status is not Status.OK or joint == 9
+
+
+# The whole of a walk and a lying down, of which the one large step explains most; the walk alone.
+@pytest.mark.parametrize('joint', [7, *slow(*(k for k in range(12) if k != 7))])
+@pytest.mark.parametrize(('start', 'end'), [(6.2, 15.0), *slow((6.2, 10.2), (0.0, 15.0))])
+def test_a_walking_joint_is_not_good(data_folder, joints, joint, start, end):
+    """The fit is up to 94 %, of which a part held out says the same."""
+    estimate = identify(joints(data_folder, [joint], start, end))
+    print(f'\njoint {joint}: {estimate.status.name}, fit {estimate.fit.round()}, held out '
+          f'{estimate.held_out_fit.round()}, {estimate.verdict.reason}')
+    assert estimate.verdict.grade is not Grade.GOOD
+
+
+def test_a_prediction_of_what_hardly_moves_meanwhile_is_not_good(data_folder, joints):
+    """A joint in the walk alone: 74 % 20 ms ahead, in which it moves by half of its motion."""
+    estimate = identify(joints(data_folder, [8], 6.2, 10.2))
+    assert any(c.name == 'domain' for c in estimate.choices)
+    assert estimate.verdict.coloured_error[0] > 1.5 * estimate.verdict.error[0]
+    assert estimate.verdict.grade is not Grade.GOOD
 
 
 @pytest.mark.slow

@@ -73,7 +73,7 @@ def test_every_rule_is_looked_at():
     said = ' '.join(reason for _, reason in findings())
     for words in ('not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
                   'finite', 'zero column', '1 frequency', 'independently', 'move it more',
-                  'explain little', 'is a curve', 'held out', 'response to input a is at',
+                  'explain little', 'is not linear', 'held out', 'response to input a is at',
                   'not been tested', 'Nobody',
                   'badly (fresh', 'is unstable', 'order has changed', 'A pole has moved',
                   'An earlier window', 'arithmetic', 'acts 0.1 s later', 'gaps', 'gobf failed'):

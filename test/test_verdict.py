@@ -15,13 +15,15 @@ from marks import slow
 import numpy as np
 from plants import held, held_response, noisy, plant, random_plant, random_signal
 import pytest
-from verdict_cases import distance, excited, nothing, steps
+from verdict_cases import curved, distance, excited, nothing, steps
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.errors import DataError
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.evidence import Evidence
+from ctsid_core.judge.motion import motion_ahead, motion_within
 from ctsid_core.judge.rules import judge
+from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
@@ -327,6 +329,51 @@ def test_the_agreement_is_of_both_models():
     away = np.abs(second.model.poles - first.model.poles)
     both = np.hypot(first.pole_std, second.pole_std)
     assert second.verdict.moved == pytest.approx(np.max(away / both), rel=1e-6)
+
+
+# What is not linear.
+
+
+@pytest.mark.parametrize('what', ['saturates', 'dead zone', 'drags', 'clips'])
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3, 4, 5)])
+def test_what_is_not_linear_is_not_good(what, seed):
+    """Before the model, at its modes or after it; fits are up to 90 %, held out as well."""
+    verdict = judged(curved(seed, what))
+    print(verdict.reason)
+    assert verdict.curve_gain[0] > 8.0
+    assert verdict.grade is Grade.WEAK
+    assert 'is not linear' in verdict.reason or seed
+
+
+@pytest.mark.parametrize(('seed', 'what'), [(0, 'nothing'), (1, 'gusts'),
+                                            *slow((2, 'gusts'), (5, 'gusts'))])
+def test_disturbances_are_no_curves(seed, what):
+    verdict = judged(curved(seed, what))
+    assert verdict.curve_gain[0] < 5.0
+    assert verdict.grade is Grade.GOOD, verdict.reason
+
+
+def test_curves_are_told_of_several_records_and_outputs():
+    linear, bent = ([curved(seed, what) for seed in range(3)] for what in ('nothing', 'clips'))
+    assert identify(linear).verdict.curve_gain[0] < 1.0
+    assert identify(bent).verdict.curve_gain[0] > 8.0
+    both = replace(bent[0], outputs=(*bent[0].outputs, *linear[0].outputs))
+    gains = identify(both).verdict.curve_gain
+    assert gains[0] > 8.0
+    assert gains[1] < 1.0
+
+
+def test_motion_is_that_in_the_time_that_an_error_is_about():
+    """A sine of 0.1, and a step of 1 between two tenths; predictions 0.1 s ahead."""
+    t = np.arange(0.005, 10.0, 0.01)
+    y = 0.1 * np.cos(2.0 * np.pi * t) + (t > 5.0)
+    samples = samples_of([Record.from_arrays(t, t, t, y)], [[None]])
+    errors, (size,) = (((0.0 * y)[:, np.newaxis],),), samples.size
+    assert size == pytest.approx(0.5, rel=0.02)
+    assert motion_within(samples, errors)[0] * size == pytest.approx(0.1 * 0.5 ** 0.5, rel=0.02)
+    moved = np.hypot(0.2 * np.sin(0.1 * np.pi) * 0.5 ** 0.5, (0.1 / 9.9) ** 0.5)
+    assert motion_ahead(samples.records[0], errors[0], 0.1)[0] * size == pytest.approx(
+        moved, rel=0.02)
 
 
 # Counted.

@@ -132,3 +132,30 @@ def distance(estimate: Estimate, truth: np.ndarray) -> float:
     found = match(model.poles, truth)
     rows = [int(np.argmin(np.abs(model.poles - f))) for f in found]
     return float(np.max(np.abs(found - truth) / estimate.pole_std[rows]))
+
+
+def curved(seed: int, what: str) -> Record:
+    """Return what a plant does that is not linear, moved by steps every 0.6 s, at 30 dB."""
+    rng = np.random.default_rng([13, seed])
+    t_u, fine = np.arange(0.0, 12.0, 0.02), 1e-3
+    u = np.repeat(rng.uniform(-1, 1, len(t_u) // 30 + 1), 30)[:len(t_u)]
+    force = np.repeat(u, 20)
+    if what == 'saturates':
+        force = np.clip(force, -0.4, 0.4)
+    if what == 'dead zone':
+        force -= np.clip(force, -0.3, 0.3)
+    y, x, v = np.empty(len(force)), 0.0, 0.0
+    for k, one in enumerate(force.tolist()):
+        y[k] = x
+        if what == 'drags':
+            x += fine * (3.0 * one - 0.3 * x - 3.0 * abs(x) * x)
+        else:
+            x, v = x + fine * v, v + fine * (25.0 * (one - x) - 7.0 * v)
+    if what == 'clips':
+        y = np.clip(y, -0.4, 0.4)
+    y = y[::10]
+    if what == 'gusts':
+        gusts = coloured(rng, len(y), 1)[:, 0]
+        y += 0.2 * y.std() / gusts.std() * gusts
+    return Record.from_arrays(t_u, u, fine * np.arange(0, len(force), 10),
+                              noisy(rng, y[:, np.newaxis], 30)[:, 0], input_hold='zoh')

@@ -15,6 +15,7 @@ from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.instants import after_start
+from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import uniform, with_noise
 from ctsid_core.likelihood.output_error import Residuals, fit_states
@@ -27,7 +28,7 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
-from ctsid_core.search.by_prediction import AHEAD, changes_of_plant, is_stable, plant_of
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS, changes_of_plant, is_stable, plant_of
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.stuck import stuck_outputs
@@ -139,7 +140,9 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
     white = white_part(errors)
     error, coloured = _over_all(solution), np.sqrt(np.maximum(power - white ** 2, 0.0))
     if solution.by_prediction:
-        error = coloured = solution.errors_ahead[AHEAD]
+        error = solution.errors_ahead[AHEAD]
+        coloured = np.maximum(error, np.sqrt(np.maximum(error ** 2 - white ** 2, 0.0))
+                              / _moved(solution, errors))
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     numbers = replace(
@@ -152,7 +155,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         coloured_error=everywhere(coloured),
         held_out_error=everywhere(tested(unseen, error)),
         independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curve_gains(
-            solution.samples, errors, solution.independent)))
+            solution.samples, solution.fit, solution.free)))
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
@@ -162,6 +165,13 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven)
+
+
+def _moved(solution: Solution, errors: Residuals) -> Array:
+    """Return what outputs move by in the time that predictions are ahead, over the motion."""
+    last = solution.part.last
+    period = max(s.period for s in solution.part.parts[last].record.outputs)
+    return motion_ahead(solution.samples.records[last], errors[last], HORIZONS[AHEAD] * period)
 
 
 def _over_all(solution: Solution) -> Array:

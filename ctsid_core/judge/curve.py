@@ -1,47 +1,126 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether the output is a curve of what the linear model makes of the inputs.
+Whether curves explain what a linear model leaves.
 
-A sensor that clips, an actuator that saturates, drag that grows with the square of speed: the
-errors of the best linear model then follow its own output. A cubic of that is fitted to them.
+An actuator that saturates or ignores small commands, drag that grows with the square of speed,
+feet that strike the ground, a sensor that clips: the errors of the best linear model then follow
+squares and cubes of what goes in or comes out. They are fitted to the errors in three places: of
+the inputs, before the model; of the simulated outputs, as they would move its modes; and of these
+after it. What other poles, residues, dead times or trims would explain as well is left to them.
 
 References
 ----------
-Ramsey 1969, J. Royal Statistical Society B 31 (RESET, here of the simulated output).
+Ramsey 1969, J. Royal Statistical Society B 31 (RESET, here of the simulated output); Billings and
+Voon 1986, Int. J. Control 44 (of inputs and outputs).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.linalg import block_diag
 
-from ctsid_core.likelihood.output_error import Residuals
-from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array
+from ctsid_core.judge.motion import motion_within
+from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import ROUNDING, Triangle, columns_of, evaluation_work
+from ctsid_core.likelihood.output_error import Fit, Free, Residuals
+from ctsid_core.likelihood.residuals import independent, residuals
+from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.linear.tall_qr import factors
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.modal import mode_responses
+from ctsid_core.signals.record import Signal
+
+_POWERS = (2, 3)
+_SEARCHED = 600       # samples of a stream that are looked at
+_MOST = 0.5           # columns for each sample: with more nothing is told
+_DEPENDENT = 1e-4     # part of a column that others do not explain: less is rounding, or none
+_LEAST = 0.02         # motion within a tenth of a record, over all: less is as much
 
 
-def curve_gains(samples: Samples, errors: Residuals, independent: Array) -> Array:
+def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
     """
-    Return the points of fit that a curve gains after the model, (ny,) [%].
+    Return the points of fit that curves gain after the model, less those by chance, (ny,) [%].
+
+    They are points of the motion within a tenth of a record. How much is by chance depends on how
+    many of the errors that curves leave are independent.
 
     Parameters
     ----------
     samples : Samples
-    errors : Residuals
-        That the model leaves.
-    independent : ndarray, shape (ny,)
-        Number of independent ones: a curve has to be worth its two numbers.
+    fit : Fit
+    free : Free
     """
-    gains = np.zeros(samples.ny)
-    for stream, s in enumerate(samples.records[0].streams):
-        for k, i in enumerate(range(s.channels.start, s.channels.stop)):
-            e = np.concatenate([own[stream][:, k] for own in errors])
-            y = np.concatenate([r.streams[stream].y[:, k] - own[stream][:, k]
-                                for r, own in zip(samples.records, errors, strict=True)])
-            y = (y - y.mean()) / (y.std() + 1e-300)
-            powers = np.stack([np.ones_like(y), y, y ** 2, y ** 3])
-            line, curve = (float(np.mean((e - np.linalg.lstsq(p.T, e, rcond=1e-10)[0] @ p) ** 2))
-                           for p in (powers[:2], powers))
-            n_eff = max(float(independent[i]), 2.0)
-            if curve > 0.0 and n_eff * np.log(line / curve) > 2.0 * np.log(n_eff):
-                gains[i] = 100.0 * (np.sqrt(line) - np.sqrt(curve))
-    return gains
+    samples = samples.thinned(_SEARCHED)
+    model, gains, errors = fit.model, np.zeros(samples.ny), residuals(samples, fit)
+    if not samples.counts.all():
+        return gains
+    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough, turned=False)
+    samples.effort.spend(evaluation_work(samples, len(model.poles)))
+    curved = _powers(samples, errors)
+    for k, stream in enumerate(samples.records[0].streams):
+        parts = [(*_linear(found[k], model.poles, free), _curves(record, k, model, own))
+                 for record, found, own in zip(samples.records, columns.triangles, curved,
+                                               strict=True)]
+        states, driven, curves = zip(*parts, strict=True)
+        base = np.hstack((block_diag(*states), np.vstack(driven)))
+        gains[stream.channels] = _gained(base, np.vstack(curves), [own[k] for own in errors])
+    return gains / np.maximum(motion_within(samples, errors), _LEAST)
+
+
+def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:
+    """Return, of each record, squares of its inputs and simulated outputs, then their cubes."""
+    signals = [[*r.inputs, *(Signal(s.times, s.y - e, 'linear')
+                             for s, e in zip(r.streams, own, strict=True))]
+               for r, own in zip(samples.records, errors, strict=True)]
+    means = [np.mean(np.concatenate([s.values for s in same]), axis=0)
+             for same in zip(*signals, strict=True)]
+    sizes = [max(float(np.max(np.abs(s.values - mean))) for s in same) or 1.0
+             for same, mean in zip(zip(*signals, strict=True), means, strict=True)]
+    return [[replace(s, values=((s.values - mean) / size) ** power) for power in _POWERS
+             for s, mean, size in zip(own, means, sizes, strict=True)] for own in signals]
+
+
+def _linear(t: Triangle, poles: ComplexArray, free: Free) -> tuple[Array, Array]:
+    """Return the columns of what is a record's own, and of what inputs do, with slopes."""
+    both = _real(np.concatenate((t.z, t.dz), axis=1).swapaxes(1, 2), np.tile(poles, 2))
+    states, driven = both[:, -1], both[:, :-1].reshape(len(both), -1)
+    direct = (t.u, t.rates) if free.feedthrough else ()
+    return np.column_stack((states, t.one)), np.hstack((driven, *direct))
+
+
+def _curves(record: RecordSamples, k: int, model: ModalModel, curved: list[Signal]) -> Array:
+    """Return the columns of curves before the model, at its modes, and after it, of a stream."""
+    s, (nu, ny), count = record.streams[k], (len(model.delay), len(model.c)), len(_POWERS)
+    z = mode_responses(model.poles, curved, np.tile(np.append(model.delay, np.zeros(ny)), count),
+                       record.start, s.times, slopes=False).responses
+    seen = z.transpose(2, 1, 0).reshape(len(s.times), count, nu + ny, -1)
+    before = ((seen[:, :, :nu] * model.b.T) @ model.c[s.channels].T).real
+    inside = _real(seen[:, :, nu:].reshape(len(seen), count * ny, -1), model.poles)
+    after = [one.values for one in curved[len(record.inputs) + k::len(curved) // count]]
+    return np.hstack((before.reshape(len(seen), -1), inside.reshape(len(seen), -1), *after))
+
+
+def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
+    """Return real and, of pairs, imaginary parts of modes' responses, (N, channels, n)."""
+    return np.concatenate((responses.real, responses[:, :, poles.imag > 0.0].imag), axis=2)
+
+
+def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
+    """Return the points of fit that curves gain beside what the model can do, by output."""
+    width, count = base.shape[1], len(base)
+    if width + curves.shape[1] > _MOST * count:
+        return np.zeros(errors[0].shape[1])
+    Q, R = factors(np.hstack((base, curves)))
+    told = np.abs(np.diag(R))[width:] > _DEPENDENT * np.linalg.norm(curves, axis=0)
+    e = np.concatenate(errors)
+    e -= Q[:, :width] @ (Q[:, :width].T @ e)
+    own = Q[:, width:][:, told]
+    left = e - own @ (own.T @ e)
+    edges = np.cumsum([len(one) for one in errors])[:-1]
+    n_eff = independent(tuple((one,) for one in np.split(left, edges)))
+    before, after = (np.mean(one ** 2, axis=0) for one in (e, left))
+    after /= np.maximum(1.0 - np.count_nonzero(told) / n_eff, ROUNDING)
+    found: Array = 100.0 * (np.sqrt(before) - np.sqrt(np.minimum(after, before)))
+    return found

@@ -64,7 +64,7 @@ class Evidence:
 
     @property
     def coloured(self) -> Array:
-        """The part of it that is not white noise, (ny,)."""
+        """The part of it that is not white noise, see `Verdict`, (ny,)."""
         return self.numbers.coloured_error
 
     @property

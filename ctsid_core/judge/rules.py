@@ -36,7 +36,7 @@ _FOLLOWS = 0.4          # the same of an output's response to all inputs: it fol
 _DRIVEN = 0.5           # held-out error over the response to inputs: less, and it follows them
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
-_CURVED = 4.0           # points of fit that a curve after the model gains
+_CURVED = 7.0           # points of fit that curves of inputs and outputs gain after the model
 _CHANGED = 3.0          # points of fit that two models gain over one, before and after
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
@@ -73,8 +73,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
     for i in _largest_first(e.coloured, _UNEXPLAINED):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
-            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{e.worst}; check '
-            'that these are the right signals.')
+            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{_in_that_time(e)}'
+            f'{e.worst}; check that these are the right signals.')
     # What follows nothing goes by itself.
     follows = (e.held_out < _DRIVEN * e.driven) & ~unsure(e.expected, e.error)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
@@ -137,13 +137,14 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     for i in _largest_first(e.coloured, _DISTURBED):
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
-            f'apart, is {100 * e.coloured[i]:.0f} % of its motion; find what else acts on it, and '
-            'take it as an input.')
+            f'apart, is {100 * e.coloured[i]:.0f} % of its motion{_in_that_time(e)}; find what '
+            'else acts on it, and take it as an input.')
     for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
-            f'Output {e.output_names[i]} is a curve of what a linear model makes of the '
-            f'inputs: a curve after it gains {e.numbers.curve_gain[i]:.1f} points of fit, so '
-            'something saturates or is clipped; take a part of the data in which it moves less.')
+            f'Output {e.output_names[i]} is not linear in the inputs: squares and cubes of these '
+            f'and of the outputs gain {e.numbers.curve_gain[i]:.1f} points of fit, so something '
+            'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
+            'less.')
     for i in _largest_first(e.held_out / allowed(e.error), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
@@ -151,6 +152,10 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'{_percent(e.error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, UNTESTED
+
+
+def _in_that_time(e: Evidence) -> str:
+    return ' in the time that predictions are ahead' if e.by_prediction else ''
 
 
 def _largest_first(values: Array, limit: float) -> list[int]:

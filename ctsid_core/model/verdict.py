@@ -83,7 +83,8 @@ class Verdict:
     error : ndarray, shape (ny,)
         Rms error of the simulation over the motion of each output; the fit is 1 less that.
     coloured_error : ndarray, shape (ny,)
-        The part of it that is not white noise: model errors and disturbances.
+        The part of it that is not white noise: model errors and disturbances. Of predictions the
+        error, or that part over what the output moves by in the time that they are ahead.
     held_out_error : ndarray, shape (ny,)
         Rms error of a model of the rest of the window on what was held out, over the motion of the
         whole window.
@@ -93,8 +94,8 @@ class Verdict:
         Points of fit that two models, before and after the instant at which they gain most, gain
         over one [%].
     curve_gain : ndarray, shape (ny,)
-        Points of fit that a curve (a cubic of the simulated output) gains after the model; 0 where
-        the data do not show it [%].
+        Points of fit that squares and cubes of the inputs and of the simulated outputs gain beside
+        the model, of the motion within a tenth of a record [%].
     fresh_ratio : ndarray, shape (ny,)
         Fresh error ratio: rms error of the previous model on the data that are new in this
         window, over that on the older data of this window.

@@ -207,10 +207,11 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     def at(noise: float) -> float:
         if noise not in known:
             both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
-            poles = canonical(np.sort_complex(both)[:n])
+            poles = np.sort_complex(both)[:n]
+            stable = bool(np.all(poles.real < free.limit))          # not if any is no number
             known[noise] = least_cost(columns_of(
-                joint, poles, delay, direct=False, slopes=False), free.trim) \
-                if float(np.max(poles.real)) < free.limit else np.inf, poles
+                joint, canonical(poles), delay, direct=False, slopes=False), free.trim) \
+                if stable else np.inf, poles
         return known[noise][0]
 
     noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)

@@ -146,7 +146,7 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
                      'uncorrelated [%]', 'response std [%]'), inputs, ('input',))]
     tables.append(Table(('output', 'error not white [%]', 'independent [%]', 'whiteness p-value',
-                         'gain of a curve [%]', 'fresh error ratio'), outputs, ('output',)))
+                         'gain of curves [%]', 'fresh error ratio'), outputs, ('output',)))
     return tables if inputs else []
 
 
