@@ -19,7 +19,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
-_AT_ONCE = 25         # frequencies
+_AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
 
 
@@ -74,9 +74,11 @@ def _uncertain(samples: Samples, covariance: Covariance | None, moving: StateSpa
     if covariance is None:
         return variance, moved
     found, total = np.empty_like(variance), np.zeros(samples.ny)
-    for start in range(0, len(omega), _AT_ONCE):            # all at once do not fit into the cache
+    # Of many inputs and outputs all at once do not fit into the cache.
+    few = max(_AT_ONCE // (len(covariance.entries.A) * variance[0].size), 1)
+    for start in range(0, len(omega), few):
         samples.effort.check()
-        part = slice(start, start + _AT_ONCE)
+        part = slice(start, start + few)
         try:
             changes = covariance.response_changes(moving, omega[part])
         except np.linalg.LinAlgError:
