@@ -43,7 +43,7 @@ def input_spectra(samples: Samples,
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
     tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * np.hanning(count - 1),
-                                 axis=1))[:, 1:] ** 2
+                                 axis=1))[:, 1:] ** 2 / omega
     # What lies beyond half the rate of an input are the edges of its hold.
     tapered *= omega < np.pi / np.array([[s.period] for s in inputs for _ in range(s.width)])
     breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
