@@ -21,7 +21,9 @@ from ctsid_ros.errors import BAG_PACKAGES
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_SOURCE = shutil.ignore_patterns(
-    '.*', 'build', 'install', 'log', 'results', '*.egg-info', '__pycache__')
+    '.*', 'build', 'install', 'log', 'results', '*.egg-info', '__pycache__', '*.so')
+KERNEL = 'from ctsid_core.likelihood.kernel import built; raise SystemExit(0 if built() else 3)'
+compiler = shutil.which('cc') is not None
 # pip's names of what setup.py requires and the node needs, by the rosdep keys of package.xml.
 ROSDEP = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'PyYAML': 'python3-yaml',
           'jinja2': 'python3-jinja2', 'matplotlib': 'python3-matplotlib'}
@@ -158,6 +160,7 @@ def test_pip_puts_the_command_into_bin(copied, tmp_path):
     version = run(sys.executable, tmp_path / 'bin/ctsid', '--version',
                   env=os.environ | {'PYTHONPATH': str(installed)}, cwd=tmp_path)
     assert '0.1.0' in version.stdout
+    assert bool([*installed.rglob('_kernel*')]) == compiler
 
 
 @pytest.mark.colcon
@@ -178,3 +181,6 @@ def test_colcon_builds_the_package(copied, tmp_path, option):
     ran = run('sh', '-c', '. install/local_setup.sh && install/ctsid/lib/ctsid/ctsid --version',
               cwd=tmp_path, env=environment)
     assert '0.1.0' in ran.stdout
+    if compiler:
+        run('sh', '-c', f'. install/local_setup.sh && {sys.executable} -c "{KERNEL}"',
+            cwd=tmp_path, env=environment)

@@ -125,6 +125,11 @@ def _library() -> CDLL | None:
     return found
 
 
+def built() -> bool:
+    """Return whether the kernel is there, and serves."""
+    return _library() is not None
+
+
 def _place(module: Any, name: str) -> int:
     """Return where a function of SciPy's LAPACK is; 0 if its integers are not C's int."""
     capsule, api = module.__pyx_capi__[name], ctypes.pythonapi
