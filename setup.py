@@ -2,10 +2,13 @@
 """Build of the ROS 2 package `ctsid` (ament_python); also a plain pip package."""
 
 from glob import glob
+from pathlib import Path
+from zlib import crc32
 
 from setuptools import Extension, find_packages, setup
 
 PACKAGE = 'ctsid'
+KERNEL = Path(__file__).parent / 'ctsid_core/likelihood/kernel.c'
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 # Recordings other than bags, each by its library.
 FILES = {'px4': ['pyulog'], 'ardupilot': ['pymavlink'], 'parquet': ['pyarrow'],
@@ -29,6 +32,7 @@ setup(
     # Without a compiler NumPy does the same, in more time.
     ext_modules=[Extension(
         'ctsid_core.likelihood._kernel', ['ctsid_core/likelihood/kernel.c'], optional=True,
+        define_macros=[('EDITION', f'{crc32(KERNEL.read_bytes())}u')],
         extra_compile_args=['-std=c11', '-O3', '-fcx-limited-range', '-ffp-contract=off',
                             '-fno-math-errno'])],
     package_data={'ctsid_core': ['py.typed', 'model/*.json'],

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from ctsid_core.likelihood import kernel
-from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.kernel import Shape
+from ctsid_core.likelihood.mode_columns import _layout, columns_of
 from ctsid_core.likelihood.output_error import Free, _normal, climb, fit_at, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples, samples_of
@@ -24,7 +25,11 @@ POLES = {'real': [-2.0, -30.0], 'pair': [-1.0 + 4.0j],
 
 
 def record(rng, nu, ny, hold, streams=1, samples=400):
-    """Return one of some seconds, with jitter, a gap, and outputs that move."""
+    """
+    Return one of some seconds, with jitter, a gap, and outputs that move.
+
+    The second of several streams goes on for longer, and the last has no noise.
+    """
     def stamps(count):
         t = np.sort(rng.uniform(0.0, 6.0, count))
         return t[(t < 3.0) | (t > 3.2)]
@@ -38,10 +43,10 @@ def record(rng, nu, ny, hold, streams=1, samples=400):
         inputs[:2] = [Signal(inputs[0].time, two, hold)]
     parts = np.array_split(np.arange(ny), streams)
     outputs = []
-    for part in parts:
-        t = stamps(samples)
-        outputs.append(Signal(t, np.sin(np.outer(t, 1.0 + part)) + rng.normal(
-            size=(len(t), len(part))), 'smooth'))
+    for k, part in enumerate(parts):
+        t = stamps(samples) * (1.0 if k or streams == 1 else 0.7)
+        noise = rng.normal(size=(len(t), len(part))) * (k < 1 or k < streams - 1)
+        outputs.append(Signal(t, np.sin(np.outer(t, 1.0 + part)) + noise, 'smooth'))
     return Record(tuple(inputs), tuple(outputs), 0.1, 6.0)
 
 
@@ -75,7 +80,7 @@ def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, p
         rows = [columns_of(s, p, delay, direct=direct, turned=False, slopes=slopes)
                 for s in (compiled, plain)]
         assert np.array_equal(rows[0].layout.rows, rows[1].layout.rows)
-        np.testing.assert_allclose(rows[0].values, rows[1].values, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(rows[0].values, rows[1].values, rtol=1e-12, atol=3e-12)
         np.testing.assert_allclose(rows[0].first, rows[1].first, rtol=1e-12)
         triangles = [columns_of(s, p, delay, direct=direct, slopes=slopes)
                      for s in (compiled, plain)]
@@ -95,6 +100,58 @@ def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, p
     rows, error, _ = jacobian(compiled, one, free)
     np.testing.assert_allclose(a[0], rows.T @ error, rtol=1e-7,
                                atol=1e-9 * np.linalg.norm(b[0]) + 1e-9)
+
+
+@pytest.mark.parametrize('direct', [False, True])
+def test_stamps_that_coincide_are_read_alike(direct):
+    """A sample at a stamp, or a dead time of whole intervals: the new value counts."""
+    t = np.arange(0.0, 4.0, 0.125)                          # sums of powers of 2 are exact
+    u = np.sign(np.sin(3.0 * t))
+    samples = samples_of([Record.from_arrays(t, u, t, np.cumsum(u), input_hold='zoh')], [[None]])
+    for delay in (0.0, 0.25):
+        one, other = (columns_of(s, np.array([-3.0 + 0.0j]), np.array([delay]), direct=direct,
+                                 turned=False) for s in both_ways(samples))
+        np.testing.assert_allclose(one.values, other.values, rtol=1e-12, atol=1e-13)
+
+
+def test_outputs_without_noise_are_fitted_alike():
+    t = np.arange(0.0, 8.0, 0.01)
+    u = np.sign(np.sin(1.5 * t))
+    first = samples_of([Record.from_arrays(t, u, t, u, input_hold='zoh')], [[None]])
+    poles, delay, free = np.array([-2.0 + 0.0j]), np.zeros(1), free_of(first, False)
+    y = 3.0 + 2.0 * columns_of(first, poles, delay, direct=False).samples.kernel.columns(
+        _layout(first, Shape(1, 0, False, False), False), poles, delay)[:len(t)]
+    samples = samples_of([Record.from_arrays(t, u, t, y, input_hold='zoh')], [[None]])
+    for s in both_ways(samples):
+        fit = fit_at(s, poles, delay, free)
+        assert np.max(fit.power) < 1e-24
+        gradient, curvature, _ = _normal(s, fit, free, PoleSteps.of(poles, 0.1, False))
+        assert np.isfinite(gradient).all()
+        assert np.isfinite(curvature).all()
+
+
+def test_an_output_without_samples_is_no_fault():
+    """Nothing is known of it: its columns count for nothing, in both ways."""
+    rng = np.random.default_rng(2)
+    whole = samples_of([record(rng, 1, 2, 'zoh', 2)], [[None] * 2])
+    own = whole.records[0]
+    empty = replace(own.streams[0], times=own.streams[0].times[:0], y=own.streams[0].y[:0])
+    samples = replace(whole, records=(replace(own, streams=(empty, own.streams[1])),))
+    free, start = free_of(samples, False), np.array([-2.0, -1.0 + 4.0j])
+    one, other = (fit_at(s, start, np.zeros(1), free) for s in both_ways(samples))
+    np.testing.assert_allclose(one.power, other.power, rtol=1e-8)
+    assert not one.model.c[0].any()
+
+
+def test_an_older_kernel_is_left_out(tmp_path, monkeypatch):
+    (tmp_path / 'kernel.c').write_text('other')
+    monkeypatch.setattr(kernel, '__file__', str(tmp_path / 'kernel.py'))
+    kernel._library.cache_clear()
+    try:
+        with pytest.warns(UserWarning, match='older than its source'):
+            assert not kernel.built()
+    finally:
+        kernel._library.cache_clear()
 
 
 @pytest.mark.parametrize(('nu', 'ny'), [(1, 1), (2, 2)])

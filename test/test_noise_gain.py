@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from ctsid_core.likelihood.noise_gain import continuous_gain, noise_gain
+from ctsid_core.likelihood.noise_gain import _filtering, continuous_gain, noise_gain
 
 STEP = 0.02
 
@@ -50,3 +50,15 @@ def test_the_gain_in_continuous_time_is_that_of_the_samples():
     times = (np.arange(500) + 0.5) * STEP / 500
     mean = STEP * np.mean([expm((A - K @ C) * t) for t in times], axis=0)
     np.testing.assert_allclose(mean @ K, update, rtol=1e-5)
+
+
+def test_filters_are_those_of_the_riccati_equation_whatever_the_units():
+    """A state in large units does not hide a slow one in small ones."""
+    F, R = np.diag([0.5, 0.999]), np.eye(1)
+    for C in ([[1.0, 1.0]], [[1e-6, 1.0]], [[1.0, 1e-6]]):
+        C = np.array(C)
+        moved = np.diag(1.0 / np.linalg.norm(C, axis=0) ** 2)
+        shares = np.array([1e-5, 1e-2, 1.0])[:, np.newaxis, np.newaxis]
+        for P, share in zip(_filtering(F, C, shares * moved, R), shares, strict=True):
+            np.testing.assert_allclose(P, solve_discrete_are(F.T, C.T, share * moved, R),
+                                       rtol=1e-5)

@@ -32,11 +32,18 @@ def motion_within(samples: Samples, errors: Residuals) -> Array:
 
 
 def motion_ahead(record: RecordSamples, errors: tuple[Array, ...], seconds: float) -> Array:
-    """Return the rms of what a model moves by in so much time, over the motion, (ny,)."""
+    """
+    Return the rms of what a model moves by in so much time, over the motion, (ny,).
+
+    Infinite where that cannot be told: in a shorter record, or of an output that does not move.
+    """
     found = []
     for s, e in zip(record.streams, errors, strict=True):
-        now = s.times <= s.times[-1] - seconds
+        now = s.times <= record.end - seconds
         for y, measured in zip((s.y - e).T, s.y.T, strict=True):
+            if not now.any() or not np.ptp(measured) > 0.0:
+                found.append(np.inf)
+                continue
             moved = np.interp(s.times[now] + seconds, s.times, y) - y[now]
-            found.append(float(np.sqrt(np.mean(moved ** 2)) / np.std(measured)))
+            found.append(max(float(np.sqrt(np.mean(moved ** 2)) / np.std(measured)), 1e-300))
     return np.array(found)

@@ -79,6 +79,11 @@ static Syrk *syrk;
 enum { PANEL = 32, ROWS = 1024, DEGREES = 8, FEW = 32 };
 static const double ROUNDING = 1e-24, RANK = 1e-13;
 
+#ifndef EDITION         /* checksum of this file, from setup.py: Python asks whether it is still this */
+#define EDITION 0u
+#endif
+unsigned ctsid_edition(void) { return EDITION; }
+
 void ctsid_lapack(void *qr, void *least_squares, void *product) {
     geqrf = (Geqrf *)qr;
     gelsy = (Gelsy *)least_squares;
@@ -222,8 +227,13 @@ typedef struct {
     const Drive *drive;
     int channel, first, end;        /* stamps first .. end - 1 are passed */
     double delay, begin, u[DEGREES];
-    cplx *z, *s;                    /* (modes, count of stamps) */
+    cplx *z, *s;                    /* (modes, end - first); s: derivatives, if they are wanted */
 } Entry;
+
+/* Where the state of a mode at a stamp is kept. */
+static inline size_t kept(const Entry *e, int mode, int stamp) {
+    return (size_t)mode * (e->end - e->first) + (stamp - e->first);
+}
 
 static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, int slopes) {
     const Drive *d = group->drive;
@@ -236,7 +246,6 @@ static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, 
         high = most(high, group[c].end);
     }
     for (int l = 0; l < modes; l++) {
-        size_t row = (size_t)l * d->count;
         for (int k = low; k < high; k++) {
             int now = (k - low) % FEW;
             if (now == 0) {
@@ -251,12 +260,13 @@ static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, 
                 if (k == e->first) {
                     double since = d->stamps[k] - e->begin;
                     steps_of(poles[l], &since, 1, degree, slopes, &own);
-                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + row + k, e->s + row + k);
+                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + kept(e, l, k),
+                         e->s + kept(e, l, k));
                     continue;
                 }
+                size_t at = kept(e, l, k);
                 take(by + now, degree, d->pieces + (size_t)e->channel * (d->count + 1) + k, apart,
-                     slopes, e->z[row + k - 1], e->s[row + k - 1], e->z + row + k,
-                     e->s + row + k);
+                     slopes, e->z[at - 1], slopes ? e->s[at - 1] : 0.0, e->z + at, e->s + at);
             }
         }
     }
@@ -293,7 +303,7 @@ static void spots_of(const Entry *e, const double *times, int number, Spots *to)
     int pos = 0;
     for (int i = 0; i < number; i++) {
         double wanted = to->wanted[i] = times[i] - e->delay;
-        if (i == 0 || wanted < to->wanted[i - 1]) pos = place_of(d->stamps, d->count, wanted);
+        if (i == 0) pos = place_of(d->stamps, d->count, wanted);
         while (pos < d->count && d->stamps[pos] <= wanted) pos++;
         to->place[i] = pos;
         to->start[i] = pos <= e->first;
@@ -315,9 +325,8 @@ static double input_at(const Entry *e, const Spots *spots, int i, double *rate) 
         if (j < degree) *rate += u[(j + 1) * apart] * power * over_factorial(j);
     }
     if (degree == 0 && d->count) {
-        int between = least(pos, d->count - 1);         /* at most one more or less */
+        int between = least(pos, d->count - 1);         /* or one less */
         while (between > 0 && d->between[between - 1] >= spots->wanted[i]) between--;
-        while (between < d->count - 1 && d->between[between] < spots->wanted[i]) between++;
         *rate = d->rates[(size_t)e->channel * d->count + between];
     }
     return value;
@@ -344,13 +353,14 @@ static void read_inputs(const Samples *s, const Shape *shape, const Entry *group
                     parts[slope][imag] = table
                         + (size_t)place_in(s, shape, slope, imag, l, input + c) * ld;
             for (int i = 0; i < number; i++) {
-                size_t at = (size_t)l * d->count + spots.place[i] - 1;
                 if (spots.start[i])
                     take(by + i, degree, e->u, 1, slopes, 0.0, 0.0, &z, &bent);
-                else
+                else {
+                    size_t at = kept(e, l, spots.place[i] - 1);
                     take(by + i, degree,
                          d->pieces + (size_t)e->channel * (d->count + 1) + spots.place[i], apart,
-                         slopes, e->z[at], e->s[at], &z, &bent);
+                         slopes, e->z[at], slopes ? e->s[at] : 0.0, &z, &bent);
+                }
                 parts[0][0][i] = creal(z);
                 if (l >= shape->real) parts[0][1][i] = cimag(z);
                 if (!slopes) continue;
@@ -454,31 +464,35 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             for (int i = 0; i < stream->count; i++)
                 if (stream->times[i] > last) last = stream->times[i];
         }
-        for (int k = 0; k < record->drives; k++)
-            room += 2 * (size_t)modes * s->drive[record->drive + k].count
-                * s->drive[record->drive + k].width;
         Entry *entries = malloc(sizeof(Entry) * (s->nu + 1));
-        cplx *states = malloc(sizeof(cplx) * (room + 1)), *at = states;
-        if (!entries || !states) {
-            free(entries);
-            free(states);
-            return 1;
-        }
+        if (!entries) return 1;
         for (int k = 0, j = 0; k < record->drives; k++) {
             const Drive *d = s->drive + record->drive + k;
             for (int c = 0; c < d->width; c++, j++) {
                 Entry *e = entries + j;
                 *e = (Entry){.drive = d, .channel = c, .delay = delay[j],
-                             .begin = record->start - delay[j], .z = at,
-                             .s = at + (size_t)modes * d->count};
-                at += 2 * (size_t)modes * d->count;
+                             .begin = record->start - delay[j]};
                 e->first = place_of(d->stamps, d->count, e->begin);
-                e->end = place_of(d->stamps, d->count, last - delay[j]);
+                e->end = most(place_of(d->stamps, d->count, last - delay[j]), e->first);
                 polynomial(d, c, e->first, e->begin, e->u);
                 first[r * s->nu + j] = e->u[0];
+                room += (size_t)modes * (e->end - e->first) * (1 + shape->slopes);
             }
-            pass_stamps(entries + j - d->width, d->width, p, modes, shape->slopes);
         }
+        cplx *states = malloc(sizeof(cplx) * (room + 1)), *at = states;
+        if (!states) {
+            free(entries);
+            return 1;
+        }
+        for (int j = 0; j < s->nu; j++) {
+            Entry *e = entries + j;
+            size_t size = (size_t)modes * (e->end - e->first);
+            e->z = at;
+            e->s = at + size * shape->slopes;       /* never written without slopes */
+            at += size * (1 + shape->slopes);
+        }
+        for (int j = 0; j < s->nu; j += entries[j].drive->width)
+            pass_stamps(entries + j, entries[j].drive->width, p, modes, shape->slopes);
         for (int k = 0; k < record->streams && !failed; k++, rows++) {
             const Stream *stream = s->stream + record->stream + k;
             int columns = width_of(s, shape) + stream->channels;
@@ -553,7 +567,11 @@ static void error_of(const Table *t, const Model *m, int k, double *error) {
 /* Coefficients of columns, of least norm in units of these: `least_squares.py:least_norm`. */
 static int least_squares(double *matrix, int rows, int columns, double *target, double *theta,
                          int ld) {
-    int rank, info, one = 1, room = 4 * columns + 1 + PANEL * (columns + 1) + 2 + most(rows, 2);
+    int rank, info, one = 1, room = 4 * columns + 1 + PANEL * (columns + 1);
+    if (rows < 1) {
+        memset(theta, 0, sizeof(double) * columns);
+        return 0;
+    }
     double rcond = RANK, *scale = malloc(sizeof(double) * (columns + room));
     int *pivots = calloc(columns + 1, sizeof(int));
     if (!scale || !pivots) {
@@ -794,7 +812,7 @@ int ctsid_slopes(const Samples *s, const Shape *shape, const int *rows, const do
         const Table *t = tables + k;
         int r = t->stream->record, ld = t->rows;
         double *error = J + (size_t)longest * active, *product = error + longest;
-        if (ld < 1) continue;
+        if (ld < 1 || active < 1) continue;
         for (int channel = 0; channel < t->stream->channels; channel++) {
             int i = t->stream->first + channel, at = 0;
             const cplx *c = (cplx *)m->c + i * modes;

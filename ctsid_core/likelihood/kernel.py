@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import ctypes
-from ctypes import CDLL, Structure, c_double, c_int, c_void_p
+from ctypes import CDLL, Structure, c_double, c_int, c_uint, c_void_p
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.util import find_spec
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+import warnings
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +115,15 @@ def _library() -> CDLL | None:
         found = CDLL(spec.origin)
         places = [_place(module, name) for module, name in (
             (cython_lapack, 'dgeqrf'), (cython_lapack, 'dgelsy'), (cython_blas, 'dsyrk'))]
-    except (OSError, KeyError):
+        found.ctsid_edition.restype = c_uint
+        edition = int(found.ctsid_edition())
+    except (OSError, KeyError, AttributeError):
+        return None
+    # Where the source is at hand (`pip install --editable`) it may be newer than what was built.
+    source = Path(__file__).with_name('kernel.c')
+    if source.exists() and crc32(source.read_bytes()) != edition:
+        warnings.warn('the compiled kernel is older than its source, and is left out: '
+                      'identification takes twice as long; install ctsid again', stacklevel=2)
         return None
     if not all(places):
         return None
@@ -199,7 +210,7 @@ class Kernel:
     def columns(self, layout: Layout, poles: ComplexArray, delay: Array) -> Array:
         """Return all tables in Fortran's order, and the inputs at the start of each record."""
         values = np.empty(layout.size + self._records * self.nu)
-        given = np.concatenate((np.ascontiguousarray(poles).view(float), delay))
+        given = np.concatenate((np.ascontiguousarray(poles, dtype=complex).view(float), delay))
         self._done(self._library.ctsid_columns(
             self._place, self._shape(layout, False), _at(given), _at(layout.rows), _at(values)))
         return values
@@ -245,9 +256,8 @@ class Kernel:
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""
         key = (*layout.shape, trim)
-        if key not in self._shapes:
-            self._shapes[key] = _Shape(*key)
-        return ctypes.addressof(self._shapes[key])
+        return ctypes.addressof(
+            self._shapes.get(key) or self._shapes.setdefault(key, _Shape(*key)))
 
     @staticmethod
     def _done(failed: int) -> None:

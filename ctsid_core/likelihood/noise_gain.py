@@ -136,8 +136,8 @@ def _filtering(F: Array, C: Array, Q: Array, R: Array) -> Array:
             left, right = both[:, :, :len(F)], both[:, :, len(F):]
             step = A.swapaxes(1, 2) @ P @ left
             G, P, A = G + A @ right @ A.swapaxes(1, 2), P + step, A @ left
-            sizes = np.linalg.norm((step, P), axis=(2, 3))
-            if np.all(sizes[0] <= _SETTLED * sizes[1]):
+            # Of every state by itself, for their units may differ.
+            if np.all(np.einsum('kii->ki', step) <= _SETTLED * np.einsum('kii->ki', P)):
                 break
     return P
 

@@ -315,7 +315,7 @@ def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
     """Return the columns of real and, of pairs, imaginary parts of coefficients of responses."""
     first = int(np.sum(poles.imag == 0.0))
     found: Array = np.concatenate((responses.real, -responses[:, first:].imag), axis=1)
-    return found.reshape(len(found), -1)
+    return found.reshape(len(found), int(np.prod(found.shape[1:])))
 
 
 def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:

@@ -231,8 +231,8 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal], inte
     Inputs u (degree + 1, K, nu) are given with derivatives just after each knot; all stamps are
     among the knots (K,) [s]. Of the outputs, stamps and holds count. `count` integrals are looked
     at, none at all for 0, and with `first` = 0 the inputs themselves, which outputs follow at
-    once. Shape (degree + 1 + count or
-    less, K, (count + 1 - first) * nu * signals), zero where it is no more than rounding.
+    once. Shape (degree + 1 + count or less, K, (count + 1 - first) * nu * signals), zero where it
+    is no more than rounding.
     """
     found: list[Array] = []
     integral = u
