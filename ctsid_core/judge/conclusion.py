@@ -63,8 +63,10 @@ def conclude(solution: Solution) -> Estimate:
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     effort.check()
+    # Predictions take up what curves do: of a model found by them its plant is simulated.
+    curves = curve_gains(*(simulating or (samples, fit, solution.free)))
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,
-                         deviation)
+                         deviation, curves)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
     counts['corrupt_samples'] += float(solution.hidden)
@@ -128,7 +130,7 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
 
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,
               seen: tuple[tuple[Excitation, ...], Array], model: StateSpace,
-              deviation: Array) -> Evidence:
+              deviation: Array, curves: Array) -> Evidence:
     part = solution.part
     last = part.parts[part.last]
     whole, resolution = last.whole, 2.0 * np.pi / part.length
@@ -154,8 +156,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         response_uncertainty=everywhere(seen[1]), error=everywhere(error),
         coloured_error=everywhere(coloured),
         held_out_error=everywhere(tested(unseen, error)),
-        independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curve_gains(
-            solution.samples, solution.fit, solution.free)))
+        independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curves))
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),

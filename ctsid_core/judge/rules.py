@@ -112,6 +112,13 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
             'B and D is not measured; leave it out of `inputs`.')
+    # Before all that would advise to move more: what saturates has to move less.
+    for i in _largest_first(e.numbers.curve_gain, _CURVED):
+        yield Remedy.PART, (
+            f'Output {e.output_names[i]} is not linear in the inputs: squares and cubes of these '
+            f'and of the outputs gain {e.numbers.curve_gain[i]:.1f} points of fit, so something '
+            'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
+            'less.')
     moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
     for one in moving:
         if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:
@@ -139,12 +146,6 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {100 * e.coloured[i]:.0f} % of its motion{_in_that_time(e)}; find what '
             'else acts on it, and take it as an input.')
-    for i in _largest_first(e.numbers.curve_gain, _CURVED):
-        yield Remedy.PART, (
-            f'Output {e.output_names[i]} is not linear in the inputs: squares and cubes of these '
-            f'and of the outputs gain {e.numbers.curve_gain[i]:.1f} points of fit, so something '
-            'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
-            'less.')
     for i in _largest_first(e.held_out / allowed(e.error), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
