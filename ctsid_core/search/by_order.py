@@ -50,7 +50,7 @@ _DELAYS = 8           # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
-_POINT = 0.4          # ... and its look at where to begin
+POINT = 0.4          # ... and its look at where to begin
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 14           # evaluations of all samples that have to be after the search,
@@ -155,7 +155,7 @@ def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, f
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
     for n in range(3, max_order + 1):
-        if samples.effort.beyond(_POINT):
+        if samples.effort.beyond(POINT):
             break
         starts = list(_by_subspace(n, subspace, grid, free, delay, known))
         with suppress(np.linalg.LinAlgError):

@@ -25,6 +25,7 @@ from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.search.by_order import POINT
 from ctsid_core.search.pole_grid import cell_means
 
 _WEIGHTS = 60         # of a prediction, at most: more would fit the noise
@@ -79,6 +80,8 @@ def regressed(samples: Samples, step: float, highest: int, known: Array,
     late = np.array(free.delays[:samples.nu])
     shifts = [k * step for k in _SHIFTS if k * step <= free.longest] if late.any() else [0.0]
     for shift in shifts:
+        if found and samples.effort.beyond(POINT):
+            break
         delay = np.where(late, shift, known)
         for n, one in enumerate(_at(samples, step, highest, delay, free), 1):
             if n not in found or one.score < found[n].score:

@@ -224,7 +224,7 @@ def _task(sources: Sequence[Source]) -> str:
     budget = sources[0].data.config.settings.budget
     length = sum(r.duration for r in records)
     return (f'identifying one model of {length:.0f} s of data, {samples} samples' + (
-            f', in about {budget:g} s of processor at most' if budget else ''))
+            f', in about {budget:g} s of processor' if budget else ''))
 
 
 def _intervals(args: argparse.Namespace) -> list[Interval]:
