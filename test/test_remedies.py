@@ -161,10 +161,18 @@ def test_it_is_the_same_everywhere(name, sent, verb, tmp_path, monkeypatch, caps
 
 
 def test_of_several_inputs_the_one_known_least_is_named():
-    numbers = replace(WORST.numbers, excitation=tuple(
+    numbers = replace(WORST.numbers, curve_gain=np.zeros(3), excitation=tuple(
         Excitation(name, 1.0, 2.0, 9.0, 1.0, unsure)
         for name, unsure in (('a', 0.14), ('b', 2.0))))
     reasons = [reason for _, reason in rules._weaknesses(
         replace(WORST, numbers=numbers, fixed_inputs=()))]
     assert reasons[0].startswith('The response to input b has')
     assert reasons[1].startswith('The response to input a has')
+
+
+def test_what_saturates_is_not_advised_to_move_more():
+    """The response to its input is not known either, but that is what comes of it."""
+    reasons = rules._weaknesses(replace(WORST, fixed_inputs=()))
+    remedy, reason = next(r for r in reasons if 'move' in r[1])
+    assert remedy is Remedy.PART
+    assert 'take a part of the data in which it moves less' in reason

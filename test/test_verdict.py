@@ -430,3 +430,18 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
     assert status is Status.UNEXPLAINED
     assert f'is 90 % of its motion{worst}; check that these' in verdict.reason
+
+
+@pytest.mark.parametrize('curve', ['clipped', *slow('dead zone', 'square', 'relay', 'none')])
+def test_curves_are_told_of_plants_that_predictions_found(curve):
+    """With `feedthrough: false` predictions take up what a saturation does."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
+    u = np.repeat(1.5 * rng.standard_normal(200), 10)
+    moved = {'clipped': np.clip(u, -0.8, 0.8), 'square': u * np.abs(u), 'relay': np.sign(u),
+             'dead zone': np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0), 'none': u}[curve]
+    motor = plant([[-4.0, 12.0], [0.0, -50.0]], [[0.0], [50.0]], [[1.0, 0.0]])
+    y = noisy(rng, held_response(motor, t, moved[:, np.newaxis], t), 26)
+    verdict = judged(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                     Settings(feedthrough=False))
+    assert (verdict.grade is Grade.GOOD) == (curve == 'none')
+    assert ('not linear in the inputs' in verdict.reason) == (curve != 'none')
