@@ -111,7 +111,9 @@ def command(args: argparse.Namespace) -> int:
         print(to_text(report.sections()))
         print(f'\n{next_text(first)}\n\nResults: {out}/ ({PAGE} has the plots)')
     if interrupted:
-        say(f'interrupted: the results are those of the first {len(run.results)} windows')
+        count = len(run.results)
+        say(f'interrupted: the results are those of the first {count} '
+            f'window{"" if count == 1 else "s"}')
         return INTERRUPTED
     return NO_MODEL if run.best is None else ACCEPTED
 
