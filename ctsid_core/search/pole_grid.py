@@ -112,9 +112,9 @@ class PoleGrid:
         for kind, shape in zip(self._kinds, shapes, strict=True):
             own = cells.candidates(shape, stream, delay)                           # (G, q, N)
             flat = own.reshape(-1, len(basis))              # one product is quicker than many
-            inner = (flat @ basis).reshape(*own.shape[:2], -1)
-            gram = own @ own.swapaxes(1, 2) - inner @ inner.swapaxes(1, 2)
-            scale = np.sqrt(np.maximum(np.einsum('gii->gi', gram), 0.0)) + 1e-150
+            flat -= (flat @ basis) @ basis.T
+            gram = own @ own.swapaxes(1, 2)
+            scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
             gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
                 + _RIDGE * np.eye(gram.shape[1])
             pull = (flat @ left).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
