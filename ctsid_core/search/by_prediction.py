@@ -113,10 +113,10 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
         The record on which orders are compared.
     """
     samples = _before_inputs(samples)
-    joint, step = with_own_past(samples), samples.interval
+    joint = with_own_past(samples)
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
                   limit=-_FORGETS / samples.length)
-    starts = regressed(samples, step, order or max_order, known_delay, own)
+    starts = regressed(joint, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
     joint = joint.thinned(affordable(joint))
@@ -143,10 +143,9 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, last: Last,
     """Return predictors of the orders next to that whose start predicts best, or of one order."""
     begun: dict[int, Fit] = {}
     for n, start in starts.items():
-        delay = np.concatenate((start.delay, np.zeros(joint.ny)))
         with suppress(np.linalg.LinAlgError):
             if order in (0, n):
-                begun[n] = fit_at(joint, start.poles, delay, free, _near(start, joint, delay))
+                begun[n] = fit_at(joint, start.poles, start.delay, free, _near(start, joint))
     price = float(np.log(np.max(joint.counts)))
     best = min(begun, key=lambda n: begun[n].cost + price * parameters(joint, begun[n], free),
                default=0)
@@ -253,12 +252,12 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit |
     return min(known, key=lambda fit: fit.information, default=None)
 
 
-def _near(start: Start, joint: Samples, delay: Array) -> Guess:
+def _near(start: Start, joint: Samples) -> Guess:
     """Return a start of the regression as what `fit_at` starts from."""
     m, ny, records = len(start.poles), joint.ny, len(joint.records)
     return Guess(ModalModel(start.poles, start.b, np.ones((ny, m), dtype=complex),
                             np.zeros((records, m), dtype=complex), np.zeros((ny, joint.nu)),
-                            np.zeros((records, ny)), delay), np.ones((records, ny)))
+                            np.zeros((records, ny)), start.delay), np.ones((records, ny)))
 
 
 def information(errors: Array, samples: Samples, parameters: int) -> float:

@@ -2,15 +2,17 @@
 """
 Predictors from a regression of the outputs on what was just before: where predictions start.
 
-With outputs at nearly uniform instants, the innovations form says that y_k is a sum over the last
-samples of outputs and inputs. Least squares finds the weights, the products of the predictor's
-observability and controllability follow, and a singular value decomposition gives predictors of
-every order at once (PBSID in discrete time). It is consistent in closed loop, too. Inputs are
-shifted by dead times from a grid, so that few states are left to stand in for what is not on it.
+What was before is summed up by a few real modes of fixed poles, driven by the inputs and by the
+outputs' own past: least squares finds what they tell of the next samples, in closed loop, too.
+That predictor has many states, and balancing it leaves those that matter: predictors of every
+order at once. Inputs are shifted by dead times from a grid, so that few states are left to stand
+in for what is not on it.
 
 References
 ----------
-Chiuso 2007, Automatica 43; van der Veen et al. 2013, IET Control Theory and Applications 7.
+Chiuso 2007, Automatica 43 (a regression on the past, reduced); Moore 1981, IEEE Trans. Automatic
+Control 26 (balancing, here with the states' products as measured); van den Hof, Heuberger and
+Bokor 1995, Automatica 31 (modes of fixed poles).
 """
 
 from __future__ import annotations
@@ -20,20 +22,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ctsid_core.likelihood.mode_columns import columns_of, cost_of
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import POINT
-from ctsid_core.search.pole_grid import cell_means
 
-_WEIGHTS = 60         # of a prediction, at most: more would fit the noise
+_MODES = 5            # that sum up the past, ...
+_SLOWEST, _FASTEST = 0.1, 2.0               # ... of so many radians in a sample interval
 _ROWS = 4             # equations for each weight, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
-_RIDGE = 1e-8         # of the power of the signals
-_WORK = 4.0           # for each number and column of the regression, in operations
-_SHORTEST = 1e-3      # of a state that is left after a sample, at least
+_RIDGE = 1e-8         # of the power of the modes
+_LEAST = 1e-12        # of a state's size over the largest one's
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,7 @@ class Start:
         Real ones, and one of each pair [rad/s].
     b : ndarray, shape (m, nu + ny)
         By inputs and by the outputs' own past.
-    delay : ndarray, shape (nu,)
+    delay : ndarray, shape (nu + ny,)
         [s]
     """
 
@@ -59,92 +61,86 @@ class Start:
     delay: Array
 
 
-def regressed(samples: Samples, step: float, highest: int, known: Array,
-              free: Free) -> dict[int, Start]:
+def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[int, Start]:
     """
     Return the best predictor of every order that the samples can tell; few samples: none.
 
     Parameters
     ----------
-    samples : Samples
-    step : float
-        Sample interval of the slowest output [s].
+    joint : Samples
+        With the outputs' own past among the inputs.
     highest : int
         Order.
     known : ndarray, shape (nu,)
         Dead times that are given; 0 where they are free [s].
     free : Free
-        Of the predictors, whose further inputs are the outputs' own past.
+        Of the predictors.
     """
     found: dict[int, Start] = {}
-    late = np.array(free.delays[:samples.nu])
+    known, step = np.concatenate((known, np.zeros(joint.ny))), joint.interval
+    late = np.array(free.delays)
     shifts = [k * step for k in _SHIFTS if k * step <= free.longest] if late.any() else [0.0]
     for shift in shifts:
-        if found and samples.effort.beyond(POINT):
+        if found and joint.effort.beyond(POINT):
             break
-        delay = np.where(late, shift, known)
-        for n, one in enumerate(_at(samples, step, highest, delay, free), 1):
+        for n, one in enumerate(_at(joint, highest, np.where(late, shift, known), free), 1):
             if n not in found or one.score < found[n].score:
                 found[n] = one
     return found
 
 
-def _at(samples: Samples, step: float, highest: int, delay: Array,
-        free: Free) -> Iterator[Start]:
+def _at(joint: Samples, highest: int, delay: Array, free: Free) -> Iterator[Start]:
     """Yield predictors of all orders with given dead times."""
-    signals = [_signals(r, samples.ny, step, delay) for r in samples.records]
-    ny, width = samples.ny, samples.nu + samples.ny
-    past = min(_WEIGHTS, sum(len(z) for z in signals) // _ROWS) // width
-    signals = [z for z in signals if len(z) > past]
-    if past < 2 or not signals:
+    m = min(_MODES, int(np.min(joint.counts.sum(axis=0))) // (_ROWS * joint.nu))
+    if m < 2:
         return
-    size = np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0)) + 1e-300
-    stacked = np.vstack([np.hstack([z[past - i:len(z) - i] for i in range(past + 1)])
-                         for z in (z / size for z in signals)])
-    samples.effort.spend(_WORK * stacked.size * stacked.shape[1])
-    R = triangle(stacked)
-    now, before, after = R[:, :width], R[:, width:], R[:, :-width]
-    ridge = np.sqrt(_RIDGE * len(stacked)) * np.eye(before.shape[1])
-    theta = np.linalg.lstsq(np.vstack((before, ridge)), np.vstack(
-        (now[:, -ny:], np.zeros((len(ridge), ny)))), rcond=None)[0].T.reshape(ny, past, width)
-    product = np.zeros((past * ny, past * width))
-    for i in range(past):
-        product[i * ny:(i + 1) * ny, :(past - i) * width] = theta[:, i:].reshape(ny, -1)
-    left, s, _ = np.linalg.svd(product @ before.T, full_matrices=False)
-    for n in range(1, min(highest, past * ny - 1) + 1):
-        to_state = ((left[:, :n] / np.sqrt(s[:n])).T @ product).T
-        x, following = before @ to_state, after @ to_state
-        C = np.linalg.lstsq(x, now[:, -ny:], rcond=None)[0]
-        power = np.sum((now[:, -ny:] - x @ C) ** 2, axis=0) / len(stacked)
-        move = np.linalg.lstsq(np.hstack((x, now)), following, rcond=None)[0].T
-        score = len(stacked) * float(np.sum(np.log(power + 1e-300)))
-        yield Start(score, *_modes(move[:, :n], move[:, n:] / size, step, free), delay)
+    poles = np.geomspace(_SLOWEST, _FASTEST, m) / -joint.interval
+    tables = _tables(joint, poles, delay)
+    weights = np.zeros((joint.ny, m * joint.nu))
+    for states, y, channels in tables:
+        size = np.linalg.norm(states, axis=0) + 1e-300
+        ridge = np.sqrt(_RIDGE) * np.eye(len(size))
+        weights[channels] = (np.linalg.lstsq(
+            np.vstack((states / size, ridge)), np.vstack((y, np.zeros((len(size), y.shape[1])))),
+            rcond=None)[0] / size[:, np.newaxis]).T
+    moved = np.vstack([states for states, _, _ in tables])
+    # What a state does to the outputs from now on: the integral of squares, as a root.
+    root = np.linalg.cholesky(-1.0 / np.add.outer(poles, poles)).T
+    seen = np.einsum('ki,oij->okij', root, weights.reshape(joint.ny, m, joint.nu)).reshape(
+        joint.ny * m, -1)
+    left, s, right = np.linalg.svd(seen @ moved.T, full_matrices=False)
+    A, B = np.repeat(poles, joint.nu)[:, np.newaxis], np.tile(np.eye(joint.nu), (m, 1))
+    for n in range(1, min(highest, int(np.sum(s > _LEAST * s[0]))) + 1):
+        to_state = (left[:, :n] / np.sqrt(s[:n])).T @ seen
+        back = moved.T @ (right[:n].T / np.sqrt(s[:n]))
+        squares = np.zeros(joint.ny)
+        for states, y, channels in tables:
+            x = states @ to_state.T
+            squares[channels] = np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2, axis=0)
+        score = float(cost_of(squares, joint.counts.sum(axis=0)))
+        yield Start(score, *_modes(to_state @ (A * back), to_state @ B, free), delay)
 
 
-def _modes(F: Array, G: Array, step: float, free: Free) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles and b of modes that from sample to sample do what x+ = F x + G z does."""
-    values, right = np.linalg.eig(F)
+def _tables(joint: Samples, poles: Array, delay: Array) -> list[tuple[Array, Array, slice]]:
+    """Return states, outputs and their places; what starts and trims explain is left out."""
+    columns, found = columns_of(
+        joint, poles.astype(complex), delay, direct=False, slopes=False), []
+    for i, stream in enumerate(joint.records[0].streams):
+        parts = []
+        for own in columns.triangles:
+            t, z = own[i], own[i].z.real
+            driven = z[:, :, :-1].reshape(len(z), len(poles) * joint.nu)
+            parts.append(triangle(np.hstack((z[:, :, -1], t.one[:, np.newaxis], driven, t.y)))[
+                len(poles) + 1:, len(poles) + 1:])
+        both = np.vstack(parts)
+        found.append((both[:, :-t.y.shape[1]], both[:, -t.y.shape[1]:], stream.channels))
+    return found
+
+
+def _modes(A: Array, B: Array, free: Free) -> tuple[ComplexArray, ComplexArray]:
+    """Return poles, within their bounds, and b of modes, in the order of `canonical`."""
+    values, right = np.linalg.eig(A)
     kept = values.imag >= 0.0
-    values, entry = values[kept], np.linalg.solve(right, G.astype(complex))[kept]
-    # A mode that changes its sign from sample to sample has no counterpart.
-    values = np.where((values.imag == 0.0) & (values.real < 0.0), -values, values)
-    values = np.maximum(np.abs(values), _SHORTEST) * np.exp(1j * np.angle(values))
-    poles = bounded(np.asarray(np.log(values) / step, dtype=complex), free.limit, free.fastest)
-    b = entry * (poles / np.expm1(poles * step))[:, np.newaxis]
-    order = np.lexsort((poles.real, np.abs(poles), poles.imag > 0.0))       # as `canonical`
-    return poles[order], b[order]
-
-
-def _signals(record: RecordSamples, ny: int, step: float, delay: Array) -> Array:
-    """Return inputs, averaged until the next sample, and the last outputs, less their means."""
-    t = min((s.times for s in record.streams), key=len)
-    z = np.empty((len(t), len(delay) + ny))
-    edges, place = np.append(t, t[-1] + step), 0
-    for s in record.inputs:
-        for j in range(s.width):
-            z[:, place] = cell_means(s, edges - delay[place])[j]
-            place += 1
-    for stream in record.streams:
-        at = np.searchsorted(stream.times, t, side='right') - 1
-        z[:, len(delay):][:, stream.channels] = stream.y[np.maximum(at, 0)]
-    return np.asarray(z - z.mean(axis=0))
+    poles = bounded(values[kept].astype(complex), free.limit, free.fastest)
+    order = np.lexsort((poles.real, np.abs(poles), poles.imag > 0.0))
+    return poles[order], np.linalg.solve(right, B.astype(complex))[kept][order]
