@@ -11,7 +11,8 @@ after it. What other poles, residues, dead times or trims would explain as well 
 References
 ----------
 Ramsey 1969, J. Royal Statistical Society B 31 (RESET, here of the simulated output); Billings and
-Voon 1986, Int. J. Control 44 (of inputs and outputs).
+Voon 1986, Int. J. Control 44 (of inputs and outputs); Cochrane and Orcutt 1949, J. American
+Statistical Association 44 (least squares with errors of an autoregression).
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from scipy.linalg import block_diag
 
 from ctsid_core.judge.motion import motion_within
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import ROUNDING, Triangle, columns_of, evaluation_work
+from ctsid_core.likelihood.mode_columns import Triangle, columns_of, evaluation_work
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals
-from ctsid_core.likelihood.residuals import independent, residuals
+from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
-from ctsid_core.linear.tall_qr import factors
+from ctsid_core.linear.tall_qr import factors, triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import mode_responses
 from ctsid_core.signals.record import Signal
@@ -35,6 +36,8 @@ from ctsid_core.signals.record import Signal
 _POWERS = (2, 3)
 _SEARCHED = 600       # samples of a stream that are looked at
 _MOST = 0.5           # columns for each sample: with more nothing is told
+_TIMES = 3            # that noise is estimated
+_CHANCE = 2.0         # deviations beyond what numbers gain by chance, that are by chance, too
 _DEPENDENT = 1e-4     # part of a column that others do not explain: less is rounding, or none
 _LEAST = 0.02         # motion within a tenth of a record, over all: less is as much
 
@@ -43,8 +46,7 @@ def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
     """
     Return the points of fit that curves gain after the model, less those by chance, (ny,) [%].
 
-    They are points of the motion within a tenth of a record. How much is by chance depends on how
-    many of the errors that curves leave are independent.
+    They are points of the motion within a tenth of a record.
 
     Parameters
     ----------
@@ -108,19 +110,42 @@ def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
 
 
 def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
-    """Return the points of fit that curves gain beside what the model can do, by output."""
+    """
+    Return the points of fit that curves gain beside what the model can do, by output.
+
+    How much of each curve there is tell the errors as coloured noise (generalised least squares),
+    first as if there were no curves: gusts that a controller answers, or a plant that integrates,
+    would be taken for them else.
+    """
     width, count = base.shape[1], len(base)
+    gains = np.zeros(errors[0].shape[1])
     if width + curves.shape[1] > _MOST * count:
-        return np.zeros(errors[0].shape[1])
+        return gains
     Q, R = factors(np.hstack((base, curves)))
-    told = np.abs(np.diag(R))[width:] > _DEPENDENT * np.linalg.norm(curves, axis=0)
-    e = np.concatenate(errors)
-    e -= Q[:, :width] @ (Q[:, :width].T @ e)
-    own = Q[:, width:][:, told]
-    left = e - own @ (own.T @ e)
-    edges = np.cumsum([len(one) for one in errors])[:-1]
-    n_eff = independent(tuple((one,) for one in np.split(left, edges)))
-    before, after = (np.mean(one ** 2, axis=0) for one in (e, left))
-    after /= np.maximum(1.0 - np.count_nonzero(told) / n_eff, ROUNDING)
-    found: Array = 100.0 * (np.sqrt(before) - np.sqrt(np.minimum(after, before)))
+    own = Q[:, width:][:, np.abs(np.diag(R))[width:] > _DEPENDENT * np.linalg.norm(curves, axis=0)]
+    Q, edges = Q[:, :width], np.cumsum([len(one) for one in errors])[:-1]
+    for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):
+        part = np.zeros(count)
+        for _ in range(_TIMES):
+            R = triangle(np.vstack([
+                _innovations(autoregression(noise)[1], rows) for noise, rows in zip(
+                    np.split(e - part, edges), np.split(np.column_stack((Q, own, e)), edges),
+                    strict=True)]))
+            back = np.linalg.inv(R[width:-1, width:-1])
+            weights = back @ R[width:-1, -1]
+            part = own @ weights
+        spread = back.T @ back
+        by_chance = R[-1, -1] ** 2 / (count - len(R) + 1) * (
+            np.trace(spread) + _CHANCE * np.sqrt(2.0 * np.sum(spread ** 2)))
+        before = np.sum((e - Q @ (Q.T @ e)) ** 2)
+        after = before - np.clip(weights @ weights - by_chance, 0.0, before)
+        gains[i] = 100.0 * (np.sqrt(before / count) - np.sqrt(after / count))
+    return gains
+
+
+def _innovations(polynomial: Array, rows: Array) -> Array:
+    """Return what is new in each row after those before it."""
+    found = rows.copy()
+    for k, weight in enumerate(polynomial[1:].tolist(), 1):
+        found[k:] += weight * rows[:-k]
     return found

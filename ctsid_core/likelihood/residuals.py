@@ -62,27 +62,34 @@ def coloured_costs(errors: Residuals) -> Array:
     """
     Return -2 log likelihood of the errors of each output as coloured noise, (ny,).
 
-    That of the innovations of an autoregression (Burg) of each record, of the order that
-    Schwarz's criterion prefers, its numbers paid.
+    That of the innovations of an autoregression of each record, its numbers paid.
     """
-    return np.array([sum(_as_autoregression(e[:, i]) for e in rows)
+    return np.array([sum(autoregression(e[:, i])[0] for e in rows)
                      for rows in zip(*errors, strict=True) for i in range(rows[0].shape[1])])
 
 
-def _as_autoregression(error: Array) -> float:
-    count = len(error)
+def autoregression(error: Array) -> tuple[float, Array]:
+    """
+    Return -2 log likelihood of errors as an autoregression (Burg), and its polynomial.
+
+    The polynomial makes innovations of errors. Schwarz's criterion chooses its degree.
+    """
+    count, polynomial = len(error), np.ones(1)
     if not count:
-        return 0.0
+        return 0.0, polynomial
     ahead = behind = error - error.mean()
     power = max(float(np.mean(ahead ** 2)), ROUNDING)
-    best, price = count * float(np.log(power)), float(np.log(count))
-    for order in range(1, min(_LAGS, count // _FEWEST) + 1):
+    price, best = float(np.log(count)), (count * float(np.log(power)), polynomial)
+    for degree in range(1, min(_LAGS, count // _FEWEST) + 1):
         ahead, behind = ahead[1:], behind[:-1]
         reflection = 2.0 * float(ahead @ behind) / max(
             float(ahead @ ahead + behind @ behind), ROUNDING)
         ahead, behind = ahead - reflection * behind, behind - reflection * ahead
+        longer = np.append(polynomial, 0.0)
+        polynomial = longer - reflection * longer[::-1]
         power = max(power * (1.0 - reflection ** 2), ROUNDING)
-        best = min(best, count * float(np.log(power)) + order * price)
+        best = min(best, (count * float(np.log(power)) + degree * price, polynomial),
+                   key=lambda one: one[0])
     return best
 
 
