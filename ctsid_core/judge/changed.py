@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Did the plant change? The points of fit that two models gain over one.
+Did the plant change? What one model misses of the motion, and two do not.
 
 A record is divided at a few instants; each side gets a model of its own, of the same order or of
-half of it: further states of one model can imitate a plant that changes, and then two models with
-hardly more parameters explain more. The states and the trim at the start of a side are free in
+a smaller one: further states of one model can imitate a plant that changes, and then two models
+with fewer parameters explain as much. The states and the trim at the start of a side are free in
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone, as far as the noise lets see. Of a model that was found by its
-predictions these tell, for their errors are white where gusts stay in those of simulations; how
-much it matters is what the plant, simulated, misses beside two.
+leaves, noise apart, has to be gone, as far as the noise lets see. And they have to be the best
+explanation: of a plant that drifts, or is not linear, a drift or curves explain as much. Of a
+model that was found by its predictions these tell, for their errors are white where gusts stay in
+those of simulations; how much it matters is what the plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctsid_core.judge.curve import beside, curves_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
@@ -34,7 +36,7 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
@@ -44,8 +46,9 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
+_MOST = 0.5           # columns for each row of a regression: with more nothing is told
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
-NOTED = 1.0           # points of fit that two models have to gain, to be worth a word
+NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ class Change:
     share : float
         Where, as a part of it.
     cost : float
-        Points of fit that two models gain over one, on the side and the output where it is most,
-        less those that they gain by chance.
+        Rms of what one model misses and two do not, on the side and the output where it is most,
+        noise and what two gain by chance apart, over the motion [%].
     gain : float
         By how much two models are more likely, in independent samples, beyond their price.
     left : float
@@ -83,7 +86,7 @@ Fitted = tuple[Samples, Fit, Free]
 
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
-                       simpler: ModalModel | None = None,
+                       smaller: tuple[ModalModel, ...] = (),
                        predictor: Fitted | None = None) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
@@ -94,8 +97,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     fit : Fit
         Of all samples.
     free : Free
-    simpler : ModalModel, optional
-        The best one of half its order.
+    smaller : tuple of ModalModel
+        The best ones of smaller orders.
     predictor : tuple of Samples, Fit and Free, optional
         Of a model that was found by its predictions: they tell then.
     """
@@ -106,9 +109,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         return max(Change(), *(_as_predicted(samples, fit.model, free, place, predictor)
                                for place in places),
                    key=lambda change: (change.cost, change.gain))
-    models = (fit.model,) if simpler is None else (fit.model, simpler)
     return max(Change(), *(_of_record(samples, model, fit.model, free, place)
-                           for place in places for model in models),
+                           for place in places for model in (fit.model, *smaller)),
                key=lambda change: change.cost)
 
 
@@ -125,9 +127,12 @@ def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
 
 def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
                place: int) -> Change:
-    """Return the change within one record, if models of a model's order explain it."""
-    found = _divisions(_only(samples, place), model, whole, free, place)
-    return found if found.left < _LEFT else Change()
+    """Return the change within one record, if models of a model's order explain it best."""
+    one = _only(samples, place)
+    found = _divisions(one, model, whole, free, place)
+    explained = found.cost > 0.0 and found.left < _LEFT and _best(
+        one.thinned(2 * _SEARCHED), model, free, found.share)
+    return found if explained else Change()
 
 
 def _only(samples: Samples, place: int) -> Samples:
@@ -158,16 +163,11 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(2 * _SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * model.n + 2)
-    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
-                         turned=False)
-    rows, error, places = jacobian(samples, fit_states(samples, model, free, columns), free)
+    _, rows, error, own, shares = _slopes(samples, model, free)
     # What a side's own states and trims explain is no change: they come first.
-    own = places.of_states(samples.ny, 1, free.trim)
     both = np.column_stack((rows[:, own], rows[:, ~own], error))
     samples.effort.spend(_LOOK + 4.0 * both.shape[1] ** 2 * (
         len(both) + len(_INSTANTS) * both.shape[1]))
-    times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
-    shares = (times - record.start) / (record.end - record.start)
     least = np.argmin([len(s.times) for s in record.streams])
     price = _numbers(samples, model, free) * float(np.log(np.max(samples.counts)))
     promise = np.zeros(len(_INSTANTS))
@@ -185,6 +185,46 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
                 # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
                 promise[k] += samples.ny * count * float(np.log(np.sum(last) / last[-1]))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
+
+
+def _slopes(samples: Samples, model: ModalModel,
+            free: Free) -> tuple[Fit, Array, Array, Mask, Array]:
+    """
+    Return a model of the only record, and what may change the simulation of each sample.
+
+    Its fit, Jacobian and errors; which columns are of states and trims; and when each row is, as
+    a part of the record.
+    """
+    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
+                         turned=False)
+    fit, record = fit_states(samples, model, free, columns), samples.records[0]
+    rows, error, places = jacobian(samples, fit, free)
+    times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
+    return (fit, rows, error, places.of_states(samples.ny, 1, free.trim),
+            (times - record.start) / (record.end - record.start))
+
+
+def _best(samples: Samples, model: ModalModel, free: Free, share: float) -> bool:
+    """
+    Return whether a division explains more than a drift, and than curves.
+
+    All to first order, from the same model, less what their numbers gain by chance.
+    """
+    fit, rows, error, own, shares = _slopes(samples, model, free)
+    counts = [len(s.times) for s in samples.records[0].streams for _ in range(s.y.shape[1])]
+    rest, after = rows[:, ~own], (shares > share)[:, np.newaxis]
+
+    def unexplained(more: Array) -> float:
+        columns = np.hstack((rows, rows[:, own] * after, more))
+        if columns.shape[1] > _MOST * len(error):
+            return np.inf
+        samples.effort.spend(4.0 * len(error) * columns.shape[1] ** 2)
+        left, told = beside(columns, error)
+        power = [float(np.mean(e ** 2)) for e in np.split(left, np.cumsum(counts)[:-1])]
+        return float(counts @ np.log(np.maximum(power, 1e-300))) + told
+    divided = unexplained(rest * after)
+    return divided <= unexplained(rest * (shares - 0.5)[:, np.newaxis]) and \
+        divided <= unexplained(curves_of(samples, fit))
 
 
 def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
@@ -225,9 +265,8 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
     n_eff = independent(tuple(two))
     count, of_whole = (_numbers(samples, m, free) for m in (model, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
-    price = max(2 * count - of_whole, 1)            # fewer numbers are no evidence of a change
-    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - price * float(
-        np.log(max(float(np.max(n_eff)), 2.0)))
+    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - (
+        2 * count - of_whole) * float(np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0 and not certain:
         return Change()
     where = int(np.argmax(parts @ before - rest))
@@ -238,8 +277,8 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
         float(_coloured(tuple(one))[where]), 1e-300)
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
-    points = 100.0 * (np.sqrt(before) - np.sqrt(np.minimum(by_chance, before)))
-    return Change(place, share, float(np.max(points)), gain, left, *(
+    missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))
+    return Change(place, share, float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
 

@@ -131,8 +131,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0:
         samples = seen(late)
         best = _climbed(samples, best, free)
-    half = max((n for n in found if n <= best.fit.model.n // 2), default=0)
-    simpler = found[half].fit.model if half else None
+    smaller = tuple(one.fit.model for n, one in found.items() if n < best.fit.model.n)
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
@@ -140,7 +139,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_longest(part, best, free), *_growing(best.fit.model, free, own)),
-                    whole=whole, hidden=hidden, simpler=simpler, rivals=_rivals(others),
+                    whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
                     singular_values=values, condition=condition)
 
 

@@ -96,7 +96,7 @@ class ChangeSeen:
         one, two = (' and '.join(f'{v:.1f}' for v in pair) for pair in (self.one, self.two))
         known = '' if math.isnan(self.one[0]) else (
             f': one model fits {one} % before and after, two models {two} %')
-        lost = f'one model of both loses {self.cost:.1f} points of fit'
+        lost = f'one model of both misses {self.cost:.1f} % of the motion that two do not'
         if not self.rejects:
             return (f'Perhaps the plant changed a little about {self.time:.1f} s after the start '
                     f'of the bag{known}; {lost}, too little to reject it.')
