@@ -83,10 +83,11 @@ class Change:
 
 
 Fitted = tuple[Samples, Fit, Free]
+Own = tuple[ModalModel, Free]              # a model, and what is free in it
 
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
-                       smaller: tuple[ModalModel, ...] = (),
+                       smaller: tuple[Own, ...] = (),
                        predictor: Fitted | None = None) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
@@ -97,41 +98,40 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     fit : Fit
         Of all samples.
     free : Free
-    smaller : tuple of ModalModel
-        The best ones of smaller orders.
+    smaller : tuple of (ModalModel, Free)
+        The best ones of smaller orders, and what was free in them.
     predictor : tuple of Samples, Fit and Free, optional
         Of a model that was found by its predictions: they tell then.
     """
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
-    places = range(len(samples.records))
+    places, whole = range(len(samples.records)), (fit.model, free)
     if predictor is not None:
-        return max(Change(), *(_as_predicted(samples, fit.model, free, place, predictor)
+        return max(Change(), *(_as_predicted(samples, whole, place, predictor)
                                for place in places),
                    key=lambda change: (change.cost, change.gain))
-    return max(Change(), *(_of_record(samples, model, fit.model, free, place)
-                           for place in places for model in (fit.model, *smaller)),
+    return max(Change(), *(_of_record(samples, one, whole, place)
+                           for place in places for one in (whole, *smaller)),
                key=lambda change: change.cost)
 
 
-def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
-                  predictor: Fitted) -> Change:
+def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, own = predictor
-    found = _divisions(_only(joint, place), fit.model, fit.model, own, place)
+    whole = fit.model, own
+    found = _divisions(_only(joint, place), whole, whole, place)
     if found.gain <= 0.0:
         return found
-    size = _divided(_only(samples, place), model, model, free, place, found.share, certain=True)
+    size = _divided(_only(samples, place), plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
 
 
-def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
-               place: int) -> Change:
+def _of_record(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it best."""
     one = _only(samples, place)
-    found = _divisions(one, model, whole, free, place)
+    found = _divisions(one, own, whole, place)
     explained = found.cost > 0.0 and found.left < _LEFT and _best(
-        one.thinned(2 * _SEARCHED), model, free, found.share)
+        one.thinned(2 * _SEARCHED), own, found.share)
     return found if explained else Change()
 
 
@@ -140,15 +140,14 @@ def _only(samples: Samples, place: int) -> Samples:
     return replace(samples, records=samples.records[place:place + 1])
 
 
-def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
-               place: int) -> Change:
+def _divisions(one: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the most likely division of the only record."""
     if one.effort.over:
         return Change()
-    found = max((_divided(one, model, whole, free, place, share)
-                 for share in _likely(one, model, free)), key=_clean, default=Change())
+    found = max((_divided(one, own, whole, place, share)
+                 for share in _likely(one, own)), key=_clean, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
-        found = max(found, *(_divided(one, model, whole, free, place, share)
+        found = max(found, *(_divided(one, own, whole, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
     return found
@@ -159,17 +158,17 @@ def _clean(change: Change) -> tuple[float, float]:
     return -change.left if change.gain > 0.0 else -np.inf, change.gain
 
 
-def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
+def _likely(samples: Samples, own: Own) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(2 * _SEARCHED)
-    record, fewest = samples.records[0], _FEWEST * (3 * model.n + 2)
-    _, rows, error, own, shares = _slopes(samples, model, free)
+    record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
+    _, rows, error, states, shares = _slopes(samples, own)
     # What a side's own states and trims explain is no change: they come first.
-    both = np.column_stack((rows[:, own], rows[:, ~own], error))
+    both = np.column_stack((rows[:, states], rows[:, ~states], error))
     samples.effort.spend(_LOOK + 4.0 * both.shape[1] ** 2 * (
         len(both) + len(_INSTANTS) * both.shape[1]))
     least = np.argmin([len(s.times) for s in record.streams])
-    price = _numbers(samples, model, free) * float(np.log(np.max(samples.counts)))
+    price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
     promise = np.zeros(len(_INSTANTS))
     for after in (False, True):
         order = range(len(_INSTANTS))[::-1 if after else 1]
@@ -178,7 +177,7 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
             samples.effort.check()
             side = (shares > _INSTANTS[k]) == after
             R, done = triangle(np.vstack((R, both[side & ~done]))), side
-            last = R[np.count_nonzero(own):, -1] ** 2
+            last = R[np.count_nonzero(states):, -1] ** 2
             count = float(np.sum((record.streams[least].times - record.start
                                   > _INSTANTS[k] * (record.end - record.start)) == after))
             if count >= fewest and len(R) > len(last) and last[-1] > 0.0:
@@ -187,14 +186,14 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 
-def _slopes(samples: Samples, model: ModalModel,
-            free: Free) -> tuple[Fit, Array, Array, Mask, Array]:
+def _slopes(samples: Samples, own: Own) -> tuple[Fit, Array, Array, Mask, Array]:
     """
     Return a model of the only record, and what may change the simulation of each sample.
 
     Its fit, Jacobian and errors; which columns are of states and trims; and when each row is, as
     a part of the record.
     """
+    model, free = own
     columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
                          turned=False)
     fit, record = fit_states(samples, model, free, columns), samples.records[0]
@@ -204,18 +203,18 @@ def _slopes(samples: Samples, model: ModalModel,
             (times - record.start) / (record.end - record.start))
 
 
-def _best(samples: Samples, model: ModalModel, free: Free, share: float) -> bool:
+def _best(samples: Samples, own: Own, share: float) -> bool:
     """
     Return whether a division explains more than a drift, and than curves.
 
     All to first order, from the same model, less what their numbers gain by chance.
     """
-    fit, rows, error, own, shares = _slopes(samples, model, free)
+    fit, rows, error, states, shares = _slopes(samples, own)
     counts = [len(s.times) for s in samples.records[0].streams for _ in range(s.y.shape[1])]
-    rest, after = rows[:, ~own], (shares > share)[:, np.newaxis]
+    rest, after = rows[:, ~states], (shares > share)[:, np.newaxis]
 
     def unexplained(more: Array) -> float:
-        columns = np.hstack((rows, rows[:, own] * after, more))
+        columns = np.hstack((rows, rows[:, states] * after, more))
         if columns.shape[1] > _MOST * len(error):
             return np.inf
         samples.effort.spend(4.0 * len(error) * columns.shape[1] ** 2)
@@ -227,18 +226,19 @@ def _best(samples: Samples, model: ModalModel, free: Free, share: float) -> bool
         divided <= unexplained(curves_of(samples, fit))
 
 
-def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
+def _numbers(samples: Samples, own: Own) -> int:
     """Return how many numbers another model of a side costs, its instant among them."""
+    model, free = own
     return (model.n * (samples.nu + samples.ny) + samples.nu * samples.ny * free.feedthrough
             + sum(free.delays) + 1)
 
 
-def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free, place: int,
-             share: float, certain: bool = False) -> Change:
+def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
+             certain: bool = False) -> Change:
     """Return what two models of a model's order miss, if they are likelier than the whole's."""
     if samples.effort.over:
         return Change()
-    record = samples.records[0]
+    record, (model, free) = samples.records[0], own
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []
     two: list[tuple[Array, ...]] = []
@@ -256,14 +256,14 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)
-        larger += one[-1:] if whole is model else residuals(side, fit_states(side, whole, free))
+        larger += one[-1:] if whole is own else residuals(side, fit_states(side, *whole))
         two += residuals(side, min(same, other, key=lambda fit: fit.cost))
     parts = np.array([share, 1.0 - share])
     before, after, rival = (np.array([_power((side,)) for side in both])
                             for both in (one, two, larger))
     power, rest = parts @ rival, parts @ after
     n_eff = independent(tuple(two))
-    count, of_whole = (_numbers(samples, m, free) for m in (model, whole))
+    count, of_whole = (_numbers(samples, m) for m in (own, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
     gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - (
         2 * count - of_whole) * float(np.log(max(float(np.max(n_eff)), 2.0)))
