@@ -77,7 +77,7 @@ class ChangeSeen:
     time : float
         When, after the start of the bag [s].
     cost : float
-        Points of fit that one model of both loses.
+        Part of the motion that one model of both misses and two do not [%].
     one, two : (float, float)
         Fits of one model, and of two, before and after [%].
     rejects : bool
