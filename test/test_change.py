@@ -98,7 +98,7 @@ def test_a_steady_plant_is_not_called_changed(name, seeds):
     cost = [e.statistics['change_cost'] for e in found]
     print(f'\n{name}: largest costs {np.sort(cost)[-3:]} %')
     assert sum(e.status is Status.CHANGED for e in found) <= seeds // 30
-    assert np.median(cost) < 2.0         # points of fit: not even noted
+    assert np.median(cost) < 1.0         # not even noted
 
 
 @pytest.mark.parametrize(('share', 'factor'), [
@@ -156,8 +156,10 @@ def test_what_two_models_gain_by_chance_costs_nothing():
         samples = samples_of([record], [[None]])
         free = replace(free_of(samples, Settings(feedthrough=False)), delays=(False,))
         fit = climb(samples, fit_at(samples, np.array([-2.0 + 0j]), np.zeros(1), free), free)
-        costs.append(_divided(samples, fit.model, fit.model, free, 0, 0.3, certain=True).cost)
-    assert np.mean(costs) < 0.4
+        own = fit.model, free
+        costs.append(_divided(samples, own, own, 0, 0.3, certain=True).cost)
+    assert np.median(costs) == 0.0
+    assert np.mean(costs) < 1.5
 
 
 def test_the_example_of_the_docstring():

@@ -247,8 +247,8 @@ def test_a_change_of_the_plant_is_told_once_with_its_fits():
     assert change.time == pytest.approx(8.0)
     assert change.words == (
         'The plant changed about 8.0 s after the start of the bag: one model fits 45.2 and '
-        '69.7 % before and after, two models 98.9 and 98.9 %; one model of both loses 53.7 points '
-        'of fit.')
+        '69.7 % before and after, two models 98.9 and 98.9 %; one model of both misses 53.7 % '
+        'of the motion that two do not.')
     strip, fits = window_figure(windows).drawing.panels[:2]        # words beside no words
     assert [[text for _, text in p.marks] for p in (strip, fits)] == [[''], ['change']]
 

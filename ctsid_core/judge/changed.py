@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Did the plant change? The points of fit that two models gain over one.
+Did the plant change? What one model misses of the motion, and two do not.
 
 A record is divided at a few instants; each side gets a model of its own, of the same order or of
-half of it: further states of one model can imitate a plant that changes, and then two models with
-hardly more parameters explain more. The states and the trim at the start of a side are free in
+a smaller one: further states of one model can imitate a plant that changes, and then two models
+with fewer parameters explain as much. The states and the trim at the start of a side are free in
 both, so that disturbances are no change of the plant. Two models are always a little better, of
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
-leaves, noise apart, has to be gone, as far as the noise lets see. Of a model that was found by its
-predictions these tell, for their errors are white where gusts stay in those of simulations; how
-much it matters is what the plant, simulated, misses beside two.
+leaves, noise apart, has to be gone, as far as the noise lets see. And they have to be the best
+explanation: of a plant that drifts, or is not linear, a drift or curves explain as much. Of a
+model that was found by its predictions these tell, for their errors are white where gusts stay in
+those of simulations; how much it matters is what the plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctsid_core.judge.curve import beside, curves_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
@@ -34,7 +36,7 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
@@ -44,8 +46,9 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
+_MOST = 0.5           # columns for each row of a regression: with more nothing is told
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
-NOTED = 1.0           # points of fit that two models have to gain, to be worth a word
+NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ class Change:
     share : float
         Where, as a part of it.
     cost : float
-        Points of fit that two models gain over one, on the side and the output where it is most,
-        less those that they gain by chance.
+        Rms of what one model misses and two do not, on the side and the output where it is most,
+        noise and what two gain by chance apart, over the motion [%].
     gain : float
         By how much two models are more likely, in independent samples, beyond their price.
     left : float
@@ -80,10 +83,11 @@ class Change:
 
 
 Fitted = tuple[Samples, Fit, Free]
+Own = tuple[ModalModel, Free]              # a model, and what is free in it
 
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
-                       simpler: ModalModel | None = None,
+                       smaller: tuple[Own, ...] = (),
                        predictor: Fitted | None = None) -> Change:
     """
     Return where the plant changes, if two models explain what one does not.
@@ -94,40 +98,41 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     fit : Fit
         Of all samples.
     free : Free
-    simpler : ModalModel, optional
-        The best one of half its order.
+    smaller : tuple of (ModalModel, Free)
+        The best ones of smaller orders, and what was free in them.
     predictor : tuple of Samples, Fit and Free, optional
         Of a model that was found by its predictions: they tell then.
     """
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
-    places = range(len(samples.records))
+    places, whole = range(len(samples.records)), (fit.model, free)
     if predictor is not None:
-        return max(Change(), *(_as_predicted(samples, fit.model, free, place, predictor)
+        return max(Change(), *(_as_predicted(samples, whole, place, predictor)
                                for place in places),
                    key=lambda change: (change.cost, change.gain))
-    models = (fit.model,) if simpler is None else (fit.model, simpler)
-    return max(Change(), *(_of_record(samples, model, fit.model, free, place)
-                           for place in places for model in models),
+    return max(Change(), *(_of_record(samples, one, whole, place)
+                           for place in places for one in (whole, *smaller)),
                key=lambda change: change.cost)
 
 
-def _as_predicted(samples: Samples, model: ModalModel, free: Free, place: int,
-                  predictor: Fitted) -> Change:
+def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, own = predictor
-    found = _divisions(_only(joint, place), fit.model, fit.model, own, place)
+    whole = fit.model, own
+    found = _divisions(_only(joint, place), whole, whole, place)
     if found.gain <= 0.0:
         return found
-    size = _divided(_only(samples, place), model, model, free, place, found.share, certain=True)
+    size = _divided(_only(samples, place), plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
 
 
-def _of_record(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
-               place: int) -> Change:
-    """Return the change within one record, if models of a model's order explain it."""
-    found = _divisions(_only(samples, place), model, whole, free, place)
-    return found if found.left < _LEFT else Change()
+def _of_record(samples: Samples, own: Own, whole: Own, place: int) -> Change:
+    """Return the change within one record, if models of a model's order explain it best."""
+    one = _only(samples, place)
+    found = _divisions(one, own, whole, place)
+    explained = found.cost > 0.0 and found.left < _LEFT and _best(
+        one.thinned(2 * _SEARCHED), own, found.share)
+    return found if explained else Change()
 
 
 def _only(samples: Samples, place: int) -> Samples:
@@ -135,15 +140,14 @@ def _only(samples: Samples, place: int) -> Samples:
     return replace(samples, records=samples.records[place:place + 1])
 
 
-def _divisions(one: Samples, model: ModalModel, whole: ModalModel, free: Free,
-               place: int) -> Change:
+def _divisions(one: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the most likely division of the only record."""
     if one.effort.over:
         return Change()
-    found = max((_divided(one, model, whole, free, place, share)
-                 for share in _likely(one, model, free)), key=_clean, default=Change())
+    found = max((_divided(one, own, whole, place, share)
+                 for share in _likely(one, own)), key=_clean, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
-        found = max(found, *(_divided(one, model, whole, free, place, share)
+        found = max(found, *(_divided(one, own, whole, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
     return found
@@ -154,22 +158,17 @@ def _clean(change: Change) -> tuple[float, float]:
     return -change.left if change.gain > 0.0 else -np.inf, change.gain
 
 
-def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
+def _likely(samples: Samples, own: Own) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(2 * _SEARCHED)
-    record, fewest = samples.records[0], _FEWEST * (3 * model.n + 2)
-    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
-                         turned=False)
-    rows, error, places = jacobian(samples, fit_states(samples, model, free, columns), free)
+    record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
+    _, rows, error, states, shares = _slopes(samples, own)
     # What a side's own states and trims explain is no change: they come first.
-    own = places.of_states(samples.ny, 1, free.trim)
-    both = np.column_stack((rows[:, own], rows[:, ~own], error))
+    both = np.column_stack((rows[:, states], rows[:, ~states], error))
     samples.effort.spend(_LOOK + 4.0 * both.shape[1] ** 2 * (
         len(both) + len(_INSTANTS) * both.shape[1]))
-    times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
-    shares = (times - record.start) / (record.end - record.start)
     least = np.argmin([len(s.times) for s in record.streams])
-    price = _numbers(samples, model, free) * float(np.log(np.max(samples.counts)))
+    price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
     promise = np.zeros(len(_INSTANTS))
     for after in (False, True):
         order = range(len(_INSTANTS))[::-1 if after else 1]
@@ -178,7 +177,7 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
             samples.effort.check()
             side = (shares > _INSTANTS[k]) == after
             R, done = triangle(np.vstack((R, both[side & ~done]))), side
-            last = R[np.count_nonzero(own):, -1] ** 2
+            last = R[np.count_nonzero(states):, -1] ** 2
             count = float(np.sum((record.streams[least].times - record.start
                                   > _INSTANTS[k] * (record.end - record.start)) == after))
             if count >= fewest and len(R) > len(last) and last[-1] > 0.0:
@@ -187,18 +186,59 @@ def _likely(samples: Samples, model: ModalModel, free: Free) -> list[float]:
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 
-def _numbers(samples: Samples, model: ModalModel, free: Free) -> int:
+def _slopes(samples: Samples, own: Own) -> tuple[Fit, Array, Array, Mask, Array]:
+    """
+    Return a model of the only record, and what may change the simulation of each sample.
+
+    Its fit, Jacobian and errors; which columns are of states and trims; and when each row is, as
+    a part of the record.
+    """
+    model, free = own
+    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
+                         turned=False)
+    fit, record = fit_states(samples, model, free, columns), samples.records[0]
+    rows, error, places = jacobian(samples, fit, free)
+    times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
+    return (fit, rows, error, places.of_states(samples.ny, 1, free.trim),
+            (times - record.start) / (record.end - record.start))
+
+
+def _best(samples: Samples, own: Own, share: float) -> bool:
+    """
+    Return whether a division explains more than a drift, and than curves.
+
+    All to first order, from the same model, less what their numbers gain by chance.
+    """
+    fit, rows, error, states, shares = _slopes(samples, own)
+    counts = [len(s.times) for s in samples.records[0].streams for _ in range(s.y.shape[1])]
+    rest, after = rows[:, ~states], (shares > share)[:, np.newaxis]
+
+    def unexplained(more: Array) -> float:
+        columns = np.hstack((rows, rows[:, states] * after, more))
+        if columns.shape[1] > _MOST * len(error):
+            return np.inf
+        samples.effort.spend(4.0 * len(error) * columns.shape[1] ** 2)
+        left, told = beside(columns, error)
+        power = [float(np.mean(e ** 2)) for e in np.split(left, np.cumsum(counts)[:-1])]
+        return float(counts @ np.log(np.maximum(power, 1e-300))) + told
+    divided = unexplained(rest * after)
+    return divided <= unexplained(rest * (shares - 0.5)[:, np.newaxis]) and \
+        divided <= unexplained(curves_of(samples, fit))
+
+
+def _numbers(samples: Samples, own: Own) -> int:
     """Return how many numbers another model of a side costs, its instant among them."""
+    model, free = own
     return (model.n * (samples.nu + samples.ny) + samples.nu * samples.ny * free.feedthrough
             + sum(free.delays) + 1)
 
 
-def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free, place: int,
-             share: float, certain: bool = False) -> Change:
+def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
+             certain: bool = False) -> Change:
     """Return what two models of a model's order miss, if they are likelier than the whole's."""
     if samples.effort.over:
         return Change()
-    record = samples.records[0]
+    record, (model, free) = samples.records[0], own
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []
     two: list[tuple[Array, ...]] = []
@@ -216,18 +256,17 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)
-        larger += one[-1:] if whole is model else residuals(side, fit_states(side, whole, free))
+        larger += one[-1:] if whole is own else residuals(side, fit_states(side, *whole))
         two += residuals(side, min(same, other, key=lambda fit: fit.cost))
     parts = np.array([share, 1.0 - share])
     before, after, rival = (np.array([_power((side,)) for side in both])
                             for both in (one, two, larger))
     power, rest = parts @ rival, parts @ after
     n_eff = independent(tuple(two))
-    count, of_whole = (_numbers(samples, m, free) for m in (model, whole))
+    count, of_whole = (_numbers(samples, m) for m in (own, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
-    price = max(2 * count - of_whole, 1)            # fewer numbers are no evidence of a change
-    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - price * float(
-        np.log(max(float(np.max(n_eff)), 2.0)))
+    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - (
+        2 * count - of_whole) * float(np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0 and not certain:
         return Change()
     where = int(np.argmax(parts @ before - rest))
@@ -238,8 +277,8 @@ def _divided(samples: Samples, model: ModalModel, whole: ModalModel, free: Free,
         float(_coloured(tuple(one))[where]), 1e-300)
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
-    points = 100.0 * (np.sqrt(before) - np.sqrt(np.minimum(by_chance, before)))
-    return Change(place, share, float(np.max(points)), gain, left, *(
+    missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))
+    return Change(place, share, float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
 

@@ -57,7 +57,7 @@ def conclude(solution: Solution) -> Estimate:
                       solution.refit)
     simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
     change = Change() if solution.refit or simulating is None else \
-        most_likely_change(*simulating, solution.simpler,
+        most_likely_change(*simulating, solution.smaller,
                            (samples, fit, solution.free) if solution.by_prediction else None)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()

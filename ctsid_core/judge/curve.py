@@ -71,6 +71,23 @@ def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
     return gains / np.maximum(motion_within(samples, errors), _LEAST)
 
 
+def curves_of(samples: Samples, fit: Fit) -> Array:
+    """Return the columns of curves of the only record, for each sample of each output."""
+    record, errors = samples.records[0], residuals(samples, fit)
+    curved, = _powers(samples, errors)
+    found: Array = block_diag(*(
+        block for k, stream in enumerate(record.streams)
+        for block in [_curves(record, k, fit.model, curved)] * stream.y.shape[1]))
+    return found
+
+
+def beside(columns: Array, error: Array) -> tuple[Array, int]:
+    """Return what columns leave of errors, and how many of them tell something."""
+    Q, R = factors(columns)
+    own = Q[:, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)]
+    return error - own @ (own.T @ error), own.shape[1]
+
+
 def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:
     """Return, of each record, squares of its inputs and simulated outputs, then their cubes."""
     signals = [[*r.inputs, *(Signal(s.times, s.y - e, 'linear')

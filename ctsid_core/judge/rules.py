@@ -37,7 +37,7 @@ _DRIVEN = 0.5           # held-out error over the response to inputs: less, and 
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model
-_CHANGED = 3.0          # points of fit that two models gain over one, before and after
+_CHANGED = 3.0          # per cent of the motion that one model misses, and two do not
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
@@ -87,16 +87,17 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
 def _changed(e: Evidence) -> str:
     (a, b), (c, d) = e.change.one, e.change.two
     return (f'The plant changed {e.where}: one model fits {a:.0f} % before and {b:.0f} % after '
-            f'that, two models {c:.0f} and {d:.0f} %; identify each side by '
-            'itself.')
+            f'that, two models {c:.0f} and {d:.0f} %, and what one misses and two do not is '
+            f'{e.change.cost:.0f} % of the motion; identify each side by itself.')
 
 
 def change_note(e: Evidence) -> tuple[str, ...]:
     """Return a sentence on a change of the plant that is small, or none."""
     if not NOTED < e.change.cost <= _CHANGED:
         return ()
-    return (f'perhaps the plant changed a little {e.where}: there one model loses '
-            f'{e.change.cost:.1f} points of fit (up to {_CHANGED:.0f} is accepted)',)
+    return (f'perhaps the plant changed a little {e.where}: there one model misses '
+            f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
+            'accepted)',)
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:

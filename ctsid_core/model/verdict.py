@@ -91,8 +91,8 @@ class Verdict:
     independent : ndarray, shape (ny,)
         Share of independent samples among the errors, N_eff / N: 1 if they are white.
     change_cost : float
-        Points of fit that two models, before and after the instant at which they gain most, gain
-        over one [%].
+        Rms of what one model misses and two models, before and after the instant at which they
+        gain most, do not, over the motion [%].
     curve_gain : ndarray, shape (ny,)
         Points of fit that squares and cubes of the inputs and of the simulated outputs gain beside
         the model, of the motion within a tenth of a record [%].

@@ -54,8 +54,8 @@ class Solution:
     simulating : tuple of Samples, Fit and Free, or None
         Of a stable plant that was found by its predictions, as it simulates: there shows what a
         change costs.
-    simpler : ModalModel or None
-        The best one of half its order that simulates.
+    smaller : tuple of (ModalModel, Free)
+        The best ones of smaller orders that simulate, and what was free in them.
     rivals : tuple of (float, ModalModel)
         Others that simulate, and might be right: share of the Akaike weights, model.
     singular_values : ndarray
@@ -81,7 +81,7 @@ class Solution:
     whole: Samples | None = None
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     simulating: tuple[Samples, Fit, Free] | None = None
-    simpler: ModalModel | None = None
+    smaller: tuple[tuple[ModalModel, Free], ...] = ()
     rivals: tuple[tuple[float, ModalModel], ...] = ()
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')

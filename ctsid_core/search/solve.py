@@ -131,8 +131,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0:
         samples = seen(late)
         best = _climbed(samples, best, free)
-    half = max((n for n in found if n <= best.fit.model.n // 2), default=0)
-    simpler = found[half].fit.model if half else None
+    smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
     values, condition = _shown(subspace, best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
@@ -140,7 +139,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_longest(part, best, free), *_growing(best.fit.model, free, own)),
-                    whole=whole, hidden=hidden, simpler=simpler, rivals=_rivals(others),
+                    whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
                     singular_values=values, condition=condition)
 
 
@@ -175,6 +174,20 @@ def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
     shares = (weights / weights.sum()).tolist()[1:]
     return tuple((share, one.fit.model) for share, (_, one) in zip(shares, others, strict=True)
                  if share > _NEGLIGIBLE)
+
+
+def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
+             free: Free) -> tuple[tuple[ModalModel, Free], ...]:
+    """Return the models of smaller orders, the dead times that are not free those of the best."""
+    models = []
+    for model in (one.fit.model for n, one in found.items() if n < best.fit.model.n):
+        delay = np.where(free.delays, model.delay, best.fit.model.delay)
+        if (delay != model.delay).any():
+            with suppress(np.linalg.LinAlgError):
+                model = climb(samples, fit_at(samples, model.poles, delay, free), free,
+                              steps=FEWER, least=ROUGHLY).model
+        models.append((model, free))
+    return tuple(models)
 
 
 def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:

@@ -77,7 +77,7 @@ class ChangeSeen:
     time : float
         When, after the start of the bag [s].
     cost : float
-        Points of fit that one model of both loses.
+        Part of the motion that one model of both misses and two do not [%].
     one, two : (float, float)
         Fits of one model, and of two, before and after [%].
     rejects : bool
@@ -96,7 +96,7 @@ class ChangeSeen:
         one, two = (' and '.join(f'{v:.1f}' for v in pair) for pair in (self.one, self.two))
         known = '' if math.isnan(self.one[0]) else (
             f': one model fits {one} % before and after, two models {two} %')
-        lost = f'one model of both loses {self.cost:.1f} points of fit'
+        lost = f'one model of both misses {self.cost:.1f} % of the motion that two do not'
         if not self.rejects:
             return (f'Perhaps the plant changed a little about {self.time:.1f} s after the start '
                     f'of the bag{known}; {lost}, too little to reject it.')
