@@ -46,26 +46,10 @@ _WORK, _PER_NUMBER = 1.5e7, 4e3         # work: at least, and for each entry of 
 def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
                effort: Effort | None = None) -> tuple[Array, Array]:
     """
-    Return the gain K and the covariance of the innovations.
+    Return the gain K, (n, ny), and the covariance of the innovations, (ny, ny).
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-        Stable.
-    C : ndarray, shape (ny, n)
-    parts : sequence of ndarray, shape (N, ny)
-        What the simulation of each record leaves, uniformly sampled.
-    step : float
-        [s]
-    effort : Effort, optional
-        That it is part of.
-
-    Returns
-    -------
-    K : ndarray, shape (n, ny)
-        Zero if it would help little.
-    R : ndarray, shape (ny, ny)
-        Of the innovations.
+    Of a stable plant, A (n, n), C (ny, n), and of `parts`: what the simulation of each record
+    leaves, (N, ny), sampled with a uniform step [s]. K is zero if it would help little.
     """
     n, ny, effort = len(A), len(C), effort or Effort()
     total = sum(len(v) for v in parts)
@@ -143,18 +127,7 @@ def _filtering(F: Array, C: Array, Q: Array, R: Array) -> Array:
 
 
 def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
-    """
-    Return K whose predictor, innovations held from sample to sample, updates states by M e.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (ny, n)
-    update : ndarray, shape (n, ny)
-        M.
-    step : float
-        [s]
-    """
+    """Return K whose predictor, innovations held for a step [s], updates states by `update` e."""
     K, size = update / step, float(np.linalg.norm(update))
     pace, left = 1.0, np.inf
     for _ in range(_FIXED_POINT if size > 0.0 else 0):
@@ -246,14 +219,7 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
     """
     Return the matrices of a model with K, and the intensity of the innovations.
 
-    Parameters
-    ----------
-    samples : Samples
-    fit : Fit
-    errors : Residuals
-        That it leaves.
-    record : int
-        Whose trim and noise are wanted.
+    Of a fit and the errors that it leaves; with the trim and the noise of a record.
     """
     m = matrices_of(fit.model, samples.size, record)
     step, parts = uniform(samples, errors)
