@@ -32,17 +32,10 @@ _BLOCK = 32             # and of a small matrix
 
 def triangle(columns: Array) -> Array:
     """
-    Return the upper triangle R of columns = Q R.
+    Return the upper triangle R of columns = Q R, (m, n): (min(m, n), n).
 
-    Parameters
-    ----------
-    columns : ndarray, shape (m, n)
-        In any order of memory; quickest as the transpose of rows.
-
-    Returns
-    -------
-    ndarray, shape (min(m, n), n)
-        That of `numpy.linalg.qr` but for rounding and the signs of its rows.
+    It is that of `numpy.linalg.qr` but for rounding and the signs of its rows. Columns may be in
+    any order of memory; the transpose of rows is quickest.
     """
     m, n = columns.shape
     if not m:
@@ -63,20 +56,7 @@ def triangle(columns: Array) -> Array:
 
 
 def factors(columns: Array) -> tuple[Array, Array]:
-    """
-    Return Q and R of columns = Q R; columns of parts take part there only.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (m, n)
-        With m >= n.
-
-    Returns
-    -------
-    Q : ndarray, shape (m, n)
-        With orthonormal columns.
-    R : ndarray, shape (n, n)
-    """
+    """Return Q (m, n), R (n, n) of columns = Q R, m >= n; those of parts take part there only."""
     m, n = columns.shape
     edges = [0, m]
     if m * n >= _SMALL and m >= 4 * n:
