@@ -35,13 +35,7 @@ from ctsid_core.signals.stuck import stuck_outputs
 
 
 def conclude(solution: Solution) -> Estimate:
-    """
-    Return the estimate: the model of all channels, its accuracy, and the verdict.
-
-    Parameters
-    ----------
-    solution : Solution
-    """
+    """Return the estimate: the model of all channels, its accuracy, and the verdict."""
     part, fit, samples = solution.part, solution.fit, solution.samples
     effort = samples.effort
     effort.keep(0.0)

@@ -41,13 +41,7 @@ def cross_checked(found: Estimate, settings: Settings,
     """
     Return an estimate whose verdict has the agreement with a second method, if asked for.
 
-    Parameters
-    ----------
-    found : Estimate
-    settings : Settings
-        As given; `cross_check` names the second method.
-    identify : callable
-        Identifies the same record with other settings.
+    Settings are those given; `identify` identifies the same record with others.
     """
     if settings.cross_check == UNCHECKED or found.model is None:
         return found

@@ -28,16 +28,8 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     """
     Return the excitation of each moving input, and how unsure the response of each output is.
 
-    Parameters
-    ----------
-    samples : Samples
-    delay : ndarray, shape (nu,)
-        Of the inputs; what further ones `samples` has does not count [s].
-    covariance : Covariance or None
-        Of `moving`.
-    moving : StateSpace
-        The same model, of the moving channels.
-    names : tuple of str, length nu
+    Of inputs with delays (nu,) [s]: what further ones `samples` has does not count. The covariance
+    is that of the model of the moving channels.
     """
     omega, weight, lines, inputs, frequencies = input_spectra(samples, delay)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]

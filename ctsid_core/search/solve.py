@@ -80,15 +80,7 @@ Seen = Callable[..., Samples]           # the samples, outputs left out for so l
 
 
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
-    """
-    Return the model of records, or None if they are too short for any.
-
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    effort : Effort
-    """
+    """Return the model of records, or None if they are too short for any."""
     own = own_delays(part, settings)
     corrupt = corrupt_rows(part)
     records = [p.record for p in part.parts]
