@@ -17,12 +17,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf, dtpqrt
 
-from ctsid_core.linear.types import Array
-
-Places = NDArray[np.intp]
+from ctsid_core.linear.types import Array, Places
 
 _SMALL = 2 ** 16        # entries: half a megabyte stays in the cache anyhow
 _ROWS = 1024            # taken at a time
