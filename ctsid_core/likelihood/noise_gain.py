@@ -54,7 +54,7 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     n, ny, effort = len(A), len(C), effort or Effort()
     total = sum(len(v) for v in parts)
     F, G = (x[0] for x in exponentials(A, np.array([step]), 1))
-    weight = 1.0 / np.sqrt(_power(parts) + 1e-300)
+    weight = 1.0 / np.sqrt(np.mean(np.vstack(parts) ** 2, axis=0) + 1e-300)
     K, start = np.zeros((n, ny)), float(total * ny)
     best = start
     # Of a plant that integrates nothing leads from no gain to that of its filter.
@@ -158,11 +158,6 @@ def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Arra
     x0 = np.linalg.lstsq(np.hstack((columns.real, -columns.imag)), rest, rcond=1e-9)[0]
     start = (x0[:len(values)] + 1j * x0[len(values):])[:, np.newaxis] * free
     found: Array = (right @ (_filtered(values, driven) + start)).real.T
-    return found
-
-
-def _power(parts: Sequence[Array]) -> Array:
-    found: Array = np.mean(np.vstack(parts) ** 2, axis=0)
     return found
 
 
