@@ -74,9 +74,7 @@ def conclude(solution: Solution) -> Estimate:
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
                *_spent(effort)),
-        statistics={**counts, 'seconds_spent': effort.seconds,
-                    'change_cost': change.cost, 'change_share': _share(part, change),
-                    **_fits_beside(change), **_record_of(part, change)},
+        statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
         records=_shares(solution) if part.several else ())
 
 
@@ -210,17 +208,14 @@ def _share(part: Joint, change: Change) -> float:
     return float((at - own.whole.start) / own.whole.duration)
 
 
-def _record_of(part: Joint, change: Change) -> dict[str, float]:
-    """Return which of several records changes, as they are numbered."""
-    return {'change_record': float(part.numbers[change.record])} \
-        if part.several and change.record >= 0 else {}
-
-
-def _fits_beside(change: Change) -> dict[str, float]:
-    """Return the fits of one model and of two, before and after the change [%]."""
-    return {f'change_fit_{who}_{when}': fit for who, fits in (('one', change.one),
-                                                              ('two', change.two))
-            for when, fit in zip(('before', 'after'), fits, strict=True)}
+def _about(change: Change, part: Joint) -> dict[str, float]:
+    """Return what is known of the change: fits of one model and of two are in %."""
+    found = {'change_cost': change.cost, 'change_share': _share(part, change)}
+    for who, fits in (('one', change.one), ('two', change.two)):
+        found |= zip((f'change_fit_{who}_before', f'change_fit_{who}_after'), fits, strict=True)
+    if part.several and change.record >= 0:
+        found['change_record'] = float(part.numbers[change.record])
+    return found
 
 
 def _shares(solution: Solution) -> tuple[RecordShare, ...]:
