@@ -53,30 +53,8 @@ def triangle(columns: Array) -> Array:
 
 
 def factors(columns: Array) -> tuple[Array, Array]:
-    """Return Q (m, n), R (n, n) of columns = Q R, m >= n; those of parts take part there only."""
-    m, n = columns.shape
-    edges = [0, m]
-    if m * n >= _SMALL and m >= 4 * n:
-        first, last = _extents(columns)
-        edges = _edges(first, last, m, n)
-    parts = [slice(start, end) for start, end in pairwise(edges)]
-    alive = [np.flatnonzero((first < part.stop) & (last > part.start)) for part in parts] \
-        if len(parts) > 1 else []
-    if len(parts) < 2 or sum(map(len, alive)) < n:
-        whole = np.linalg.qr(columns)
-        return whole[0], whole[1]
-    Q, stack, row = np.empty((m, n)), np.zeros((sum(map(len, alive)), n)), 0
-    own = []
-    for part, places in zip(parts, alive, strict=True):
-        q, r = np.linalg.qr(columns[part][:, places])
-        stack[row:row + len(places), places] = r
-        own.append(q)
-        row += len(places)
-    turn, R = np.linalg.qr(stack)
-    row = 0
-    for part, q in zip(parts, own, strict=True):
-        np.matmul(q, turn[row:row + q.shape[1]], out=Q[part])
-        row += q.shape[1]
+    """Return Q (m, n) and R (n, n) of columns = Q R, m >= n."""
+    Q, R = np.linalg.qr(columns)
     return Q, R
 
 
