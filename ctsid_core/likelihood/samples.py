@@ -29,6 +29,10 @@ class Stream:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.inf
 
+    def of(self, rows: slice | Mask) -> Stream:
+        """Return some of the samples."""
+        return replace(self, times=self.times[rows], y=self.y[rows])
+
 
 @dataclass(frozen=True, eq=False)
 class RecordSamples:
@@ -111,20 +115,15 @@ class Samples:
         if max(steps) < 2:
             return self
         return replace(self, records=tuple(replace(r, streams=tuple(
-            replace(s, times=s.times[::step], y=s.y[::step])
-            for s, step in zip(r.streams, steps, strict=True))) for r in self.records))
+            s.of(slice(None, None, step)) for s, step in zip(r.streams, steps, strict=True)))
+            for r in self.records))
 
     def between(self, bounds: Sequence[tuple[float, float]]) -> Samples:
         """Return the samples of each record within its bounds [s]; states begin where they do."""
-        kept = []
-        for record, (start, end) in zip(self.records, bounds, strict=True):
-            streams = []
-            for s in record.streams:
-                rows = slice(int(np.searchsorted(s.times, start, side='left')),
-                             int(np.searchsorted(s.times, end, side='right')))
-                streams.append(replace(s, times=s.times[rows], y=s.y[rows]))
-            kept.append(replace(record, streams=tuple(streams)))
-        return replace(self, records=tuple(kept))
+        return replace(self, records=tuple(
+            replace(r, streams=tuple(s.of((start <= s.times) & (s.times <= end))
+                                     for s in r.streams))
+            for r, (start, end) in zip(self.records, bounds, strict=True)))
 
 
 def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None]],

@@ -93,9 +93,7 @@ def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
         return np.asarray((phase > 1.0 - share) == held)
 
     return replace(samples, records=tuple(
-        replace(r, streams=tuple(
-            replace(s, times=s.times[rows], y=s.y[rows])
-            for s in r.streams for rows in [kept(s.times, r.start, r.end)]))
+        replace(r, streams=tuple(s.of(kept(s.times, r.start, r.end)) for s in r.streams))
         for r in samples.records))
 
 
