@@ -55,17 +55,14 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     total = sum(len(v) for v in parts)
     F, G = (x[0] for x in exponentials(A, np.array([step]), 1))
     weight = 1.0 / np.sqrt(np.mean(np.vstack(parts) ** 2, axis=0) + 1e-300)
-    K, start = np.zeros((n, ny)), float(total * ny)
-    best = start
+    none = np.zeros((n, ny)), (np.vstack(parts) * weight).ravel(), float(total * ny)
     # Of a plant that integrates nothing leads from no gain to that of its filter.
-    for power, gain_of_filter in _filters(F, G, C, parts, weight):
-        if power < best:
-            best, K = power, gain_of_filter
+    K, error, best = min((none, *_filters(F, G, C, parts, weight)), key=lambda one: one[2])
     for _ in range(_STEPS):
         found = _run(F, G, C, K, parts, weight, True)
         if found is None:
             break
-        rows, error, _ = found
+        rows = found[0]
         curvature = rows.T @ rows
         scale = np.sqrt(np.diag(curvature)) + 1e-300
         change = np.linalg.solve(curvature / np.outer(scale, scale) + 1e-6 * np.eye(n * ny),
@@ -76,23 +73,22 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
             trial = K + 0.5 ** k * change.reshape(n, ny)
             seen = _run(F, G, C, trial, parts, weight, False)
             if seen is not None and seen[2] < best:
-                gain, best, K, moved = best - seen[2], seen[2], trial, True
+                gain, K, (_, error, best), moved = best - seen[2], trial, seen, True
                 break
         if not moved or gain < 1e-4 * best:
             break
+    start = none[2]
     if start * float(np.log(start / best)) < n * ny * np.log(total) or \
             best > (1.0 - _LEAST) ** 2 * start:
-        K = np.zeros((n, ny))
-    found = _run(F, G, C, K, parts, weight, False)
+        K, error, _ = none
     update = np.linalg.solve(F, G @ K)
-    error = (found[1] if found is not None else np.vstack(parts).ravel() * np.tile(weight, total))
     e = error.reshape(-1, ny) / weight
     return continuous_gain(A, C, update, step), np.asarray(e.T @ e / max(total, 1))
 
 
 def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
-             weight: Array) -> Iterator[tuple[float, Array]]:
-    """Yield gains of Kalman filters, and their sums: all modes disturbed alike, as outputs see."""
+             weight: Array) -> Iterator[tuple[Array, Array, float]]:
+    """Yield gains of Kalman filters, e and its sum: all modes disturbed alike, as outputs see."""
     values, right = np.linalg.eig(F)
     right = right / np.maximum(np.linalg.norm(weight[:, np.newaxis] * C @ right, axis=0), 1e-300)
     moved, noise = (right @ right.conj().T).real, np.diag(weight ** -2.0)
@@ -102,7 +98,7 @@ def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
             K = np.linalg.solve(G, F @ np.linalg.solve(C @ P @ C.T + noise, C @ P).T)
             seen = _run(F, G, C, K, parts, weight, False)
             if seen is not None:
-                yield seen[2], K
+                yield K, *seen[1:]
 
 
 def _filtering(F: Array, C: Array, Q: Array, R: Array) -> Array:
