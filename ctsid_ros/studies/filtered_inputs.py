@@ -14,6 +14,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from ctsid_core.bases.takenaka_malmquist import Chain
 from ctsid_core.linear.least_squares import solve
 from ctsid_core.linear.matrices import Matrices, plain_matrices
+from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.subspace.gobf_equations import Filtered, dynamics, observe
 
@@ -60,7 +61,8 @@ def _input_matrices(filtered: Filtered, left: Array, n: int, feedthrough: bool,
     regressors = np.concatenate((state.reshape(n * inputs, cells),
                                  feed.reshape(ny * len(direct), cells)))
     y = (filtered.y / filtered.scale[:, np.newaxis]).reshape(chain.size * ny, -1)
-    unknown, _ = solve(regressors, (other.T @ y).reshape(1, -1), rank_tolerance)
+    both = triangle(np.vstack((regressors, (other.T @ y).reshape(1, -1))).T).T  # of many columns
+    unknown, _ = solve(both[:-1], both[-1:], rank_tolerance)
     B = unknown[0, :n * inputs].reshape(n, inputs)
     D = np.zeros((ny, filtered.inputs.shape[1]))
     D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
