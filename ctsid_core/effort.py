@@ -15,7 +15,7 @@ import os
 
 from ctsid_core.errors import Cancelled, SettingsError
 
-# Work per second of processor: the median of `measured_rate` on a core of an AMD EPYC server,
+# Work per second of processor: the median of QR decompositions on a core of an AMD EPYC server,
 # one BLAS thread, rounded down (5.5e9). A constant, for else models would depend on the computer;
 # on one half as fast a budget of 1 s takes 2 s. CTSID_WORK_RATE takes its place where it is set:
 # node and replay then need the same value.
@@ -83,21 +83,3 @@ def work_rate() -> float:
         raise SettingsError([f'the environment variable {VARIABLE} is {text!r}; set it to a '
                              f'positive number, like {RATE:g}, or unset it'])
     return rate
-
-
-def measured_rate(clock: Callable[[], float]) -> float:
-    """
-    Return the work per second of this computer, by a clock of processor time [s].
-
-    For people: nothing is computed with it.
-    """
-    import numpy as np
-
-    rows, columns = 1000, 40
-    matrix = np.random.default_rng(0).standard_normal((rows, columns))
-    times = []
-    for _ in range(101):
-        start = clock()
-        np.linalg.qr(matrix, mode='r')
-        times.append(clock() - start)
-    return 2.0 * rows * columns ** 2 / max(float(np.median(times)), 1e-9)

@@ -101,6 +101,12 @@ def header(stamp_ns: int, frame: str = 'base', store=STORE, **more: Any) -> Any:
     return _make(store, 'std_msgs/msg/Header', {'stamp': stamp, 'frame_id': frame, **more})
 
 
+def header_stamp_ns(message: Any) -> int | None:
+    """Return `message.header.stamp` [ns], or None where there is no such field."""
+    stamp = getattr(getattr(message, 'header', None), 'stamp', None)
+    return None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
 def vector(x: float, y: float = 0.0, z: float = 0.0, store=STORE) -> Any:
     return store.types['geometry_msgs/msg/Vector3'](float(x), float(y), float(z))
 

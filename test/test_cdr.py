@@ -6,14 +6,25 @@ from __future__ import annotations
 from dataclasses import replace
 import struct
 
-from bag_fixtures import ROS1, STORE, array, flight_ros1, header, imu, joints, make, vector
+from bag_fixtures import (
+    ROS1,
+    STORE,
+    array,
+    flight_ros1,
+    header,
+    header_stamp_ns,
+    imu,
+    joints,
+    make,
+    vector,
+)
 import numpy as np
 import pytest
 from rosbags.serde import SerdeError
 
 from ctsid_ros.decoding.cdr import DecodeError, Extractor
 from ctsid_ros.decoding.cdr_layout import layout_of
-from ctsid_ros.decoding.field_path import FieldError, header_stamp_ns, parse_field
+from ctsid_ros.decoding.field_path import FieldError, parse_field
 from ctsid_ros.decoding.message_fields import bind, scalar_fields
 from ctsid_ros.decoding.message_types import FieldType, MessageType, of_message_class, reachable
 from ctsid_ros.recordings.definitions import message_type

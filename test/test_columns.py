@@ -12,6 +12,7 @@ from bag_fixtures import (
     bare,
     flight_ros1,
     header,
+    header_stamp_ns,
     imu,
     joints,
     make,
@@ -28,7 +29,7 @@ from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.block import Block, Located
 from ctsid_ros.decoding.cdr import DecodeError, Extractor
-from ctsid_ros.decoding.field_path import header_stamp_ns, parse_field
+from ctsid_ros.decoding.field_path import parse_field
 from ctsid_ros.decoding.message_fields import scalar_fields
 from ctsid_ros.ingest.ingest import Ingest
 from ctsid_ros.recordings import chunks, sqlite_file

@@ -8,12 +8,13 @@ import numpy as np
 from plants import PLANTS, running
 import pytest
 
-from ctsid_core.effort import RATE, VARIABLE, Effort, measured_rate, work_rate
+from ctsid_core.effort import RATE, VARIABLE, Effort, work_rate
 from ctsid_core.errors import Cancelled, SettingsError
 from ctsid_core.identify import identify
 from ctsid_core.model.model_json import to_json
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import OF_STRIDE, Settings
+from ctsid_ros.verbs.params import measured_rate
 
 QUICK = Settings(delay=0.0, order=2)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
-from bag_fixtures import header, joints, make, vector
+from bag_fixtures import joints, make, vector
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,7 +16,6 @@ from ctsid_ros.decoding.field_path import (
     ParseError,
     Range,
     Unwrapper,
-    header_stamp_ns,
     parse_field,
     roll_pitch_yaw,
 )
@@ -180,10 +179,3 @@ def test_unwrapper_ignores_what_is_not_finite_and_forgets_on_reset():
     assert unwrap((-3.0,)) == (math.tau - 3.0,)
     unwrap.reset()
     assert unwrap((-3.0,)) == (-3.0,)
-
-
-def test_header_stamp():
-    stamp = 1_700_000_000_123_456_789
-    assert header_stamp_ns(make('sensor_msgs/msg/Imu', header=header(stamp))) == stamp
-    assert header_stamp_ns(make('sensor_msgs/msg/Imu')) == 0
-    assert header_stamp_ns(make('std_msgs/msg/Float64MultiArray')) is None

@@ -11,6 +11,7 @@ from ctsid_core.bases.takenaka_malmquist import chain, legendre, respond
 from ctsid_core.errors import SettingsError
 from ctsid_core.model.simulation import input_polynomials, knots_between
 from ctsid_core.signals.record import Signal
+from ctsid_ros.studies.filtered_inputs import commuting
 
 SEQUENCES = {
     'spread': np.linspace(4.0, 60.0, 8),
@@ -82,7 +83,7 @@ def test_special_sequences():
 @pytest.mark.parametrize('name', SEQUENCES)
 def test_commuting_matrices(name):
     basis = chain(SEQUENCES[name])
-    Z = basis.commuting()
+    Z = commuting(basis)
     for k in range(basis.size):
         s = 0.3 + 2.0j
         w = np.linalg.solve(s * np.eye(basis.size) - basis.L, basis.b)

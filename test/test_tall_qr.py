@@ -93,12 +93,5 @@ def test_both_factors(parts, lost):
     np.testing.assert_allclose(Q.T @ Q, np.eye(columns.shape[1]), atol=1e-13)
 
 
-@pytest.mark.parametrize(('m', 'n'), [size for size in SIZES if size[0] >= size[1]])
-def test_both_factors_are_those_of_numpy_where_nothing_is_zero(m, n):
-    columns = np.random.default_rng(7).standard_normal((m, n))
-    for found, wanted in zip(factors(columns), np.linalg.qr(columns), strict=True):
-        np.testing.assert_array_equal(found, wanted)
-
-
 def test_no_rows_have_an_empty_triangle():
     assert triangle(np.zeros((0, 3))).shape == (0, 3)

@@ -104,10 +104,11 @@ def project_record(record: Record, settings: Settings, nmax: int,
     for start, end in pairwise(bounds.tolist()):
         check()
         parts.append(_project_part(record, settings, nmax, start, end))
+    tail = block_diag(*(p.tail for p in parts))
     return replace(
         parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
-        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]),
-        tail=block_diag(*(p.tail for p in parts)), start=record.start, end=record.end)
+        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]), tail=tail,
+        length=record.duration / max(len(tail), 1))
 
 
 def _project_part(record: Record, settings: Settings, nmax: int, start: float,
@@ -126,7 +127,7 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
         u=lines[:nu], y=lines[nu:],
         tail=basis.tail if exact else nothing,
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
-        unit=alpha, start=start, end=end)
+        unit=alpha, length=end - start)
 
 
 def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -34,20 +34,7 @@ class Projection:
     # Time that a coordinate unit stands for [s]: white noise of intensity R has variance R / unit
     # in every real and imaginary part
     unit: float
-    start: float  # the interval [s]; of several records, from 0 to the sum of their durations
-    end: float
-    # the records that were joined, if they are several: their lines as they are here
-    members: tuple[Projection, ...] = ()
-
-    @property
-    def records(self) -> tuple[Projection, ...]:
-        """The records whose lines stand beside each other here."""
-        return self.members or (self,)
-
-    @property
-    def length(self) -> float:
-        """Length of the record, or of one of its parts; of several records the longest [s]."""
-        return max((p.end - p.start) / max(len(p.tail), 1) for p in self.records)
+    length: float  # of the record, or of one of its parts; of several records the longest [s]
 
     @cached_property
     def signals(self) -> Lines:
@@ -60,14 +47,13 @@ def joined(records: Sequence[Projection]) -> Projection:
     if len(records) == 1:
         return records[0]
     unit = max(p.unit for p in records)
-    sizes = [float(np.sqrt(p.unit / unit)) for p in records]
-    members = tuple(replace(p, u=size * p.u, y=size * p.y, tail=size * p.tail, ones=size * p.ones)
-                    for p, size in zip(records, sizes, strict=True))
+    sized = [(float(np.sqrt(p.unit / unit)), p) for p in records]
     return Projection(
-        s=np.concatenate([p.s for p in members]), u=np.hstack([p.u for p in members]),
-        y=np.hstack([p.y for p in members]), unit=unit, start=0.0,
-        tail=block_diag(*(p.tail for p in members)), ones=block_diag(*(p.ones for p in members)),
-        end=sum(p.end - p.start for p in members), members=members)
+        s=np.concatenate([p.s for p in records]), u=np.hstack([size * p.u for size, p in sized]),
+        y=np.hstack([size * p.y for size, p in sized]),
+        tail=block_diag(*(size * p.tail for size, p in sized)),
+        ones=block_diag(*(size * p.ones for size, p in sized)),
+        unit=unit, length=max(p.length for p in records))
 
 
 def as_real(lines: Lines) -> Array:

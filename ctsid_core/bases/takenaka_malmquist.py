@@ -27,7 +27,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from ctsid_core.errors import SettingsError
 from ctsid_core.linear.matrix_functions import exponentials
@@ -54,17 +53,6 @@ class Chain:
     def impulse_response(self, times: Array) -> Array:
         """Return the functions of time w(t), shape (len(times), N), at any t >= 0 [s]."""
         return exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
-
-    def commuting(self) -> Array:
-        """
-        Return the Z_k for which (s - L)^-1 e_k = Z_k w(s), shape (N, N, N), k first.
-
-        The rows of Z_k are the coefficients of functions of the same space in an orthonormal
-        basis: integrals of products, of a Lyapunov equation. They are bounded, however close the
-        poles are, unlike partial fractions.
-        """
-        unit = np.eye(self.size)
-        return np.array([solve_continuous_lyapunov(self.L, -np.outer(e, self.b)) for e in unit])
 
 
 def chain(poles: Sequence[complex] | ComplexArray | Array) -> Chain:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.bases.all_channels import moving_model, spread_out, whole_model, whole_trim
+from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import Change, most_likely_change
@@ -35,21 +35,15 @@ from ctsid_core.signals.stuck import stuck_outputs
 
 
 def conclude(solution: Solution) -> Estimate:
-    """
-    Return the estimate: the model of all channels, its accuracy, and the verdict.
-
-    Parameters
-    ----------
-    solution : Solution
-    """
+    """Return the estimate: the model of all channels, its accuracy, and the verdict."""
     part, fit, samples = solution.part, solution.fit, solution.samples
     effort = samples.effort
     effort.keep(0.0)
     errors = residuals(samples, fit)
     m, intensity = _matrices(solution, errors)
     last = part.parts[part.last]
-    model = whole_model(last, m, solution.settings.delays(last.whole.nu), intensity)
-    moving = replace(moving_model(m, tuple(solution.delay.tolist())), K=m.K)
+    model = _whole_model(last, m, solution.settings.delays(last.whole.nu), intensity)
+    moving = StateSpace(m.A, m.B, m.C, m.D, delay=tuple(solution.delay.tolist()))
     covariance, own = _covariances(solution, model, moving)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
@@ -80,10 +74,40 @@ def conclude(solution: Solution) -> Estimate:
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
                *_spent(effort)),
-        statistics={**counts, 'seconds_spent': effort.seconds,
-                    'change_cost': change.cost, 'change_share': _share(part, change),
-                    **_fits_beside(change), **_record_of(part, change)},
+        statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
         records=_shares(solution) if part.several else ())
+
+
+def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
+    """Return the trim of the states and of all outputs of a record, given its own model."""
+    whole, y = part.whole, list(part.y)
+    level = np.zeros(whole.ny) if len(y) == whole.ny else \
+        np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
+    level[y] = m.y_trim[:, 0] + part.y_level - m.D @ part.u_level
+    return m.x_trim[:, 0] - m.B @ part.u_level, level
+
+
+def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
+                 intensity: Array | None) -> StateSpace:
+    """
+    Return the model of all channels: constant ones have zero rows and columns.
+
+    `m` is of the moving channels, `delay` of every input [s], `intensity` of the noise of the
+    moving outputs, a square matrix [unit^2 s], or None if it is not known.
+    """
+    whole = part.whole
+    n, nu, ny = len(m.A), whole.nu, whole.ny
+    u, y = list(part.u), list(part.y)
+    B, C, D, K = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu)), np.zeros((n, ny))
+    B[:, u], C[y], D[np.ix_(y, u)], K[:, y] = m.B, m.C, m.D, m.K
+    drift, level = _whole_trim(part, m)
+    noise = None if intensity is None else np.zeros((ny, ny))
+    if noise is not None:
+        noise[np.ix_(y, y)] = intensity
+    return StateSpace(
+        A=m.A, B=B, C=C, D=D, K=K, delay=delay, x_trim=drift, y_trim=level, noise=noise,
+        input_names=whole.input_names, output_names=whole.output_names,
+        input_units=whole.input_units, output_units=whole.output_units)
 
 
 def _spent(effort: Effort) -> tuple[str, ...]:
@@ -124,7 +148,7 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
     for share, one in solution.rivals:
         m, delay = matrices_of(one, solution.samples.size), np.array(model.delay)
         delay[list(last.u)] = one.delay
-        found.append(Rival(share, whole_model(last, m, tuple(delay.tolist()), None)))
+        found.append(Rival(share, _whole_model(last, m, tuple(delay.tolist()), None)))
     return tuple(found)
 
 
@@ -136,7 +160,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
     whole, resolution = last.whole, 2.0 * np.pi / part.length
 
     def everywhere(values: Array) -> Array:
-        return spread_out(values, last.y, whole.ny)
+        return _spread_out(values, last.y, whole.ny)
 
     power = solution.fit.power.mean(axis=0)
     white = white_part(errors)
@@ -147,8 +171,10 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
                               / _moved(solution, errors))
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
+    by_place = dict(zip(last.u, seen[0], strict=True))
     numbers = replace(
-        UNJUDGED, excitation=_all_inputs(seen[0], whole.input_names, last.u),
+        UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
+                                   for j, name in enumerate(whole.input_names)),
         pole_uncertainty=pole_uncertainty(model.poles, deviation, resolution),
         whiteness=everywhere(np.array([whiteness(np.concatenate([own[k][:, i] for own in errors]))
                                        for k in range(len(errors[0]))
@@ -168,6 +194,13 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven)
 
 
+def _spread_out(values: Array, places: tuple[int, ...], count: int) -> Array:
+    """Put the values of moving channels among all channels; NaN for the constant ones."""
+    out = np.full(count, np.nan)
+    out[list(places)] = values
+    return out
+
+
 def _moved(solution: Solution, errors: Residuals) -> Array:
     """Return what outputs move by in the time that predictions are ahead, over the motion."""
     last = solution.part.last
@@ -182,12 +215,6 @@ def _over_all(solution: Solution) -> Array:
         fit_states(whole, solution.fit.model, solution.free)
     error: Array = np.sqrt(whole.mean(fit.power))
     return error
-
-
-def _all_inputs(seen: tuple[Excitation, ...], names: tuple[str, ...],
-                places: tuple[int, ...]) -> tuple[Excitation, ...]:
-    by_place = dict(zip(places, seen, strict=True))
-    return tuple(by_place.get(j, Excitation(name)) for j, name in enumerate(names))
 
 
 def _where(part: Joint, change: Change) -> str:
@@ -216,17 +243,14 @@ def _share(part: Joint, change: Change) -> float:
     return float((at - own.whole.start) / own.whole.duration)
 
 
-def _record_of(part: Joint, change: Change) -> dict[str, float]:
-    """Return which of several records changes, as they are numbered."""
-    return {'change_record': float(part.numbers[change.record])} \
-        if part.several and change.record >= 0 else {}
-
-
-def _fits_beside(change: Change) -> dict[str, float]:
-    """Return the fits of one model and of two, before and after the change [%]."""
-    return {f'change_fit_{who}_{when}': fit for who, fits in (('one', change.one),
-                                                              ('two', change.two))
-            for when, fit in zip(('before', 'after'), fits, strict=True)}
+def _about(change: Change, part: Joint) -> dict[str, float]:
+    """Return what is known of the change: fits of one model and of two are in %."""
+    found = {'change_cost': change.cost, 'change_share': _share(part, change)}
+    for who, fits in (('one', change.one), ('two', change.two)):
+        found |= zip((f'change_fit_{who}_before', f'change_fit_{who}_after'), fits, strict=True)
+    if part.several and change.record >= 0:
+        found['change_record'] = float(part.numbers[change.record])
+    return found
 
 
 def _shares(solution: Solution) -> tuple[RecordShare, ...]:
@@ -237,10 +261,10 @@ def _shares(solution: Solution) -> tuple[RecordShare, ...]:
         whole, epoch = usable.whole, usable.whole.epoch_ns
         own = matrices_of(fit.model, size, r) if solution.plant is None else \
             plant_of(fit, solution.samples, r, not is_stable(solution.plant)) or solution.plant
-        x_trim, y_trim = whole_trim(usable, own)
+        x_trim, y_trim = _whole_trim(usable, own)
         weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
         shares.append(RecordShare(
             part.numbers[r], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
-            x_trim, y_trim, spread_out(100.0 * (1.0 - np.sqrt(fit.power[r])), usable.y, whole.ny),
-            weight))
+            x_trim, y_trim,
+            _spread_out(100.0 * (1.0 - np.sqrt(fit.power[r])), usable.y, whole.ny), weight))
     return tuple(shares)

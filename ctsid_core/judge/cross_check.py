@@ -16,10 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.judge.rules import KNOWN, weakened
 from ctsid_core.linear.types import Array
@@ -41,13 +39,7 @@ def cross_checked(found: Estimate, settings: Settings,
     """
     Return an estimate whose verdict has the agreement with a second method, if asked for.
 
-    Parameters
-    ----------
-    found : Estimate
-    settings : Settings
-        As given; `cross_check` names the second method.
-    identify : callable
-        Identifies the same record with other settings.
+    Settings are those given; `identify` identifies the same record with others.
     """
     if settings.cross_check == UNCHECKED or found.model is None:
         return found
@@ -97,24 +89,28 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
         return Agreement(method, False, bool(problem),
                          problem=problem or 'no input excites a band to compare in.')
     try:
-        found = _differences(first, second, one, other, bands)
+        relative, std = _differences(first, second, one, other, bands)
     except np.linalg.LinAlgError:                       # an undamped pole at one of them
         return Agreement(method, False, bool(problem),
                          problem=problem or 'a response is not finite.')
     late, dead_time = _later(first, second, one, other)
-    beyond = ~(found.relative <= RELATIVE) & ~(found.deviations <= _limit(method))
-    seen = np.where(np.isfinite(found.relative), found.relative, np.inf)
-    at = int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen))
-    contradicts = bool(problem or late or beyond.any())
-    away, std = found.over_bands()
-    sure = (away > KNOWN) & (away > DEVIATIONS * std)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        deviations = relative / std
+    limit = EFFICIENT if METHODS[method].refines else DEVIATIONS
+    beyond = ~(relative <= RELATIVE) & ~(deviations <= limit)
+    seen = np.where(np.isfinite(relative), relative, np.inf)
+    row, at = divmod(int(np.argmax(np.where(beyond, seen, -1.0) if beyond.any() else seen)),
+                     _FREQUENCIES)
+    j, contradicts = list(bands)[row], bool(problem or late or beyond.any())
+    # Rms over the band of each input
+    away, unsure = (np.sqrt(np.mean(x ** 2, axis=1)) for x in (relative, std))
+    sure = (away > KNOWN) & (away > DEVIATIONS * unsure)
     worst = int(np.argmax(np.where(sure, away, -1.0) if sure.any() else
-                          np.nan_to_num(np.hypot(away, std), nan=np.inf)))
-    told = bool(np.all((away <= KNOWN) & (std <= KNOWN)))
-    return Agreement(method, told and not contradicts, contradicts, float(found.relative[at]),
-                     float(found.deviations[at]), one.input_names[found.input[at]],
-                     float(found.omega[at]), float(away[worst]), float(std[worst]), late,
-                     dead_time, problem)
+                          np.nan_to_num(np.hypot(away, unsure), nan=np.inf)))
+    told = bool(np.all((away <= KNOWN) & (unsure <= KNOWN)))
+    return Agreement(method, told and not contradicts, contradicts, float(relative[row, at]),
+                     float(deviations[row, at]), one.input_names[j], float(bands[j][at]),
+                     float(away[worst]), float(unsure[worst]), late, dead_time, problem)
 
 
 def _finding(reason: str) -> str:
@@ -149,30 +145,9 @@ def _scale(model: StateSpace, bands: Mapping[int, Array]) -> Array:
                                0.0))
 
 
-class _Differences(NamedTuple):
-    """Of responses to the inputs, all inputs after each other."""
-
-    input: NDArray[np.int_]
-    omega: Array
-    relative: Array
-    std: Array
-
-    @property
-    def deviations(self) -> Array:
-        """The difference over its standard deviation."""
-        with np.errstate(divide='ignore', invalid='ignore'):
-            return np.asarray(self.relative / self.std)
-
-    def over_bands(self) -> tuple[Array, Array]:
-        """Return difference and standard deviation, rms over the band of each input."""
-        places = [self.input == j for j in np.unique(self.input)]
-        away, std = (np.array([np.sqrt(np.mean(values[one] ** 2)) for one in places])
-                     for values in (self.relative, self.std))
-        return away, std
-
-
 def _differences(first: Estimate, second: Estimate, one: StateSpace, other: StateSpace,
-                 bands: Mapping[int, Array]) -> _Differences:
+                 bands: Mapping[int, Array]) -> tuple[Array, Array]:
+    """Return differences over the response and their deviations, (inputs, frequencies)."""
     scale, rows = _scale(one, bands), []
     for j, omega in bands.items():
         response, second_response = (m.frequency_response(omega)[:, :, j] for m in (one, other))
@@ -181,10 +156,11 @@ def _differences(first: Estimate, second: Estimate, one: StateSpace, other: Stat
         away = np.linalg.norm(scale * (second_response - response), axis=1)
         size = np.sqrt(np.mean(np.sum((scale * np.abs(response)) ** 2, axis=1)))
         with np.errstate(divide='ignore', invalid='ignore'):
-            rows.append((np.full(len(omega), j), omega, away / size, np.hypot(
+            rows.append((away / size, np.hypot(
                 _deviation(first, one, omega, scale, j),
                 _deviation(second, other, omega, scale, j)) / size))
-    return _Differences(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+    relative, std = map(np.array, zip(*rows, strict=True))
+    return relative, std
 
 
 def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array,
@@ -193,8 +169,3 @@ def _deviation(estimate: Estimate, model: StateSpace, omega: Array, scale: Array
         return np.full(len(omega), np.nan)
     changes = estimate.covariance.response_differences(model, omega)[..., j]
     return np.sqrt(np.sum((scale * np.abs(changes)) ** 2, axis=(0, 2)))
-
-
-def _limit(method: str) -> float:
-    """Return how many standard deviations a second method may differ by."""
-    return EFFICIENT if METHODS[method].refines else DEVIATIONS

@@ -13,49 +13,24 @@ from ctsid_core.signals.stuck import Stuck
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """
-    The evidence on a model, for all channels of the record; `numbers` has the rest.
-
-    Parameters
-    ----------
-    input_names, output_names : tuple of str
-    fixed_inputs, fixed_outputs : tuple of int
-        Places of the channels that are constant over the window.
-    stuck : tuple of Stuck
-        Outputs that stop moving within it.
-    expected : ndarray, shape (ny,)
-        The part of the error on what was held out that the uncertainty of the rest's model lets
-        expect, over the motion.
-    driven : ndarray, shape (ny,)
-        Rms response to the inputs alone, over the motion; 0 if not known.
-    poles : ndarray, shape (n,)
-    change : Change
-    where : str
-        Which window, or record, changed, and when.
-    worst : str
-        Which of several records is explained least.
-    by_prediction : bool
-        Whether the model was found by its predictions: errors are those of predictions then.
-    unproven : bool
-        Whether modes grow of which the data do not show that they do.
-    numbers : Verdict
-        With the numbers that have a place in it.
-    """
+    """The evidence on a model, for all channels of the record; `numbers` has the rest."""
 
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
-    fixed_inputs: tuple[int, ...]
+    fixed_inputs: tuple[int, ...]   # places of the channels that are constant over the window
     fixed_outputs: tuple[int, ...]
-    stuck: tuple[Stuck, ...]
+    stuck: tuple[Stuck, ...]        # outputs that stop moving within it
+    # (ny,): the part of the error on what was held out that the uncertainty of the rest's model
+    # lets expect, over the motion
     expected: Array
-    driven: Array
-    poles: ComplexArray
+    driven: Array                   # (ny,): rms response to inputs alone, over the motion, or 0
+    poles: ComplexArray             # (n,)
     change: Change
-    where: str
-    worst: str
-    numbers: Verdict
-    by_prediction: bool = False
-    unproven: bool = False
+    where: str                      # which window, or record, changed, and when
+    worst: str                      # which of several records is explained least
+    numbers: Verdict                # with the numbers that have a place in it
+    by_prediction: bool = False     # found by its predictions: errors are those of predictions
+    unproven: bool = False          # modes grow of which the data do not show that they do
 
     @property
     def error(self) -> Array:

@@ -2,25 +2,30 @@
 """
 Where each input excites the plant, and how well the response to it is known there.
 
-The standard deviation of the frequency response is averaged with the weight of
-`likelihood/excited.py`. Rival models do not count: one with a resonance of its own, that noise
-alone supports, would outweigh all other frequencies in the mean.
+The standard deviation of the frequency response is averaged with the spectrum of the differenced
+response to an input, over omega: differenced, so that a single step, which is an edge, counts at
+all frequencies up to the plant's bandwidth; over omega, so that every octave counts alike. Rival
+models do not count: one with a resonance of its own, that noise alone supports, would outweigh all
+other frequencies in the mean.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ctsid_core.likelihood.excited import input_spectra
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.modal import steps_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
 _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
+_POINTS = 4096        # of the uniform grid of time, at most
+_LINES = 200          # of the spectrum of the inputs, the strongest
+_LOBE = 2.0           # lines that one sine has after the taper
 
 
 def excitations(samples: Samples, delay: Array, covariance: Covariance | None, moving: StateSpace,
@@ -28,18 +33,10 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     """
     Return the excitation of each moving input, and how unsure the response of each output is.
 
-    Parameters
-    ----------
-    samples : Samples
-    delay : ndarray, shape (nu,)
-        Of the inputs; what further ones `samples` has does not count [s].
-    covariance : Covariance or None
-        Of `moving`.
-    moving : StateSpace
-        The same model, of the moving channels.
-    names : tuple of str, length nu
+    Of inputs with delays (nu,) [s]: what further ones `samples` has does not count. The covariance
+    is that of the model of the moving channels.
     """
-    omega, weight, lines, inputs, frequencies = input_spectra(samples, delay)
+    omega, weight, lines, inputs, frequencies = _input_spectra(samples, delay)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, moved = _uncertain(samples, covariance, moving, omega, lines)
     own = _uncorrelated(inputs)
@@ -101,3 +98,37 @@ def _uncorrelated(u: Array) -> Array:
             left = left - np.linalg.lstsq(others.T, left, rcond=1e-10)[0] @ others
         own[j] = float(left @ left / power[j]) if power[j] > 0.0 else 0.0
     return own
+
+
+def _input_spectra(samples: Samples,
+                   delay: Array) -> tuple[Array, Array, ComplexArray, Array, Array]:
+    """
+    Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
+
+    Of the record in which inputs change most, the strongest lines only. Further the inputs at
+    uniform instants, and the effective number of frequencies of each.
+    """
+    record = max(samples.records, key=_motion)
+    finest = min(s.period for s in record.streams)
+    count = int(np.clip((record.end - record.start) / finest, 32, _POINTS))
+    t = np.linspace(record.start, record.end, count)
+    ends = np.cumsum([s.width for s in record.inputs])
+    inputs = record.inputs[:int(np.searchsorted(ends, len(delay))) + 1]
+    as_sent, u = (steps_of(inputs, d, record.start, t).inputs for d in (0.0 * delay, delay))
+    lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:]
+    omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
+    power = np.abs(lines) ** 2 / omega
+    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
+    places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
+    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * np.hanning(count - 1),
+                                 axis=1))[:, 1:] ** 2 / omega
+    # What lies beyond half the rate of an input are the edges of its hold.
+    tapered *= omega < np.pi / np.array([[s.period] for s in inputs for _ in range(s.width)])
+    breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
+    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
+            breadth / _LOBE)
+
+
+def _motion(record: RecordSamples) -> float:
+    """Return by how much the inputs of a record change in all."""
+    return float(sum(np.abs(np.diff(s.values, axis=0)).sum() for s in record.inputs))

@@ -22,15 +22,9 @@ def after_start(time: float, until: float | None = None) -> str:
 
 def by_clock(text: str, start: float, of: str) -> str:
     """
-    Return a text with all such instants by another clock.
+    Return a text with all such instants by another clock, which counts from the start of `of`.
 
-    Parameters
-    ----------
-    text : str
-    start : float
-        Of the window by that clock [s].
-    of : str
-        What the clock counts from the start of.
+    The window starts at `start` [s] by that clock.
     """
     def shifted(found: re.Match[str]) -> str:
         first, last = ('' if t is None else f'{float(t) + start:.1f}' for t in found.groups())

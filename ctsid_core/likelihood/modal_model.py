@@ -15,32 +15,17 @@ class ModalModel:
     """
     y_i = sum_l Re(c_il z_l) + D_i u + y0_i,   dz_l/dt = p_l z_l + b_l u(t - delay).
 
-    Parameters
-    ----------
-    poles : ndarray, shape (m,)
-        Real ones first, then one of each pair, that with positive imaginary part [rad/s].
-    b : ndarray, shape (m, nu)
-    c : ndarray, shape (ny, m)
-    x0 : ndarray, shape (records, m)
-        Modes at the start of each record.
-    D : ndarray, shape (ny, nu)
-    y0 : ndarray, shape (records, ny)
-        Trim.
-    delay : ndarray, shape (nu,)
-        [s]
-
-    Notes
-    -----
     Outputs are over their size. What belongs to a real pole is real.
     """
 
+    # (m,): real ones first, then one of each pair, that with positive imaginary part [rad/s]
     poles: ComplexArray
-    b: ComplexArray
-    c: ComplexArray
-    x0: ComplexArray
-    D: Array
-    y0: Array
-    delay: Array
+    b: ComplexArray   # (m, nu)
+    c: ComplexArray   # (ny, m)
+    x0: ComplexArray  # (records, m): modes at the start of each record
+    D: Array          # (ny, nu)
+    y0: Array         # (records, ny): trim
+    delay: Array      # (nu,) [s]
 
     @property
     def n(self) -> int:

@@ -34,53 +34,25 @@ _PER_PRODUCT = 0.5     # ... and for each sample and product of two columns
 
 @dataclass(frozen=True, eq=False)
 class Triangle:
-    """
-    The columns of one stream of one record, turned so that few rows are left.
+    """The columns of one stream of one record, turned so that few rows are left."""
 
-    Parameters
-    ----------
-    z, dz : ndarray, shape (r, m, nu + 1)
-        Responses of each mode to the inputs and to its initial state, and their derivatives by
-        the pole.
-    u, rates : ndarray, shape (r, nu)
-        Inputs after their dead time (0 unless D is free, or with derivatives by dead times), and
-        their derivatives (0 unless both).
-    one : ndarray, shape (r,)
-        The constant 1.
-    y : ndarray, shape (r, channels)
-        The outputs.
-    channels : ndarray of int
-        Places of these among all outputs.
-    count : int
-        Number of samples of each.
-    """
-
-    z: ComplexArray
-    dz: ComplexArray
-    u: Array
-    rates: Array
-    one: Array
-    y: Array
-    channels: Places
-    count: int
+    z: ComplexArray   # (r, m, nu + 1): responses of modes to inputs and to their initial states
+    dz: ComplexArray  # the derivatives of these by the pole
+    u: Array          # (r, nu): inputs after their dead time; 0 without D and slopes
+    rates: Array      # (r, nu): their derivatives; 0 unless there are both
+    one: Array        # (r,): the constant 1
+    y: Array          # (r, channels): the outputs
+    channels: Places  # of these among all outputs
+    count: int        # number of samples of each
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """
-    The triangles of all streams of all records.
-
-    Parameters
-    ----------
-    samples : Samples
-    layout : Layout
-    values : ndarray
-        Columns and outputs of all streams, one after another, in Fortran's order; then `first`.
-    """
+    """The triangles of all streams of all records."""
 
     samples: Samples
     layout: Layout
-    values: Array
+    values: Array  # columns and outputs of all streams in turn, in Fortran's order; then `first`
 
     @property
     def first(self) -> Array:
@@ -114,21 +86,10 @@ class Columns:
 def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: bool,
                turned: bool = True, slopes: bool = True) -> Columns:
     """
-    Return the columns of given poles and dead times.
+    Return the columns of poles (m,) [rad/s], in the order of `ModalModel`, and delay (nu,) [s].
 
-    Parameters
-    ----------
-    samples : Samples
-    poles : ndarray, shape (m,)
-        Real ones first, then one of each pair, that with positive imaginary part [rad/s].
-    delay : ndarray, shape (nu,)
-        [s]
-    direct : bool
-        Whether there is D: else what is its own is left out.
-    turned : bool
-        Whether few rows are wanted; else there is one for each sample.
-    slopes : bool
-        Whether derivatives by poles and dead times are wanted.
+    `direct`: whether there is D; else what is its own is left out. `turned`: few rows are wanted;
+    else there is one for each sample. `slopes`: so are derivatives by poles and dead times.
     """
     samples.effort.spend(evaluation_work(samples, len(poles), slopes=slopes, turned=turned))
     real = int(np.count_nonzero(poles.imag == 0.0))
@@ -160,12 +121,8 @@ def least_cost(columns: Columns, trim: bool) -> float:
     """
     Return -2 log likelihood with residues that are free, for each record by itself.
 
-    Parameters
-    ----------
-    columns : Columns
-        Turned, without derivatives.
-    trim : bool
-        Whether outputs have offsets: else the constant, the last column, does not count.
+    Of columns that are turned, without derivatives; without `trim` the last one, the constant,
+    does not count.
     """
     squares, number = np.zeros(columns.samples.ny), columns.samples.counts.sum(axis=0)
     for own, record in zip(columns.tables, columns.samples.records, strict=True):

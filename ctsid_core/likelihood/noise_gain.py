@@ -46,42 +46,23 @@ _WORK, _PER_NUMBER = 1.5e7, 4e3         # work: at least, and for each entry of 
 def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
                effort: Effort | None = None) -> tuple[Array, Array]:
     """
-    Return the gain K and the covariance of the innovations.
+    Return the gain K, (n, ny), and the covariance of the innovations, (ny, ny).
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-        Stable.
-    C : ndarray, shape (ny, n)
-    parts : sequence of ndarray, shape (N, ny)
-        What the simulation of each record leaves, uniformly sampled.
-    step : float
-        [s]
-    effort : Effort, optional
-        That it is part of.
-
-    Returns
-    -------
-    K : ndarray, shape (n, ny)
-        Zero if it would help little.
-    R : ndarray, shape (ny, ny)
-        Of the innovations.
+    Of a stable plant, A (n, n), C (ny, n), and of `parts`: what the simulation of each record
+    leaves, (N, ny), sampled with a uniform step [s]. K is zero if it would help little.
     """
     n, ny, effort = len(A), len(C), effort or Effort()
     total = sum(len(v) for v in parts)
     F, G = (x[0] for x in exponentials(A, np.array([step]), 1))
-    weight = 1.0 / np.sqrt(_power(parts) + 1e-300)
-    K, start = np.zeros((n, ny)), float(total * ny)
-    best = start
+    weight = 1.0 / np.sqrt(np.mean(np.vstack(parts) ** 2, axis=0) + 1e-300)
+    none = np.zeros((n, ny)), (np.vstack(parts) * weight).ravel(), float(total * ny)
     # Of a plant that integrates nothing leads from no gain to that of its filter.
-    for power, gain_of_filter in _filters(F, G, C, parts, weight):
-        if power < best:
-            best, K = power, gain_of_filter
+    K, error, best = min((none, *_filters(F, G, C, parts, weight)), key=lambda one: one[2])
     for _ in range(_STEPS):
         found = _run(F, G, C, K, parts, weight, True)
         if found is None:
             break
-        rows, error, _ = found
+        rows = found[0]
         curvature = rows.T @ rows
         scale = np.sqrt(np.diag(curvature)) + 1e-300
         change = np.linalg.solve(curvature / np.outer(scale, scale) + 1e-6 * np.eye(n * ny),
@@ -92,23 +73,22 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
             trial = K + 0.5 ** k * change.reshape(n, ny)
             seen = _run(F, G, C, trial, parts, weight, False)
             if seen is not None and seen[2] < best:
-                gain, best, K, moved = best - seen[2], seen[2], trial, True
+                gain, K, (_, error, best), moved = best - seen[2], trial, seen, True
                 break
         if not moved or gain < 1e-4 * best:
             break
+    start = none[2]
     if start * float(np.log(start / best)) < n * ny * np.log(total) or \
             best > (1.0 - _LEAST) ** 2 * start:
-        K = np.zeros((n, ny))
-    found = _run(F, G, C, K, parts, weight, False)
+        K, error, _ = none
     update = np.linalg.solve(F, G @ K)
-    error = (found[1] if found is not None else np.vstack(parts).ravel() * np.tile(weight, total))
     e = error.reshape(-1, ny) / weight
     return continuous_gain(A, C, update, step), np.asarray(e.T @ e / max(total, 1))
 
 
 def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
-             weight: Array) -> Iterator[tuple[float, Array]]:
-    """Yield gains of Kalman filters, and their sums: all modes disturbed alike, as outputs see."""
+             weight: Array) -> Iterator[tuple[Array, Array, float]]:
+    """Yield gains of Kalman filters, e and its sum: all modes disturbed alike, as outputs see."""
     values, right = np.linalg.eig(F)
     right = right / np.maximum(np.linalg.norm(weight[:, np.newaxis] * C @ right, axis=0), 1e-300)
     moved, noise = (right @ right.conj().T).real, np.diag(weight ** -2.0)
@@ -118,7 +98,7 @@ def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
             K = np.linalg.solve(G, F @ np.linalg.solve(C @ P @ C.T + noise, C @ P).T)
             seen = _run(F, G, C, K, parts, weight, False)
             if seen is not None:
-                yield seen[2], K
+                yield K, *seen[1:]
 
 
 def _filtering(F: Array, C: Array, Q: Array, R: Array) -> Array:
@@ -143,18 +123,7 @@ def _filtering(F: Array, C: Array, Q: Array, R: Array) -> Array:
 
 
 def continuous_gain(A: Array, C: Array, update: Array, step: float) -> Array:
-    """
-    Return K whose predictor, innovations held from sample to sample, updates states by M e.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (ny, n)
-    update : ndarray, shape (n, ny)
-        M.
-    step : float
-        [s]
-    """
+    """Return K whose predictor, innovations held for a step [s], updates states by `update` e."""
     K, size = update / step, float(np.linalg.norm(update))
     pace, left = 1.0, np.inf
     for _ in range(_FIXED_POINT if size > 0.0 else 0):
@@ -185,11 +154,6 @@ def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Arra
     x0 = np.linalg.lstsq(np.hstack((columns.real, -columns.imag)), rest, rcond=1e-9)[0]
     start = (x0[:len(values)] + 1j * x0[len(values):])[:, np.newaxis] * free
     found: Array = (right @ (_filtered(values, driven) + start)).real.T
-    return found
-
-
-def _power(parts: Sequence[Array]) -> Array:
-    found: Array = np.mean(np.vstack(parts) ** 2, axis=0)
     return found
 
 
@@ -246,14 +210,7 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
     """
     Return the matrices of a model with K, and the intensity of the innovations.
 
-    Parameters
-    ----------
-    samples : Samples
-    fit : Fit
-    errors : Residuals
-        That it leaves.
-    record : int
-        Whose trim and noise are wanted.
+    Of a fit and the errors that it leaves; with the trim and the noise of a record.
     """
     m = matrices_of(fit.model, samples.size, record)
     step, parts = uniform(samples, errors)

@@ -16,14 +16,7 @@ _FEWEST = 10          # ... with so many samples for each
 
 
 def residuals(samples: Samples, fit: Fit) -> Residuals:
-    """
-    Return measured less simulated outputs, over their size.
-
-    Returns
-    -------
-    tuple of tuples of ndarray, shape (N, channels)
-        Of each record and stream.
-    """
+    """Return measured less simulated outputs over their size, (N, channels) of each stream."""
     return errors_of(samples, fit.model, columns_of(
         samples, fit.model.poles, fit.model.delay, direct=bool(fit.model.D.any()), turned=False,
         slopes=False))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,72 +18,42 @@ from ctsid_core.signals.record import Record, Signal, channel_slices
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """
-    Samples of outputs that share their stamps.
+    """Samples of outputs that share their stamps."""
 
-    Parameters
-    ----------
-    times : ndarray, shape (N,)
-        Increasing [s].
-    y : ndarray, shape (N, channels)
-        Over the size of each output.
-    channels : slice
-        Their places among all outputs.
-    """
-
-    times: Array
-    y: Array
-    channels: slice
+    times: Array     # (N,): increasing [s]
+    y: Array         # (N, channels): over the size of each output
+    channels: slice  # their places among all outputs
 
     @property
     def period(self) -> float:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.inf
 
+    def of(self, rows: slice | Mask) -> Stream:
+        """Return some of the samples."""
+        return replace(self, times=self.times[rows], y=self.y[rows])
+
 
 @dataclass(frozen=True, eq=False)
 class RecordSamples:
-    """
-    The samples of one record.
-
-    Parameters
-    ----------
-    inputs : tuple of Signal
-    start, end : float
-        Where its states begin, and where it ends [s].
-    streams : tuple of Stream
-    drives : tuple of Drive
-        The inputs as polynomials.
-    """
+    """The samples of one record."""
 
     inputs: tuple[Signal, ...]
-    start: float
+    start: float  # where its states begin [s]
     end: float
     streams: tuple[Stream, ...]
-    drives: tuple[Drive, ...]
+    drives: tuple[Drive, ...]  # the inputs as polynomials
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """
-    The samples of all records of one plant.
-
-    Parameters
-    ----------
-    records : tuple of RecordSamples
-    nu, ny : int
-        Numbers of inputs and outputs.
-    size : ndarray, shape (ny,)
-        Standard deviation of each output, that it was divided by.
-    effort : Effort
-        That looking at them is part of.
-    """
+    """The samples of all records of one plant."""
 
     records: tuple[RecordSamples, ...]
-    nu: int
+    nu: int         # number of inputs
     ny: int
-    size: Array
-    effort: Effort = field(default_factory=Effort)
+    size: Array     # (ny,): standard deviation of each output, that it was divided by
+    effort: Effort  # that looking at them is part of
 
     @property
     def several(self) -> bool:
@@ -145,38 +115,24 @@ class Samples:
         if max(steps) < 2:
             return self
         return replace(self, records=tuple(replace(r, streams=tuple(
-            replace(s, times=s.times[::step], y=s.y[::step])
-            for s, step in zip(r.streams, steps, strict=True))) for r in self.records))
+            s.of(slice(None, None, step)) for s, step in zip(r.streams, steps, strict=True)))
+            for r in self.records))
 
     def between(self, bounds: Sequence[tuple[float, float]]) -> Samples:
         """Return the samples of each record within its bounds [s]; states begin where they do."""
-        kept = []
-        for record, (start, end) in zip(self.records, bounds, strict=True):
-            streams = []
-            for s in record.streams:
-                rows = slice(int(np.searchsorted(s.times, start, side='left')),
-                             int(np.searchsorted(s.times, end, side='right')))
-                streams.append(replace(s, times=s.times[rows], y=s.y[rows]))
-            kept.append(replace(record, streams=tuple(streams)))
-        return replace(self, records=tuple(kept))
+        return replace(self, records=tuple(
+            replace(r, streams=tuple(s.of((start <= s.times) & (s.times <= end))
+                                     for s in r.streams))
+            for r, (start, end) in zip(self.records, bounds, strict=True)))
 
 
 def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None]],
                ahead: float = 0.0, effort: Effort | None = None) -> Samples:
     """
-    Return the samples of records.
+    Return the samples of records of the same channels.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of the same channels.
-    corrupt : sequence of sequences of (ndarray of bool, shape (N,), or None)
-        Rows of each output signal of each record that are left out.
-    ahead : float
-        Longest dead time that is looked for: outputs are left out for so long after the first
-        known value of an input [s].
-    effort : Effort, optional
-        That looking at them is part of.
+    `corrupt` rows of each output signal of each record are left out, masks (N,) or None, and
+    outputs for `ahead` [s], the longest dead time, after the first known value of an input.
     """
     levels = [np.concatenate([s.values[s.rows(r.start, r.end)] for r in records
                               for s in [r.outputs[i]]])

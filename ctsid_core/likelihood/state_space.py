@@ -27,15 +27,9 @@ _SPARE = 0.05         # share of the errors' power that a fit leaves at least
 
 def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
     """
-    Return the matrices of a modal model; its `tail` is the state at the start of a record.
+    Return the matrices of a modal model, of outputs that were divided by their size (ny,).
 
-    Parameters
-    ----------
-    model : ModalModel
-    size : ndarray, shape (ny,)
-        That outputs were divided by.
-    record : int
-        Whose trim and initial state are wanted.
+    Trim and `tail`, the state at the start, are those of a record.
     """
     pairs = np.flatnonzero(model.poles.imag > 0.0)
     A, B, C = _modal(model.poles, model.b, model.c * size[:, np.newaxis], pairs)
@@ -51,17 +45,10 @@ def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
 def modal_of(m: Matrices, samples: Samples, delay: Array,
              condition_limit: float = CONDITION_LIMIT) -> ModalModel | None:
     """
-    Return the modal model of matrices, at rest and without trim; None if modes are too alike.
+    Return the modal model of matrices, at rest and without trim, with dead times (nu,) [s].
 
-    Parameters
-    ----------
-    m : Matrices
-    samples : Samples
-        By the size of whose outputs it is divided.
-    delay : ndarray, shape (nu,)
-        [s]
-    condition_limit : float
-        Largest condition of the eigenvectors.
+    Outputs are over their size in the samples. None if the eigenvectors' condition is beyond the
+    limit.
     """
     found = modes(m.A, condition_limit)
     if found is None:
@@ -109,18 +96,8 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
 
     With J the derivatives of the simulation and S the spectrum of the errors, the covariance is
     (J'J)^-1 (J' S J) (J'J)^-1: noise counts at the frequencies at which it is, and so does what
-    the model leaves of the plant.
-
-    Parameters
-    ----------
-    samples : Samples
-    fit : Fit
-        At the maximum of the likelihood.
-    free : Free
-
-    References
-    ----------
-    Ljung, System Identification, 2nd edition, (9.55): output error in noise of any colour.
+    the model leaves of the plant (Ljung, System Identification, 2nd edition, (9.55)). The fit is
+    at the maximum of the likelihood.
     """
     model = fit.model
     rows, _, places = jacobian(samples, fit, free)

@@ -7,11 +7,9 @@ import numpy as np
 from scipy.linalg.lapack import dgelsy
 
 from ctsid_core.linear.matrix_functions import svd
-from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 
 _BLOCK = 32           # columns that LAPACK factorises at a time
-_MANY = 8             # columns over rows from which on compression pays
 
 
 def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, float]:
@@ -25,10 +23,6 @@ def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, f
     norm = np.sqrt(np.einsum('ij,ij->i', regressors, regressors))
     norm[norm == 0.0] = 1.0
     regressors = regressors / norm[:, np.newaxis]
-    rows = len(regressors) + len(targets)
-    if regressors.shape[1] > _MANY * rows:                 # only products count
-        both = triangle(np.vstack((regressors, targets)).T).T
-        regressors, targets = both[:len(regressors)], both[len(regressors):]
     left, s, right = svd(regressors)
     rank = int(np.count_nonzero(s > tolerance * s[0])) if len(s) else 0
     theta = ((targets @ right[:rank].T) / s[:rank]) @ left[:, :rank].T / norm

@@ -31,19 +31,11 @@ class Modes:
     Eigenvalues and eigenvectors of a real matrix, one of each conjugate pair.
 
     With z = left x, every mode obeys dz/dt = value z, and x = Re(right z).
-
-    Parameters
-    ----------
-    values : ndarray, shape (m,)
-        Complex, with imaginary part >= 0 [rad/s].
-    right : ndarray, shape (n, m)
-        Eigenvectors; those of a pair are doubled, for the half left out.
-    left : ndarray, shape (m, n)
     """
 
-    values: ComplexArray
-    right: ComplexArray
-    left: ComplexArray
+    values: ComplexArray  # (m,): with imaginary part >= 0 [rad/s]
+    right: ComplexArray   # (n, m): eigenvectors, those of a pair doubled for the half left out
+    left: ComplexArray    # (m, n)
 
 
 def modes(A: Array, condition_limit: float = CONDITION_LIMIT) -> Modes | None:
@@ -103,18 +95,9 @@ def _phi_series(x: Array | ComplexArray, j: int) -> ComplexArray:
 
 def exponentials(A: Array, h: Array, count: int) -> list[Array]:
     """
-    Return h^j phi_j(A h) for j = 0 ... count: e^(A h) and its repeated integrals.
+    Return h^j phi_j(A h) for j = 0 ... count: e^(A h) and its repeated integrals, each (K, n, n).
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    h : ndarray, shape (K,)
-        Intervals [s].
-    count : int
-
-    Returns
-    -------
-    list of ndarray, shape (K, n, n)
+    Of A (n, n) and intervals h (K,) [s].
     """
     found = modes(A)
     if found is None:

@@ -11,17 +11,9 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 def chain(factor: Array | ComplexArray, push: Array | ComplexArray) -> ComplexArray:
     """
-    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, many at once; real if both are.
+    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, (m, w, K + 1); real if both are.
 
-    Parameters
-    ----------
-    factor : ndarray, shape (m, K) or (m, 1)
-        One column: the same at every step.
-    push : ndarray, shape (m, w, K)
-
-    Returns
-    -------
-    ndarray, shape (m, w, K + 1)
+    Of factors (m, K), or (m, 1) if they are the same at every step, and pushes (m, w, K).
     """
     m, width, count = push.shape
     kind = np.result_type(factor, push)

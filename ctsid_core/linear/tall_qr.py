@@ -17,12 +17,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf, dtpqrt
 
-from ctsid_core.linear.types import Array
-
-Places = NDArray[np.intp]
+from ctsid_core.linear.types import Array, Places
 
 _SMALL = 2 ** 16        # entries: half a megabyte stays in the cache anyhow
 _ROWS = 1024            # taken at a time
@@ -32,17 +29,10 @@ _BLOCK = 32             # and of a small matrix
 
 def triangle(columns: Array) -> Array:
     """
-    Return the upper triangle R of columns = Q R.
+    Return the upper triangle R of columns = Q R, (m, n): (min(m, n), n).
 
-    Parameters
-    ----------
-    columns : ndarray, shape (m, n)
-        In any order of memory; quickest as the transpose of rows.
-
-    Returns
-    -------
-    ndarray, shape (min(m, n), n)
-        That of `numpy.linalg.qr` but for rounding and the signs of its rows.
+    It is that of `numpy.linalg.qr` but for rounding and the signs of its rows. Columns may be in
+    any order of memory; the transpose of rows is quickest.
     """
     m, n = columns.shape
     if not m:
@@ -63,43 +53,8 @@ def triangle(columns: Array) -> Array:
 
 
 def factors(columns: Array) -> tuple[Array, Array]:
-    """
-    Return Q and R of columns = Q R; columns of parts take part there only.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (m, n)
-        With m >= n.
-
-    Returns
-    -------
-    Q : ndarray, shape (m, n)
-        With orthonormal columns.
-    R : ndarray, shape (n, n)
-    """
-    m, n = columns.shape
-    edges = [0, m]
-    if m * n >= _SMALL and m >= 4 * n:
-        first, last = _extents(columns)
-        edges = _edges(first, last, m, n)
-    parts = [slice(start, end) for start, end in pairwise(edges)]
-    alive = [np.flatnonzero((first < part.stop) & (last > part.start)) for part in parts] \
-        if len(parts) > 1 else []
-    if len(parts) < 2 or sum(map(len, alive)) < n:
-        whole = np.linalg.qr(columns)
-        return whole[0], whole[1]
-    Q, stack, row = np.empty((m, n)), np.zeros((sum(map(len, alive)), n)), 0
-    own = []
-    for part, places in zip(parts, alive, strict=True):
-        q, r = np.linalg.qr(columns[part][:, places])
-        stack[row:row + len(places), places] = r
-        own.append(q)
-        row += len(places)
-    turn, R = np.linalg.qr(stack)
-    row = 0
-    for part, q in zip(parts, own, strict=True):
-        np.matmul(q, turn[row:row + q.shape[1]], out=Q[part])
-        row += q.shape[1]
+    """Return Q (m, n) and R (n, n) of columns = Q R, m >= n."""
+    Q, R = np.linalg.qr(columns)
     return Q, R
 
 

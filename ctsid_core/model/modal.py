@@ -36,43 +36,21 @@ _CACHED = 2 ** 14      # steps of modes taken at a time: what is between stays i
 
 
 class ModeResponses(NamedTuple):
-    """
-    What inputs do to modes that start at rest.
+    """What inputs do to modes that start at rest."""
 
-    Parameters
-    ----------
-    responses, slopes : ndarray, shape (m, nu, N)
-        Of each mode to each input, and their derivatives by the pole (empty unless wanted);
-        real if all poles are given as real numbers.
-    inputs, rates : ndarray, shape (nu, N)
-        The inputs after their dead time, at a jump the new value, and their derivatives: of an
-        input that is held, those of one that goes from value to value at an even pace.
-    first : ndarray, shape (nu,)
-        The inputs at the start.
-    """
-
-    responses: ComplexArray
-    slopes: ComplexArray
-    inputs: Array
-    rates: Array
-    first: Array
+    responses: ComplexArray  # (m, nu, N): of each mode to each input; real if all poles are
+    slopes: ComplexArray     # their derivatives by the pole; empty unless wanted
+    inputs: Array            # (nu, N): after their dead time, at a jump the new value
+    rates: Array             # (nu, N): their derivatives, see `Drive.paces`
+    first: Array             # (nu,): the inputs at the start
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """
-    An input signal as polynomials from stamp to stamp.
+    """An input signal as polynomials from stamp to stamp."""
 
-    Parameters
-    ----------
-    stamps : ndarray, shape (K,)
-        [s]
-    pieces : ndarray, shape (degree + 1, w, K + 1)
-        Its derivatives of each degree before the first stamp and just after each one.
-    """
-
-    stamps: Array
-    pieces: Array
+    stamps: Array  # (K,) [s]
+    pieces: Array  # (degree + 1, w, K + 1): derivatives before the first stamp, and after each one
 
     @classmethod
     def of(cls, signal: Signal) -> Drive:
@@ -89,14 +67,9 @@ class Drive:
     @cached_property
     def paces(self) -> tuple[Array, Array]:
         """
-        Return the derivatives of a held input that is spread evenly around each stamp.
+        Times halfway from stamp to stamp, (K - 1,) [s], and rates of a held input, (w, K).
 
-        Returns
-        -------
-        between : ndarray, shape (K - 1,)
-            Halfway from stamp to stamp [s].
-        rates : ndarray, shape (w, K)
-            Around each stamp, from halfway before to halfway behind.
+        Of one that goes from value to value at an even pace, from halfway before a stamp on.
         """
         between = 0.5 * (self.stamps[1:] + self.stamps[:-1])
         if not len(between):
@@ -109,22 +82,9 @@ def mode_responses(poles: Array | ComplexArray, inputs: Sequence[Signal] | Seque
                    delay: Array | Sequence[float], start: float, times: Array, *,
                    slopes: bool = True) -> ModeResponses:
     """
-    Return what inputs do to modes that are at rest at the start.
+    Return what inputs of nu channels, later by their delays [s], do to modes at rest at the start.
 
-    Parameters
-    ----------
-    poles : ndarray, shape (m,)
-        [rad/s]
-    inputs : sequence of Signal or of Drive
-        Together nu channels.
-    delay : sequence of float, length nu
-        [s]
-    start : float
-        [s]
-    times : ndarray, shape (N,)
-        In any order, none before the start [s].
-    slopes : bool
-        Whether the derivatives are wanted.
+    Of poles (m,) [rad/s], at times (N,) in any order, none before the start [s].
     """
     steps = steps_of(inputs, delay, start, times)
     z, dz = steps.responses(poles, slopes=slopes)
@@ -135,10 +95,7 @@ class Steps:
     """
     The steps in which modes go from the start to where they are read, made by `steps_of`.
 
-    Attributes
-    ----------
-    inputs, rates, first
-        See `ModeResponses`.
+    The attributes inputs, rates and first are those of `ModeResponses`.
     """
 
     def __init__(self, parts: list[_Part]) -> None:
@@ -154,47 +111,24 @@ class Steps:
 
 
 class _Part(NamedTuple):
-    """
-    The steps of one input signal: S from stamp to stamp, and N to where responses are read.
+    """The steps of one input signal: S from stamp to stamp, and N to where responses are read."""
 
-    Parameters
-    ----------
-    lengths : ndarray, shape (L,)
-        From the start to the first stamp, for each of its D dead times; between stamps; from
-        stamps to where each dead time reads [s].
-    which : ndarray of int, shape (w, S + N), or None
-        Which of the lengths each step of each channel has; None: one after another.
-    steps, late : int
-        S and D.
-    slot : ndarray of int, shape (w, N)
-        After how many steps each reading step begins.
-    force : ndarray, shape (degree + 1, w, S + N)
-        h^(j+1) u^(j) of each step.
-    inputs, rates : ndarray, shape (w, N)
-    first : ndarray, shape (w,)
-    """
-
+    # (L,): from the start to the first stamp, for each of its D dead times; between stamps; from
+    # stamps to where each dead time reads [s]
     lengths: Array
-    which: Places | None
-    steps: int
-    late: int
-    slot: Places
-    force: Array
-    inputs: Array
+    which: Places | None  # (w, S + N): of the lengths, that of each step; None: one after another
+    steps: int            # S
+    late: int             # D
+    slot: Places          # (w, N): after how many steps each reading step begins
+    force: Array          # (degree + 1, w, S + N): h^(j+1) u^(j) of each step
+    inputs: Array         # (w, N)
     rates: Array
-    first: Array
+    first: Array          # (w,)
 
 
 def steps_of(inputs: Sequence[Signal] | Sequence[Drive], delay: Array | Sequence[float],
              start: float, times: Array) -> Steps:
-    """
-    Return the steps of inputs with dead times.
-
-    Parameters
-    ----------
-    inputs, delay, start, times
-        See `mode_responses`.
-    """
+    """Return the steps of inputs with dead times; arguments as of `mode_responses`."""
     parts, place = [], 0
     for one in inputs:
         drive = one if isinstance(one, Drive) else Drive.of(one)

@@ -47,19 +47,19 @@ class _Output:
 
 
 def simulated(records: Sequence[Record], A: Array, delay: tuple[float, ...], *, trim: bool,
-              feedthrough: bool, tolerance: float) -> Matrices | None:
+              feedthrough: bool, tolerance: float) -> Matrices:
     """
     Return the model of given A whose simulations are near the samples of the outputs.
 
-    Each output counts by its own power; initial states and trim of each record are free. None if
+    Each output counts by its own power; initial states and trim of each record are free. NaN if
     the eigenvectors of A are dependent, or a mode grows beyond all bounds. Dead times are in s,
     and directions of regressors below the tolerance times the largest are left out.
     """
     found = modes(A, SOUND)
-    length = max(r.duration for r in records)
+    length, nu, ny = max(r.duration for r in records), records[0].nu, records[0].ny
     if found is None or (found.values.real * length > _FURTHEST).any():
-        return None
-    nu = records[0].nu
+        return plain_matrices(*(np.full(shape, np.nan) for shape in (
+            A.shape, (len(A), nu), (ny, len(A)), (ny, nu))))
     sizes, outputs = _outputs(records, found, delay, trim, feedthrough)
     c, b, direct = _rank_one(outputs, nu, tolerance)
     for _ in range(_TURNS * (len(outputs) > 1)):

@@ -64,22 +64,11 @@ SubspacePoles = Callable[[int, Array], list[ComplexArray]]
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """
-    The best model of one order.
-
-    Parameters
-    ----------
-    fit : Fit
-    power : ndarray, shape (ny,)
-        Mean square of the errors of each output, over the samples of all records.
-    independent : ndarray, shape (ny,)
-        Number of independent samples of these errors.
-    parameters : int
-    """
+    """The best model of one order."""
 
     fit: Fit
-    power: Array
-    independent: Array
+    power: Array        # (ny,): mean square of the errors of each output, over all records
+    independent: Array  # (ny,): number of independent samples of these errors
     parameters: int
 
     @property
@@ -91,19 +80,10 @@ class Tried:
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                   order: int, max_order: int, known_delay: Array) -> dict[int, Tried]:
     """
-    Return the best model of each order that was tried.
+    Return the best model of each order that was tried: of one order, or any up to `max_order` (0).
 
-    Parameters
-    ----------
-    samples : Samples
-    free : Free
-    subspace : callable
-        From an order and dead times to the poles of HD-PBSID's models.
-    order : int
-        The only one that is wanted; 0: any up to `max_order`.
-    max_order : int
-    known_delay : ndarray, shape (nu,)
-        Dead times that are given; 0 where they are free [s].
+    `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
+    (nu,) [s], is 0 where dead times are free.
     """
     thin = samples.thinned(_SEARCHED)
     grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
@@ -242,25 +222,14 @@ def advantage(one: Tried, other: Tried) -> float:
 
 
 def _rival(found: dict[int, Tried], samples: Samples, n: int) -> float:
-    """Return the cost that order n must reach at least to beat the best smaller order."""
-    best = found[choose(found)]
-    return needed(best, samples, (n - best.fit.model.n)
-                  * (samples.nu + samples.ny + len(samples.records)))
-
-
-def needed(best: Tried, samples: Samples, more: int) -> float:
     """
-    Return the cost that a model with more parameters must reach at least to beat the best one.
+    Return the cost that order n must reach at least to beat the best of those tried.
 
-    With fewer it may be any: how many samples are independent, its errors tell.
-
-    Parameters
-    ----------
-    best : Tried
-    samples : Samples
-    more : int
+    A smaller one may have any: how many samples are independent, its errors tell.
     """
-    return best.fit.cost - more * float(np.log(np.max(samples.counts))) if more > 0 else np.inf
+    best = found[choose(found)].fit
+    more = (n - best.model.n) * (samples.nu + samples.ny + len(samples.records))
+    return best.cost - more * float(np.log(np.max(samples.counts))) if more > 0 else np.inf
 
 
 def _delays(free: Free, known: Array) -> list[Array]:

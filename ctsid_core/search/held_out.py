@@ -34,46 +34,24 @@ _GAUGE = 1e-7         # relative singular value below which a direction changes 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """
-    Errors on samples that a model has not seen.
+    """Errors on samples that a model has not seen, (ny,); NaN if nothing was held out."""
 
-    Parameters
-    ----------
-    error : ndarray, shape (ny,)
-        Rms error over the motion of the whole window; NaN if nothing was held out.
-    expected : ndarray, shape (ny,)
-        The part of it that is to be expected, because the rest of the data leaves the model
-        uncertain: after the only step nobody can tell what the step would have shown. NaN if
-        nothing was held out.
-    unseen : ndarray of bool, shape (ny,)
-        Whether most of the motion is in what is held out.
-    """
-
-    error: Array
+    error: Array     # rms, over the motion of the whole window
+    # The part of it that is to be expected, because the rest of the data leaves the model
+    # uncertain: after the only step nobody can tell what the step would have shown
     expected: Array
-    unseen: Mask
+    unseen: Mask     # whether most of the motion is in what is held out
 
 
 def held_out(samples: Samples, fit: Fit, free: Free, share: float,
              refit: Callable[[Samples], Fit | None] | None = None) -> HeldOut:
     """
-    Return the errors on the part that is held out.
+    Return the errors on the share of the samples that is held out.
 
     Of a few records, the ends of the thirds of each, so that sweeps and steps are in both: the
     model of the rest, with the poles of the whole refined there, runs through them, with its
     states and its trim. Of many, whole records. Of a model that only predictions tell: one-step
-    predictions.
-
-    Parameters
-    ----------
-    samples : Samples
-    fit : Fit
-        Of all samples.
-    free : Free
-    share : float
-        Held out; 0: nothing.
-    refit : callable, optional
-        Makes the model of the first part; by default output error.
+    predictions. `refit` makes the model of the first part, by default output error does.
     """
     none = np.full(samples.ny, np.nan)
     nothing = HeldOut(none, none, np.zeros(samples.ny, dtype=bool))
@@ -115,9 +93,7 @@ def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
         return np.asarray((phase > 1.0 - share) == held)
 
     return replace(samples, records=tuple(
-        replace(r, streams=tuple(
-            replace(s, times=s.times[rows], y=s.y[rows])
-            for s in r.streams for rows in [kept(s.times, r.start, r.end)]))
+        replace(r, streams=tuple(s.of(kept(s.times, r.start, r.end)) for s in r.streams))
         for r in samples.records))
 
 

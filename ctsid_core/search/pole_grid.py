@@ -33,19 +33,9 @@ _LOOK, _PER_POLE = 1e6, 80.0            # work: of any look, and for each pole, 
 
 class PoleGrid:
     """
-    A grid of poles for samples.
+    A grid of poles up to the fastest [rad/s] for samples: few, thinned ones will do.
 
-    Parameters
-    ----------
-    samples : Samples
-        Few: thinned ones will do.
-    feedthrough, trim : bool
-    longest : float
-        Of dead times [s].
-    fastest : float
-        Largest magnitude of a pole [rad/s].
-    finest : float
-        Interval of time at which inputs are looked at [s].
+    Dead times are at most `longest` [s], and inputs are looked at with the interval `finest` [s].
     """
 
     def __init__(self, samples: Samples, *, feedthrough: bool, trim: bool, longest: float,
@@ -68,14 +58,8 @@ class PoleGrid:
         """
         Return every pole of the grid beside given ones, at given dead times, best first.
 
-        Before it -2 log likelihood of what it would leave, everything linear at its best.
-
-        Parameters
-        ----------
-        poles : ndarray, shape (m,)
-            Of the model that is to be extended [rad/s].
-        delay : ndarray, shape (nu,)
-            [s]
+        Before it -2 log likelihood of what it would leave, everything linear at its best. Given
+        are the poles (m,) [rad/s] of the model that is to be extended, and delay (nu,) [s].
         """
         key = (poles.tobytes(), delay.tobytes())
         if key not in self._ranked:

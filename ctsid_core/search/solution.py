@@ -20,72 +20,38 @@ from ctsid_core.settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """
-    A model of the moving channels, and how it was identified.
+    """A model of the moving channels, and how it was identified."""
 
-    Parameters
-    ----------
-    settings : Settings
-        As used: automatic values filled in.
-    part : Joint
-        The records.
-    samples : Samples
-        Of them.
-    fit : Fit
-    free : Free
-    independent : ndarray, shape (ny,)
-        Number of independent samples of the errors of each output.
-    orders : tuple of OrderTried
-        Empty if the order was given.
-    choices : tuple of Choice
-    notes : tuple of str
-    refit : callable or None
-        From the samples of the first part to the model that the same method makes of them; None:
-        output error from the poles of the whole.
-    hidden : int
-        Samples that stood out in its errors and were left out.
-    plant : Matrices or None
-        Of a model that was found by its predictions: `samples`, `fit` and `free` are those of its
-        predictor, with the outputs' own past among the inputs. None: the model is that of `fit`.
-    whole : Samples or None
-        With those that are left out because a delayed input is not known yet.
-    errors_ahead : ndarray, shape (horizons, ny)
-        Of its predictions, over the motion.
-    simulating : tuple of Samples, Fit and Free, or None
-        Of a stable plant that was found by its predictions, as it simulates: there shows what a
-        change costs.
-    smaller : tuple of (ModalModel, Free)
-        The best ones of smaller orders that simulate, and what was free in them.
-    rivals : tuple of (float, ModalModel)
-        Others that simulate, and might be right: share of the Akaike weights, model.
-    singular_values : ndarray
-        Of a subspace method; their drop shows the order.
-    condition : float
-        Of its regression.
-    unproven : bool
-        Whether modes grow of which the samples do not show that they do.
-    """
-
-    settings: Settings
-    part: Joint
+    settings: Settings  # as used: automatic values filled in
+    part: Joint         # the records
     samples: Samples
     fit: Fit
     free: Free
-    independent: Array
-    orders: tuple[OrderTried, ...] = ()
+    independent: Array  # (ny,): number of independent samples of the errors of each output
+    orders: tuple[OrderTried, ...] = ()  # empty if the order was given
     choices: tuple[Choice, ...] = ()
     notes: tuple[str, ...] = ()
+    # From the samples of the first part to the model that the same method makes of them; None:
+    # output error from the poles of the whole
     refit: Callable[[Samples], Fit | None] | None = None
-    hidden: int = 0
+    hidden: int = 0     # samples that stood out in its errors and were left out
+    # Of a model that was found by its predictions: `samples`, `fit` and `free` are those of its
+    # predictor, with the outputs' own past among the inputs. None: the model is that of `fit`
     plant: Matrices | None = None
-    whole: Samples | None = None
+    whole: Samples | None = None  # with those left out because a delayed input is not known yet
+    # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
+    # A stable plant that was found by its predictions, as it simulates: there shows what a change
+    # costs
     simulating: tuple[Samples, Fit, Free] | None = None
+    # The best ones of smaller orders that simulate, and what was free in them
     smaller: tuple[tuple[ModalModel, Free], ...] = ()
+    # Others that simulate, and might be right: share of the Akaike weights, model
     rivals: tuple[tuple[float, ModalModel], ...] = ()
+    # Of a subspace method's regression; their drop shows the order
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
-    unproven: bool = False
+    unproven: bool = False  # modes grow of which the samples do not show that they do
 
     @property
     def by_prediction(self) -> bool:

@@ -54,7 +54,7 @@ from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.signals.outliers import spikes
 from ctsid_core.subspace.hd_pbsid import Subspaces
-from ctsid_core.subspace.pbsid_equations import Subspace, realise
+from ctsid_core.subspace.pbsid_equations import realise
 
 LONGEST = 0.1         # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more
@@ -80,15 +80,7 @@ Seen = Callable[..., Samples]           # the samples, outputs left out for so l
 
 
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
-    """
-    Return the model of records, or None if they are too short for any.
-
-    Parameters
-    ----------
-    part : Joint
-    settings : Settings
-    effort : Effort
-    """
+    """Return the model of records, or None if they are too short for any."""
     own = own_delays(part, settings)
     corrupt = corrupt_rows(part)
     records = [p.record for p in part.parts]
@@ -133,7 +125,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         best = _climbed(samples, best, free)
     smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
-    values, condition = _shown(subspace, best.fit.model.n)
+    values, condition = subspace.shown(best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
@@ -235,11 +227,6 @@ def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tri
     return samples, best, hidden
 
 
-def _may_stand_for_D(model: ModalModel, free: Free) -> bool:
-    """Return whether a pole is beyond what samples can show."""
-    return bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
-
-
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
             free: Free, subspace: _Subspace, settings: Settings,
             counted: int) -> tuple[Tried, Free]:
@@ -250,13 +237,13 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
         return best, free
     # Worth a search if it is worth its price at the poles that are known, or if one of these is
     # beyond what samples can show, and may stand for D.
-    stands = _may_stand_for_D(model, free)
+    stands = bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
     # A state that the colour of the errors has added, D takes back only if it stands for D.
     fewest = 1 if stands or model.n <= counted else model.n
-    if not stands and not any(_beats(_with_D(samples, one, direct), best)
+    if not stands and not any(_beats(_fitted(samples, one.fit.model, direct), best)
                               for n, one in found.items() if fewest <= n <= model.n):
         return best, free
-    without = tried(known, fit_at(known, model.poles, model.delay, free, best.fit), free)
+    without = _fitted(known, model, free, best.fit)
     orders = search_orders(known, direct, subspace.poles, order=settings.order,
                            max_order=model.n,
                            known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
@@ -266,15 +253,12 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     with_D = orders[settings.order or choose(orders)]
     if not _beats(with_D, without):
         return best, free
-    model = with_D.fit.model
-    return tried(samples, fit_at(samples, model.poles, model.delay, direct, with_D.fit),
-                 direct), direct
+    return _fitted(samples, with_D.fit.model, direct, with_D.fit), direct
 
 
-def _with_D(samples: Samples, one: Tried, direct: Free) -> Tried:
-    """Return the same model with D, its poles and dead times as they are."""
-    model = one.fit.model
-    return tried(samples, fit_at(samples, model.poles, model.delay, direct), direct)
+def _fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
+    """Return the best model of other samples, or with D, at a model's poles and dead times."""
+    return tried(samples, fit_at(samples, model.poles, model.delay, free, near), free)
 
 
 def _beats(one: Tried, other: Tried) -> bool:
@@ -285,10 +269,12 @@ def _beats(one: Tried, other: Tried) -> bool:
 
 
 def _used(part: Joint, settings: Settings, order: int, delay: Array) -> Settings:
-    """Return the settings with the order and the dead times that were found."""
+    """Return the settings with what was found; dead times as one number if given so and alike."""
     delays = np.array(settings.delays(part.parts[0].whole.nu))
     delays[list(part.parts[0].u)] = delay
-    return settings.replace(order=order, delay=as_given(settings, delays))
+    alike = not isinstance(settings.delay, tuple) and bool(np.all(delays == delays[0]))
+    return settings.replace(order=order,
+                            delay=float(delays[0]) if alike else tuple(delays.tolist()))
 
 
 def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[OrderTried, ...]:
@@ -384,19 +370,6 @@ def free_of(samples: Samples, own: Settings) -> Free:
                 _FASTEST * np.pi / samples.finest)
 
 
-def as_given(settings: Settings, delay: Array) -> float | tuple[float, ...]:
-    """Return dead times as one number if they were asked for so and are alike."""
-    alike = not isinstance(settings.delay, tuple) and bool(np.all(delay == delay[0]))
-    return float(delay[0]) if alike else tuple(delay.tolist())
-
-
-def _shown(subspace: _Subspace, n: int) -> tuple[Array, float]:
-    """Return singular values and condition of HD-PBSID's regression for order n."""
-    found = subspace.subspace(n)
-    return (np.empty(0), float('nan')) if found is None else \
-        (found.singular_values, found.condition)
-
-
 class _Subspace:
     """Poles of HD-PBSID's models, on lines projected when they are first asked for."""
 
@@ -404,12 +377,15 @@ class _Subspace:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
 
-    def subspace(self, n: int) -> Subspace | None:
-        """Return the regression of the middle one of HD-PBSID's tunings for order n."""
+    def shown(self, n: int) -> tuple[Array, float]:
+        """Return singular values and condition of the middle one of the tunings for order n."""
         made = next((m for m in self._made.values() if m), None) or self._projected(
             np.array(self._own.delays(len(self._part.parts[0].u))))
         tunings = made.some_tunings(n) if made is not None else []
-        return made.of(tunings[len(tunings) // 2]) if made is not None and tunings else None
+        if made is None or not tunings:
+            return np.empty(0), float('nan')
+        found = made.of(tunings[len(tunings) // 2])
+        return found.singular_values, found.condition
 
     def poles(self, n: int, delay: Array) -> list[ComplexArray]:
         """Return the poles of models of order n, with given dead times."""

@@ -30,17 +30,7 @@ _WORST = 1e10         # condition of the eigenvectors up to which a model has mo
 
 
 def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) -> Solution | None:
-    """
-    Return records' model by one method, or None if they are too short.
-
-    Parameters
-    ----------
-    method : Method
-    part : Joint
-    settings : Settings
-        Dead times that are to be found count as 0.
-    effort : Effort
-    """
+    """Return records' model by one method, or None if they are too short."""
     remarks = ['deviations are the least that the data allow with such a model; a subspace '
                'estimate scatters more']
     if any(settings.unknown_delays(part.parts[0].whole.nu)):

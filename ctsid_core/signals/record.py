@@ -46,7 +46,19 @@ class Signal:
     units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _check_signal(self)
+        t, x = self.time, self.values
+        if self.hold not in HOLDS:
+            raise DataError(f'hold is {self.hold!r}; choose one of {HOLDS}')
+        if t.ndim != 1 or x.ndim != 2:
+            raise DataError(f'time has shape {t.shape} and values {x.shape}; wanted are (N,) and '
+                            '(N, channels)')
+        if len(t) != len(x):
+            raise DataError(f'{len(t)} stamps but {len(x)} samples (shape {x.shape}; time goes '
+                            'first: transpose the values if they are channels by time)')
+        for what, entries in (('names', self.names), ('units', self.units)):
+            if entries and len(entries) != x.shape[1]:
+                raise DataError(f'{len(entries)} {what} for {x.shape[1]} channels')
+        _check_numbers(t, x)
 
     @property
     def width(self) -> int:
@@ -266,22 +278,6 @@ def _numbers(name: str, given: ArrayLike) -> Array:
     except (TypeError, ValueError) as error:
         raise DataError(f'`{name}` is not an array of real numbers: {error}; convert it (times '
                         'are in seconds)') from error
-
-
-def _check_signal(signal: Signal) -> None:
-    t, x = signal.time, signal.values
-    if signal.hold not in HOLDS:
-        raise DataError(f'hold is {signal.hold!r}; choose one of {HOLDS}')
-    if t.ndim != 1 or x.ndim != 2:
-        raise DataError(f'time has shape {t.shape} and values {x.shape}; wanted are (N,) and '
-                        '(N, channels)')
-    if len(t) != len(x):
-        raise DataError(f'{len(t)} stamps but {len(x)} samples (shape {x.shape}; time goes '
-                        'first: transpose the values if they are channels by time)')
-    for what, entries in (('names', signal.names), ('units', signal.units)):
-        if entries and len(entries) != x.shape[1]:
-            raise DataError(f'{len(entries)} {what} for {x.shape[1]} channels')
-    _check_numbers(t, x)
 
 
 def _check_numbers(t: Array, x: Array) -> None:

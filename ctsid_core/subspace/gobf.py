@@ -24,7 +24,6 @@ from ctsid_core.subspace.gobf_equations import (
     dynamics,
     filter_records,
     observe,
-    realise,
     sample_times,
 )
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
@@ -57,9 +56,8 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
             A, _ = dynamics(own, seen.left[:, :n])
             fitted = simulated(records, A, delay, trim=settings.trim,
                                feedthrough=settings.feedthrough, tolerance=settings.rank_tolerance)
-            found.append(MethodModel(
-                fitted or realise(seen, n, feedthrough=settings.feedthrough),
-                _used(settings, own, n), seen.singular_values, seen.condition))
+            found.append(MethodModel(fitted, _used(settings, own, n), seen.singular_values,
+                                     seen.condition))
     return found
 
 

@@ -16,7 +16,7 @@ Errata of [TM], found by deriving (6) anew; `docs/method.md` has the list. What 
 - The regressors psi_(j,i+1) M_i u of eq. 6, N (N + 1) / 2 of them, lie in the span of N, the chain
   itself: every one is a strictly proper function with poles among the chain's. So u(t) of eq. 6
   has dependent rows, L11 of lemma 3 is singular, and a plain LQ factorisation gives arbitrary
-  rows of Q. Here the N independent ones are used; (s - L)^-1 e_k = Z_k w with bounded Z_k.
+  rows of Q. Here the N independent ones are used.
 - T_0 has the sign of D_0 reversed, and all T_i lack 1/sqrt(2 sigma) of the row (eq. 4 has it).
 - Eq. 13 means M^+ R. Eq. 14 lacks a root: C = Theta_(1,0) (A + sigma_0) / sqrt(2 sigma_0).
 - With complex poles, eq. 10 to 12 need conj sigma of the pole left, and Re sigma under roots.
@@ -38,8 +38,6 @@ from math import factorial
 import numpy as np
 
 from ctsid_core.bases.takenaka_malmquist import Chain, of_one_degree, respond
-from ctsid_core.linear.least_squares import solve
-from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
@@ -59,17 +57,20 @@ class Filtered:
     y: Array       # (N, ny, columns)
     counts: tuple[int, int, int, int]  # how many of the inputs are u, impulses, constants, kinks
 
+    @property
+    def scale(self) -> Array:
+        """Size of each output, (ny,); 1 for one that is zero."""
+        size = np.sqrt(np.sum(self.y ** 2, axis=(0, 2)))
+        return np.where(size == 0.0, 1.0, size)
+
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """What lemma 3 of [TM] gives."""
+    """What lemma 3 of [TM] gives, of outputs that were scaled to equal power."""
 
-    filtered: Filtered
     left: Array             # (N ny, r): left singular vectors of L22; the outputs run fastest
     singular_values: Array  # (r,)
-    scale: Array            # (ny,): what the outputs were divided by
     condition: float        # of the chain's states of the inputs, dependent directions left out
-    rank_tolerance: float
 
 
 def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
@@ -141,25 +142,14 @@ def observe(filtered: Filtered, rank_tolerance: float) -> Observability:
     Directions of the inputs below `rank_tolerance` of the largest are left out.
     """
     U = filtered.inputs.reshape(-1, filtered.inputs.shape[2])
-    scale = np.sqrt(np.sum(filtered.y ** 2, axis=(0, 2)))
-    scale[scale == 0.0] = 1.0
-    Y = (filtered.y / scale[:, np.newaxis]).reshape(-1, U.shape[1])
+    Y = (filtered.y / filtered.scale[:, np.newaxis]).reshape(-1, U.shape[1])
     norm = np.sqrt(np.sum(U ** 2, axis=1))
     norm[norm == 0.0] = 1.0
     _, s, right = svd(U / norm[:, np.newaxis])
     rank = int(np.count_nonzero(s > rank_tolerance * s[0])) if len(s) else 0
     inside = right[:rank]
     left, values, _ = svd(Y - (Y @ inside.T) @ inside)
-    return Observability(filtered, left, values, scale,
-                         float(s[0] / s[rank - 1]) if rank else 1.0, rank_tolerance)
-
-
-def realise(found: Observability, n: int, *, feedthrough: bool) -> Matrices:
-    """Realise a model of order n < N ny ([TM] eq. 10 to 15, with the corrections above)."""
-    A, C = dynamics(found.filtered.chain, found.left[:, :n])
-    B, D = _input_matrices(found, n, feedthrough)
-    size = found.scale[:, np.newaxis]
-    return plain_matrices(A, B, size * C, size * D)
+    return Observability(left, values, float(s[0] / s[rank - 1]) if rank else 1.0)
 
 
 def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
@@ -179,35 +169,6 @@ def dynamics(chain: Chain, theta: Array) -> tuple[Array, Array]:
     A: Array = np.linalg.lstsq(left, right, rcond=None)[0]
     C = seen[0] @ (A + sigma[0] * np.eye(n)) / root[0, 0, 0]
     return A, np.asarray(C.real)
-
-
-def _input_matrices(found: Observability, n: int, feedthrough: bool) -> tuple[Array, Array]:
-    """
-    Return B and D, of scaled outputs.
-
-    [TM] eq. 15: with free states, what is left of (6) beside the columns of Theta_1 is linear in
-    them: Theta_2^T w_y = -Theta_2^T sum_k (O B - b D)_k Z_k w_u.
-    """
-    filtered, chain = found.filtered, found.filtered.chain
-    theta, other, ny = found.left[:, :n], found.left[:, n:], len(found.scale)
-    nu, impulses, ones, kinks = filtered.counts
-    inputs = nu + impulses + ones                  # drive the states
-    direct = [*range(nu * feedthrough), *range(nu + impulses, inputs + kinks)]  # act at once
-    # Z_k w: what the k-th block row of O B - b D is multiplied with
-    moved = np.einsum('kij,jml->kiml', chain.commuting(), filtered.inputs)
-    rows = other.reshape(chain.size, ny, -1)
-    state = -np.einsum('kpn,ipr,kiml->nmrl', theta.reshape(chain.size, ny, n), rows,
-                       moved[:, :, :inputs], optimize=True)
-    feed = np.einsum('ipr,iml->pmrl', rows, filtered.inputs[:, direct], optimize=True)
-    cells = other.shape[1] * filtered.y.shape[2]
-    regressors = np.concatenate((state.reshape(n * inputs, cells),
-                                 feed.reshape(ny * len(direct), cells)))
-    y = (filtered.y / found.scale[:, np.newaxis]).reshape(chain.size * ny, -1)
-    unknown, _ = solve(regressors, (other.T @ y).reshape(1, -1), found.rank_tolerance)
-    B = unknown[0, :n * inputs].reshape(n, inputs)
-    D = np.zeros((ny, filtered.inputs.shape[1]))
-    D[:, direct] = unknown[0, n * inputs:].reshape(ny, len(direct))
-    return B[:, :nu], D[:, :nu]
 
 
 def integrated(derivatives: Array, knots: Array) -> Array:

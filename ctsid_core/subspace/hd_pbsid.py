@@ -41,7 +41,7 @@ class Subspaces:
 
     def tunings(self, n: int) -> list[Tuning]:
         """Return the tunings that the data are long enough for and that can hold order n."""
-        top, settings = max(float(np.abs(p.s[-1])) for p in self.projection.records), self.settings
+        top, settings = float(np.abs(self.projection.s).max()), self.settings
         slow = SLOWEST / self.projection.length
         shifts = [settings.beta] if settings.beta else \
             list(np.geomspace(slow, max(0.7 * top, 2.0 * slow), _SHIFTS))

@@ -18,7 +18,7 @@ from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION, Unwrapper, roll_p
 from ctsid_ros.decoding.field_grammar import ParseError, Range, Step, parse_steps, path_text
 
 __all__ = ['FieldError', 'FieldPath', 'Leaf', 'ParseError', 'Range', 'Step', 'Unwrapper',
-           'header_stamp_ns', 'nearest', 'parse_field', 'path_text', 'roll_pitch_yaw']
+           'nearest', 'parse_field', 'path_text', 'roll_pitch_yaw']
 
 Leaf = tuple[str | int, ...]
 
@@ -166,14 +166,6 @@ def parse_field(text: str) -> FieldPath:
         If it does not follow the grammar.
     """
     return FieldPath(*parse_steps(text))
-
-
-def header_stamp_ns(message: object) -> int | None:
-    """Return `message.header.stamp` [ns], or None where there is no such field."""
-    stamp = getattr(getattr(message, 'header', None), 'stamp', None)
-    if stamp is None:
-        return None
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def nearest(name: str, names: Sequence[str]) -> str:

@@ -18,6 +18,8 @@ from ctsid_core.model.simulation import respond
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.record import Record, Signal
 
+_HIGHEST = 250        # order of the Hermite functions of the sweep from rest
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -88,7 +90,7 @@ def unstable() -> StateSpace:
     return _model([[0.0, 1.0], [6.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 
-def from_rest(seed: int, snr: float, count: int = 2001, eta: int = 250, *,
+def from_rest(seed: int, snr: float, count: int = 2001, *,
               plant: Callable[[], StateSpace] = quadrotor, together: bool = False) -> Run:
     """
     Return a run of [HD] 5: a sweep built from Hermite functions, 10 s, from rest.
@@ -101,28 +103,26 @@ def from_rest(seed: int, snr: float, count: int = 2001, eta: int = 250, *,
         Power of each output over that of its noise [dB].
     count : int
         Samples.
-    eta : int
-        Highest order of the input's Hermite functions.
     plant : callable
         Of this module.
     together : bool
         Whether all outputs have the same noise: `snr` is then of all powers together.
     """
     model = plant()
-    t, u, y = _from_rest(plant, count, eta)
+    t, u, y = _from_rest(plant, count)
     return _with_noise(np.random.default_rng(seed), model, np.zeros(model.n), t, u, y, snr,
                        'smooth', together)
 
 
 @lru_cache
-def _from_rest(plant: Callable[[], StateSpace], count: int,
-               eta: int) -> tuple[Array, Array, Array]:
+def _from_rest(plant: Callable[[], StateSpace], count: int) -> tuple[Array, Array, Array]:
     finer = -(-20000 // (count - 1))                    # the plant sees the input at 2 kHz or more
     t = np.linspace(0.0, 10.0, (count - 1) * finer + 1)
-    alpha = 5.0 / np.sqrt(2.0 * eta + 1.0)
+    alpha = 5.0 / np.sqrt(2.0 * _HIGHEST + 1.0)
     dense = np.linspace(0.0, 10.0, 20001)
-    weights = hermite_functions(eta, (dense - 5.0) / alpha) @ np.sin(0.8 * np.pi * dense ** 2)
-    u = (weights * (dense[1] / alpha) @ hermite_functions(eta, (t - 5.0) / alpha))[:, np.newaxis]
+    weights = hermite_functions(_HIGHEST, (dense - 5.0) / alpha) @ np.sin(0.8 * np.pi * dense ** 2)
+    u = (weights * (dense[1] / alpha) @ hermite_functions(
+        _HIGHEST, (t - 5.0) / alpha))[:, np.newaxis]
     model = plant()
     x, _ = respond(model.A, model.B, model.x_trim, [Signal(t, u)], model.delay, t,
                    np.zeros(model.n))

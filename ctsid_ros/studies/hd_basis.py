@@ -38,9 +38,9 @@ def first_functions() -> Axes:
                 y_label='h_n(t)', height=300.0)
 
 
-def support(highest: int = HIGHEST) -> float:
+def support() -> float:
     """Return where the effective support ends ([HD] 4.1)."""
-    return float(np.sqrt(2.0 * highest + 1.0))
+    return float(np.sqrt(2.0 * HIGHEST + 1.0))
 
 
 def largest(t: Array, highest: int = HIGHEST) -> Array:

@@ -25,12 +25,13 @@ from ctsid_core.model.simulation import Pieces, input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.gobf_equations import KINKS, filter_records, observe, realise
+from ctsid_core.subspace.gobf_equations import KINKS, filter_records
 from ctsid_ros.report.drawing import Axes, Curve
 from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table
 from ctsid_ros.studies.clouds import phase
 from ctsid_ros.studies.figure_files import write_csv
+from ctsid_ros.studies.filtered_inputs import realised
 from ctsid_ros.studies.local_polynomials import local_polynomials
 from ctsid_ros.studies.monte_carlo import Outcome, compared
 from ctsid_ros.studies.network import draw_network
@@ -69,7 +70,7 @@ def by_chain(seed: int, name: str, way: str) -> Outcome:
     pieces, kinks = WAYS[way]
     filtered = filter_records([example(seed)], chain(SEQUENCES[name]), (0.0,), trim=False,
                               feedthrough=False, pieces=pieces, kinks=kinks)
-    found = realise(observe(filtered, RANK_TOLERANCE), ORDER, feedthrough=False)
+    found = realised(filtered, ORDER, feedthrough=False, rank_tolerance=RANK_TOLERANCE)
     return compared(StateSpace(found.A, found.B, found.C, found.D), plant().poles)
 
 

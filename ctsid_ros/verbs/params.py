@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ctsid_ros.verbs.arguments import ACCEPTED
@@ -37,7 +38,7 @@ def command(args: argparse.Namespace) -> int:
 def _print_rate() -> int:
     from time import process_time
 
-    from ctsid_core.effort import VARIABLE, measured_rate, work_rate
+    from ctsid_core.effort import VARIABLE, work_rate
     from ctsid_core.likelihood.kernel import built
 
     compiled = built()                              # without it everything takes twice as long
@@ -46,6 +47,20 @@ def _print_rate() -> int:
     print(f'{VARIABLE}={measured_rate(process_time) * (1.0 if compiled else 0.5):.2g}  # work per '
           f'second, measured now, {kernel}; {work_rate():.2g} counts')
     return ACCEPTED
+
+
+def measured_rate(clock: Callable[[], float]) -> float:
+    """Return the work per second of this computer, by a clock of processor time [s]."""
+    import numpy as np
+
+    rows, columns = 1000, 40
+    matrix = np.random.default_rng(0).standard_normal((rows, columns))
+    times = []
+    for _ in range(101):
+        start = clock()
+        np.linalg.qr(matrix, mode='r')
+        times.append(clock() - start)
+    return 2.0 * rows * columns ** 2 / max(float(np.median(times)), 1e-9)
 
 
 def example() -> Config:

@@ -88,9 +88,9 @@ def dead_zone(rng: Random, kind: str) -> Robot:
         held.time, held.values - np.clip(held.values, -half, half)), 2.0)
 
 
-def _of_law(law: Law, band: float, what: int, delay: float = 0.0) -> Robot:
+def _of_law(law: Law, band: float, what: int) -> Robot:
     def move(held: Held, times: Array, rng: Random | None) -> Array:
-        return accelerated(law, held, times, delay)[what][:, np.newaxis]
+        return accelerated(law, held, times)[what][:, np.newaxis]
     return Robot(move, band)
 
 

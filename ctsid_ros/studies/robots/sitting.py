@@ -106,9 +106,9 @@ def _key(train: Record, test: Record, judge: str) -> str:
     return digest.hexdigest()[:20]
 
 
-def sat(family: str, seed: int, number: int, reach: Reach, limit: float = LIMIT) -> Row:
+def sat(family: str, seed: int, number: int, reach: Reach) -> Row:
     """Return the row of an experiment."""
     given = experiment(family, seed, number)
     within = reach.of(given)
-    estimate, seconds = identified(given, limit)
+    estimate, seconds = identified(given)
     return score(given, estimate, within, seconds)
