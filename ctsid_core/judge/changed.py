@@ -53,33 +53,17 @@ NOTED = 1.0           # per cent of the motion that one model has to miss, to be
 
 @dataclass(frozen=True)
 class Change:
-    """
-    The division of a record at which two models gain most.
+    """The division of a record at which two models gain most."""
 
-    Parameters
-    ----------
-    record : int
-        Place of the record; -1 if none was divided.
-    share : float
-        Where, as a part of it.
-    cost : float
-        Rms of what one model misses and two do not, on the side and the output where it is most,
-        noise and what two gain by chance apart, over the motion [%].
-    gain : float
-        By how much two models are more likely, in independent samples, beyond their price.
-    left : float
-        Power of the errors that two models leave over that of one, white noise apart.
-    one, two : tuple of float
-        Fit of one model and of two, before and after [%].
-    """
-
-    record: int = -1
-    share: float = 0.5
+    record: int = -1           # its place; -1 if none was divided
+    share: float = 0.5         # where, as a part of it
+    # Rms of what one model misses and two do not, on the side and the output where it is most,
+    # noise and what two gain by chance apart, over the motion [%]
     cost: float = 0.0
-    gain: float = 0.0
-    left: float = 1.0
-    one: tuple[float, float] = (float('nan'), float('nan'))
-    two: tuple[float, float] = (float('nan'), float('nan'))
+    gain: float = 0.0          # of -2 log likelihood of independent samples, beyond its price
+    left: float = 1.0          # power of the errors of two over that of one, white noise apart
+    one: tuple[float, float] = (float('nan'), float('nan'))     # fit, before and after [%]
+    two: tuple[float, float] = (float('nan'), float('nan'))     # the same of two models [%]
 
 
 Fitted = tuple[Samples, Fit, Free]
@@ -92,16 +76,8 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     """
     Return where the plant changes, if two models explain what one does not.
 
-    Parameters
-    ----------
-    samples : Samples
-    fit : Fit
-        Of all samples.
-    free : Free
-    smaller : tuple of (ModalModel, Free)
-        The best ones of smaller orders, and what was free in them.
-    predictor : tuple of Samples, Fit and Free, optional
-        Of a model that was found by its predictions: they tell then.
+    Smaller models are the best ones of smaller orders, and what was free in them. Of a model that
+    was found by its predictions these tell: its predictor.
     """
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()

@@ -28,7 +28,7 @@ from ctsid_core.likelihood.mode_columns import Triangle, columns_of, evaluation_
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals
 from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
-from ctsid_core.linear.tall_qr import factors, triangle
+from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import mode_responses
 from ctsid_core.signals.record import Signal
@@ -47,12 +47,6 @@ def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
     Return the points of fit that curves gain after the model, less those by chance, (ny,) [%].
 
     They are points of the motion within a tenth of a record.
-
-    Parameters
-    ----------
-    samples : Samples
-    fit : Fit
-    free : Free
     """
     samples = samples.thinned(_SEARCHED)
     model, gains, errors = fit.model, np.zeros(samples.ny), residuals(samples, fit)
@@ -83,7 +77,7 @@ def curves_of(samples: Samples, fit: Fit) -> Array:
 
 def beside(columns: Array, error: Array) -> tuple[Array, int]:
     """Return what columns leave of errors, and how many of them tell something."""
-    Q, R = factors(columns)
+    Q, R = np.linalg.qr(columns)
     own = Q[:, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)]
     return error - own @ (own.T @ error), own.shape[1]
 
@@ -138,7 +132,7 @@ def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
     gains = np.zeros(errors[0].shape[1])
     if width + curves.shape[1] > _MOST * count:
         return gains
-    Q, R = factors(np.hstack((base, curves)))
+    Q, R = np.linalg.qr(np.hstack((base, curves)))
     own = Q[:, width:][:, np.abs(np.diag(R))[width:] > _DEPENDENT * np.linalg.norm(curves, axis=0)]
     Q, edges = Q[:, :width], np.cumsum([len(one) for one in errors])[:-1]
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):

@@ -250,12 +250,7 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
     """
     Return an estimate rejected, because an earlier window has shown a change within this one.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        With a model.
-    share : float
-        Part of its window before the change.
+    It has a model; `share` is the part of its window before the change.
     """
     at = after_start(share * 1e-9 * (estimate.end_ns - estimate.start_ns))
     words = f'an earlier window has shown a change of the plant about {at}'
@@ -271,15 +266,8 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     """
     Return an estimate whose verdict takes the previous model into account.
 
-    Parameters
-    ----------
-    estimate : Estimate
-    fresh_fit, fresh_ratio : ndarray, shape (ny,)
-        Of the previous model on the data that are new; NaN if not known.
-    moved : float
-        See `Verdict.moved`.
-    before : int
-        Order of the model before; 0 if there was none.
+    Fresh fit and ratio, (ny,), are those of that model on the data that are new, NaN if not known;
+    its order was `before`, 0 if there was none. `moved`: see `Verdict`.
     """
     verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
     model = estimate.model

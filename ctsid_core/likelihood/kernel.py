@@ -60,23 +60,12 @@ class _Shape(Structure):
 
 
 class Shape(NamedTuple):
-    """
-    What columns there are.
+    """What columns there are."""
 
-    Parameters
-    ----------
-    real, pairs : int
-        Modes of each kind.
-    direct : bool
-        Whether outputs may follow inputs at once.
-    slopes : bool
-        Whether there are derivatives by poles and dead times.
-    """
-
-    real: int
+    real: int     # modes of each kind
     pairs: int
-    direct: bool
-    slopes: bool
+    direct: bool  # whether outputs may follow inputs at once
+    slopes: bool  # whether there are derivatives by poles and dead times
 
     def width(self, nu: int) -> int:
         """Return how many columns there are, the outputs apart."""
@@ -86,21 +75,11 @@ class Shape(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """
-    Where columns are.
-
-    Parameters
-    ----------
-    shape : Shape
-    rows : ndarray of int
-        How many rows each stream has: of a triangle as many as columns.
-    size : int
-        How many numbers there are in all tables.
-    """
+    """Where columns are."""
 
     shape: Shape
-    rows: NDArray[np.intc]
-    size: int
+    rows: NDArray[np.intc]  # how many rows each stream has: of a triangle as many as columns
+    size: int               # how many numbers there are in all tables
 
 
 @cache
@@ -167,15 +146,7 @@ class Timed(NamedTuple):
 
 
 class Kernel:
-    """
-    The kernel with the samples of records; made by `kernel_of`.
-
-    Parameters
-    ----------
-    library : CDLL
-    records : sequence of Timed
-    nu, ny : int
-    """
+    """The kernel with the samples of records; made by `kernel_of`."""
 
     def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
@@ -275,15 +246,7 @@ def _packed(model: ModalModel, power: Array, *more: Array) -> Array:
 
 
 def kernel_of(records: Sequence[Timed], nu: int, ny: int) -> Kernel | None:
-    """
-    Return the kernel with the samples of records; None: NumPy has to do.
-
-    Parameters
-    ----------
-    records : sequence of Timed
-    nu, ny : int
-        Numbers of inputs and outputs.
-    """
+    """Return the kernel with the samples of records of nu inputs and ny outputs; None: NumPy."""
     library = _library()
     if library is None or any(len(d.pieces) > _HIGHEST for r in records for d in r.drives):
         return None

@@ -46,91 +46,42 @@ Residuals = tuple[tuple[Array, ...], ...]      # of each record and stream, (N, 
 
 @dataclass(frozen=True)
 class Free:
-    """
-    What is free in a model, and within which bounds.
+    """What is free in a model, and within which bounds."""
 
-    Parameters
-    ----------
-    feedthrough : bool
-        Whether D is.
-    trim : bool
-        Whether outputs have offsets.
-    delays : tuple of bool, length nu
-        Which dead times are.
-    longest : float
-        Of dead times [s].
-    limit : float
-        Largest real part of a pole [rad/s].
-    fastest : float
-        Largest magnitude of a pole [rad/s].
-    """
-
-    feedthrough: bool
-    trim: bool
-    delays: tuple[bool, ...]
-    longest: float
-    limit: float
-    fastest: float
+    feedthrough: bool         # whether D is
+    trim: bool                # whether outputs have offsets
+    delays: tuple[bool, ...]  # which of the nu dead times are
+    longest: float            # of dead times [s]
+    limit: float              # largest real part of a pole [rad/s]
+    fastest: float            # largest magnitude of a pole [rad/s]
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """
-    A model at given poles and dead times, everything linear at its best.
-
-    Parameters
-    ----------
-    model : ModalModel
-    columns : Columns
-        Of its poles and dead times.
-    power : ndarray, shape (records, ny)
-        Mean square of the errors; outputs have size 1.
-    cost : float
-        -2 log likelihood, up to a constant.
-    """
+    """A model at given poles and dead times, everything linear at its best."""
 
     model: ModalModel
-    columns: Columns
-    power: Array
-    cost: float
+    columns: Columns  # of its poles and dead times
+    power: Array      # (records, ny): mean square of the errors; outputs have size 1
+    cost: float       # -2 log likelihood, up to a constant
 
 
 class Guess(NamedTuple):
-    """
-    What a fit at other poles may start from.
-
-    Parameters
-    ----------
-    model : ModalModel
-    power : ndarray, shape (records, ny)
-        Mean square of its errors, as far as it is known.
-    """
+    """What a fit at other poles may start from."""
 
     model: ModalModel
-    power: Array
+    power: Array  # (records, ny): mean square of its errors, as far as it is known
 
 
 def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
            near: Fit | Guess | None = None, columns: Columns | None = None,
            slopes: bool = True) -> Fit:
     """
-    Return the best model with given poles and dead times.
+    Return the best model with given poles (m,) [rad/s] and dead times (nu,) [s].
 
-    Parameters
-    ----------
-    samples : Samples
-    poles : ndarray, shape (m,)
-        Real ones and one of each pair [rad/s].
-    delay : ndarray, shape (nu,)
-        [s]
-    free : Free
-    near : Fit or Guess, optional
-        Of nearly the same poles, in the same order: its b and initial states are the start where
-        there are several inputs and outputs.
-    columns : Columns, optional
-        Of these poles and dead times, if they are known.
-    slopes : bool
-        Whether it may be climbed from: else derivatives are left out, until they are needed.
+    `near` is of nearly the same poles, in the same order: its b and initial states are the start
+    where there are several inputs and outputs. `columns` are those of these poles and dead times,
+    if they are known. Without `slopes` derivatives are left out, until a climb needs them.
     """
     poles = canonical(poles)
     columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough, slopes=slopes)
@@ -145,21 +96,11 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
 def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
           rival: float = np.inf, least: float = _LEAST_GAIN) -> Fit:
     """
-    Take a model to the maximum of the likelihood.
+    Take a model to the maximum of the likelihood, by at most so many steps.
 
-    Parameters
-    ----------
-    samples : Samples
-    start : Fit
-    free : Free
-    steps : int
-        At most.
-    rival : float
-        Cost of another model: given up when neither five more steps like the last nor five times
-        what the next one promises would reach it.
-    least : float
-        Gain of -2 log likelihood that another step has to promise, and the last one to have
-        brought.
+    Given up when neither five more steps like the last nor five times what the next one promises
+    would reach the cost of a rival. `least` is the gain of -2 log likelihood that another step has
+    to promise, and the last one to have brought.
     """
     best, damping, gain = _with_slopes(samples, start, free), _DAMPING, np.inf
     for taken in range(steps):
@@ -557,17 +498,7 @@ def errors_of(samples: Samples, model: ModalModel, columns: Columns) -> Residual
     """
     Return measured less simulated outputs, or what their triangles keep of them.
 
-    Parameters
-    ----------
-    samples : Samples
-    model : ModalModel
-    columns : Columns
-        Of its poles and dead times.
-
-    Returns
-    -------
-    tuple of tuples of ndarray, shape (rows, channels)
-        Of each record and stream.
+    Of each record and stream, (rows, channels); columns are those of the model's poles and delays.
     """
     if samples.kernel is None:
         return tuple(tuple(t.y - _simulated(t, model, r, np.sum(t.z * _driving(model, r), axis=2))
@@ -646,13 +577,7 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     """
     Return a model as it is, with the initial states and the trim that suit the samples best.
 
-    Parameters
-    ----------
-    samples : Samples
-    model : ModalModel
-    free : Free
-    columns : Columns, optional
-        Of its poles and dead times, if they are known.
+    `columns` are those of its poles and dead times, if they are known.
     """
     columns = columns or columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
                                     slopes=False)

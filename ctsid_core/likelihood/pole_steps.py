@@ -22,22 +22,12 @@ _NEAR = 4.0           # ratio of two real poles up to which they share a factor
 
 @dataclass(frozen=True)
 class PoleSteps:
-    """
-    How poles move.
+    """How poles move."""
 
-    Parameters
-    ----------
-    poles : ndarray, shape (m,)
-        Real ones and one of each pair; those of a factor are neighbours [rad/s].
-    factors : tuple of (int, int)
-        Places of the poles of each factor, the second one -1 if it is a pair or a single pole.
-    scale : ndarray, shape (m,)
-        Of the step of each pole [rad/s].
-    """
-
-    poles: ComplexArray
+    poles: ComplexArray  # (m,): real ones and one of each pair; those of a factor are neighbours
+    # Places of the poles of each factor, the second one -1 if it is a pair or a single pole
     factors: tuple[tuple[int, int], ...]
-    scale: Array
+    scale: Array         # (m,): of the step of each pole [rad/s]
 
     @classmethod
     def of(cls, poles: ComplexArray, slowest: float, several: bool = False) -> PoleSteps:
@@ -90,17 +80,7 @@ class PoleSteps:
         return found
 
     def moved(self, step: Array, limit: float, fastest: float) -> ComplexArray:
-        """
-        Return the poles after a step, within bounds.
-
-        Parameters
-        ----------
-        step : ndarray, shape (n,)
-        limit : float
-            Largest real part [rad/s].
-        fastest : float
-            Largest magnitude [rad/s].
-        """
+        """Return the poles after a step (n,), with bounds as of `bounded`."""
         found, place = [], 0
         poles, scale, by = self.poles.tolist(), self.scale.tolist(), step.tolist()
         for one, other in self.factors:

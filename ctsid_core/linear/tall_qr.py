@@ -52,12 +52,6 @@ def triangle(columns: Array) -> Array:
     return triangle(np.concatenate([*found, np.zeros((n, n))]))
 
 
-def factors(columns: Array) -> tuple[Array, Array]:
-    """Return Q (m, n) and R (n, n) of columns = Q R, m >= n."""
-    Q, R = np.linalg.qr(columns)
-    return Q, R
-
-
 def _reduced(columns: Array, alive: Places) -> Array:
     """Return the triangle of some of the columns."""
     n = len(alive)

@@ -60,33 +60,15 @@ _STABLE = 1e-9              # real part over size of the largest pole that is ro
 
 @dataclass(frozen=True, eq=False)
 class PredictionFit:
-    """
-    A model by its predictions.
+    """A model by its predictions."""
 
-    Parameters
-    ----------
-    matrices : Matrices
-        Of the plant, outputs in their own units; `tail` is zero.
-    samples : Samples
-        With the outputs' own past among the inputs.
-    found : Tried
-        The predictor (1), of these.
-    free : Free
-    errors : ndarray, shape (horizons, ny)
-        Of predictions on the last record, over the motion.
-    information : float
-        Schwarz's criterion, by which orders are compared.
-    orders : dict of int to Tried
-        All that were tried.
-    """
-
-    matrices: Matrices
-    samples: Samples
-    found: Tried
+    matrices: Matrices        # of the plant, outputs in their own units; `tail` is zero
+    samples: Samples          # with the outputs' own past among the inputs
+    found: Tried              # the predictor (1), of these
     free: Free
-    errors: Array
-    information: float
-    orders: dict[int, Tried]
+    errors: Array             # (horizons, ny): of predictions on the last record, over the motion
+    information: float        # Schwarz's criterion, by which orders are compared
+    orders: dict[int, Tried]  # all that were tried
 
 
 @dataclass(frozen=True)
@@ -100,18 +82,7 @@ class Last:
 
 def solve_by_prediction(samples: Samples, free: Free, *, order: int,
                         max_order: int, known_delay: Array, last: Last) -> PredictionFit | None:
-    """
-    Return the model that predicts the samples best, or None.
-
-    Parameters
-    ----------
-    samples : Samples
-    free : Free
-    order, max_order : int
-    known_delay : ndarray, shape (nu,)
-    last : Last
-        The record on which orders are compared.
-    """
+    """Return the model that predicts the samples best, or None; orders are compared on `last`."""
     samples = _before_inputs(samples)
     joint = with_own_past(samples)
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
@@ -264,15 +235,8 @@ def information(errors: Array, samples: Samples, parameters: int) -> float:
     """
     Return Schwarz's criterion of predictions so many samples ahead, all horizons together.
 
-    The least is most likely. Errors h samples ahead are alike for h samples,
-    so that one of h is independent.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (horizons, ny)
-        Root mean squares at the first of `HORIZONS`.
-    samples : Samples
-    parameters : int
+    The least is most likely. Errors h samples ahead are alike for h samples, so that one of h is
+    independent. They are root mean squares at the first of `HORIZONS`, (horizons, ny).
     """
     counts = samples.counts.sum(axis=0) / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
     return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
@@ -339,15 +303,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
     """
     Return the plant of a predictor (1), with the trim of a record; None if there is none.
 
-    Parameters
-    ----------
-    fit : Fit
-        The predictor.
-    samples : Samples
-        With the outputs' own past.
-    record : int
-    unstable : bool
-        Whether modes may grow; else they are put on the axis.
+    Modes that grow are put on the axis unless they may be `unstable`.
     """
     m, ny = matrices_of(fit.model, samples.size, record), samples.ny
     nu = samples.nu - ny
@@ -405,13 +361,6 @@ def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
     The first tenth of the record starts the filter and does not count. Infinite if the filter is
     not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
     short record, the last ones, are left out.
-
-    Parameters
-    ----------
-    m : Matrices
-    delay : ndarray, shape (nu,)
-        [s]
-    last : Last
     """
     record = last.record
     slowest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
