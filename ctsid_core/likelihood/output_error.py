@@ -4,13 +4,15 @@ Output error on the raw samples: the likelihood that decides.
 
 Simulations from free initial states, with a trim, are compared with the output samples where they
 are, each output with white noise of its own level. Poles, dead times, residues, initial states and
-trim move together (Gauss-Newton, damped), and what is linear is solved for at every step (variable
-projection), so that poles and dead times are all that a start needs.
+trim move together (Gauss-Newton, damped by what steps gain of what they promise), and what is
+linear is solved for at every step (variable projection), so that poles and dead times are all that
+a start needs.
 
 References
 ----------
 Ljung, System Identification, 2nd edition, sections 7.5 and 10.2; Golub and Pereyra 1973, SIAM J.
-Numer. Anal. 10; Kaufman 1975, BIT 15.
+Numer. Anal. 10; Kaufman 1975, BIT 15; Nielsen 1999, IMM-REP-1999-05, Technical University of
+Denmark (damping).
 """
 
 from __future__ import annotations
@@ -113,6 +115,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
             break
         for _ in range(6):
             step = _damped(gradient, curvature, damping)
+            hoped = float(step @ (2.0 * gradient - curvature @ step))
             trial = _moved(samples, best, step / scale, places, free, around)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
@@ -120,10 +123,16 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
             damping = max(damping, 10.0 * _LEAST_DAMPING) * 100.0
         if moved is None:
             break
-        gain, best, damping = best.cost - moved.cost, moved, max(damping * 0.1, _LEAST_DAMPING)
+        gain, best = best.cost - moved.cost, moved
+        damping = max(damping * _lower(gain / hoped), _LEAST_DAMPING)
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
+
+
+def _lower(share: float) -> float:
+    """Return a factor of the damping, after a step that gained a share of what was hoped for."""
+    return min(max(0.1, 1.0 - (2.0 * share - 1.0) ** 3), 2.0)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:
