@@ -5,8 +5,10 @@ from marks import slow
 import numpy as np
 from plants import PLANTS, asynchronous, match
 import pytest
+from scipy.linalg import block_diag, expm
 
 from ctsid_core import Grade, Record, Settings, identify
+from ctsid_core.likelihood.samples import samples_of
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 from ctsid_ros.studies.experiments import flown
@@ -160,3 +162,32 @@ def test_the_order_of_records_does_not_matter_to_predictions():
     np.testing.assert_allclose(one.model.y_trim + one.model.C @ one.model.x_trim, 5.0, atol=0.02)
     np.testing.assert_allclose(other.fit, one.fit, rtol=1e-9)
     np.testing.assert_allclose(other.model.y_trim, one.model.y_trim, rtol=1e-9)
+
+
+@pytest.mark.parametrize('order', [0, 6])
+def test_a_controlled_plant_has_as_many_states_as_it_has(order):
+    """One unstable mode, two that swing and a lag, by a regression that finds any order."""
+    rng, h = np.random.default_rng(0), 0.01
+    A = block_diag(1.0, [[-0.5, 8.0], [-8.0, -0.5]], [[-0.8, 20.0], [-20.0, -0.8]], -15.0)
+    B, C = np.array([1.0, 1.0, 0.0, 1.0, 0.0, 1.0]), np.array([1.5, 0.2, 1.0, 0.6, 1.2, -0.3])
+    joined = expm(h * np.block([[A, B[:, np.newaxis]], [np.zeros((1, 7))]]))
+    wanted, x = np.repeat(rng.standard_normal(151), 20)[:3000], np.zeros(6)
+    u, y = np.empty(3000), np.empty(3000)
+    for k in range(3000):
+        y[k] = C @ x + 0.02 * rng.standard_normal()
+        u[k] = wanted[k] - 1.5 * y[k]
+        x = joined[:6, :6] @ x + joined[:6, 6] * u[k]
+    record = Record.from_arrays(h * np.arange(3000), u, h * np.arange(3000), y, input_hold='zoh')
+    found = identify(record, Settings(feedthrough=False, delay=0.0, order=order))
+    assert found.verdict.grade is Grade.GOOD
+    assert found.model.n == 6
+    true, own = np.linalg.eigvals(A), found.model.poles
+    assert max(np.min(np.abs(own - p)) / abs(p) for p in true) < 0.05
+
+
+def test_one_sample_of_an_output_has_no_interval():
+    """A short record beside a long one is thinned to one sample by a budget."""
+    records = [Record.from_arrays(t, np.sin(t), t, np.cos(t)) for t in map(np.arange, (40, 4))]
+    thin = samples_of(records, [[None]] * 2).thinned(8)
+    assert len(thin.records[1].streams[0].times) == 1
+    assert thin.interval == 6.0

@@ -8,6 +8,7 @@ from dataclasses import replace
 from marks import slow
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, expm
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
@@ -222,3 +223,23 @@ def test_a_dead_time_that_ends_at_zero_leaves_the_poles_at_their_best():
                         one) for one, delay in ((free, 0.038), (none, 0.0)))
     assert late.model.delay[0] == 0.0
     assert late.cost < held.cost + 0.01
+
+
+def test_two_small_models_are_no_change_of_a_plant_that_many_states_explain():
+    """Three pairs under a chirp: two models of order 2 were taken, for they have fewer numbers."""
+    rng, h = np.random.default_rng(114), 1.0 / 12.0
+    t = h * np.arange(120)
+    u = np.sin(2.0 * np.pi * (0.1 * t + 0.115 * t * t))
+    pairs = [(0.645, 0.446, 0.412), (5.799, 0.333, -0.307), (1.934, 0.630, 0.417)]
+    A = block_diag(*([[0.0, 1.0], [-w * w, -2.0 * z * w]] for w, z, _ in pairs))
+    B = np.concatenate([(0.0, w * w) for w, _, _ in pairs])
+    C = np.concatenate([(gain, 0.0) for _, _, gain in pairs])
+    joined = expm(h * np.block([[A, B[:, np.newaxis]], [np.zeros((1, 7))]]))
+    x, y = np.zeros(6), np.empty(len(t))
+    for k in range(len(t)):
+        y[k] = C @ x
+        x = joined[:6, :6] @ x + joined[:6, 6] * u[k]
+    y += 0.01 * np.std(y) * rng.standard_normal(len(t))
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert found.verdict.change_cost < 1.0
+    assert found.fit[0] > 98.0

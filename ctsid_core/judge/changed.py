@@ -198,8 +198,8 @@ def _best(samples: Samples, own: Own, share: float) -> bool:
         power = [float(np.mean(e ** 2)) for e in np.split(left, np.cumsum(counts)[:-1])]
         return float(counts @ np.log(np.maximum(power, 1e-300))) + told
     divided = unexplained(rest * after)
-    return divided <= unexplained(rest * (shares - 0.5)[:, np.newaxis]) and \
-        divided <= unexplained(curves_of(samples, fit))
+    return divided < np.inf and divided <= unexplained(
+        rest * (shares - 0.5)[:, np.newaxis]) and divided <= unexplained(curves_of(samples, fit))
 
 
 def _numbers(samples: Samples, own: Own) -> int:
@@ -241,7 +241,9 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     n_eff = independent(tuple(two))
     count, of_whole = (_numbers(samples, m) for m in (own, whole))
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
-    gain = float(np.maximum(n_eff - fitted, 0.0) @ np.log(power / rest)) - (
+    # Numbers that two models are fitted with are no evidence for them; against them all is.
+    telling = np.where(rest < power, np.maximum(n_eff - fitted, 0.0), n_eff)
+    gain = float(telling @ np.log(power / rest)) - (
         2 * count - of_whole) * float(np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0 and not certain:
         return Change()

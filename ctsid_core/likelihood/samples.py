@@ -34,6 +34,11 @@ class Stream:
         return replace(self, times=self.times[rows], y=self.y[rows])
 
 
+def slowest(signals: Sequence[Stream | Signal]) -> float:
+    """Return the longest period, of what has one: a single sample has not."""
+    return max((s.period for s in signals if s.period < np.inf), default=np.inf)
+
+
 @dataclass(frozen=True, eq=False)
 class RecordSamples:
     """The samples of one record."""
@@ -95,7 +100,7 @@ class Samples:
     @property
     def interval(self) -> float:
         """Median interval of the slowest output [s]."""
-        return max(s.period for r in self.records for s in r.streams)
+        return slowest([s for r in self.records for s in r.streams])
 
     @property
     def finest(self) -> float:

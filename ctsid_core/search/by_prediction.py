@@ -31,7 +31,7 @@ from ctsid_core.likelihood.mode_columns import columns_of, least_cost
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, Guess, climb, fit_at
 from ctsid_core.likelihood.pole_steps import canonical
-from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import exponentials
@@ -346,12 +346,15 @@ def _logarithm(transition: Array) -> ComplexArray:
         return found
     with warnings.catch_warnings():                 # it judges its own accuracy too strictly
         warnings.simplefilter('ignore', RuntimeWarning)
-        return np.asarray(logm(transition), dtype=complex)
+        try:
+            return np.asarray(logm(transition), dtype=complex)
+        except ValueError as error:
+            raise np.linalg.LinAlgError(f'a transition has no logarithm: {error}') from error
 
 
 def _held_interval(joint: Samples) -> float:
     """Return the median interval of the slowest output, however thin the samples are [s]."""
-    return max(s.period for r in joint.records for s in r.inputs[-len(r.streams):])
+    return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
 def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:

@@ -18,6 +18,7 @@ Bokor 1995, Automatica 31 (modes of fixed poles).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,8 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import POINT
 
-_MODES = 5            # that sum up the past, ...
+_MODES = 5            # that sum up the past: few, for their weights are fitted to the noise, ...
+_MORE = 2             # ... but so many more than an order needs of each output, ...
 _SLOWEST, _FASTEST = 0.1, 2.0               # ... of so many radians in a sample interval
 _ROWS = 4             # equations for each weight, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
@@ -78,21 +80,26 @@ def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[in
     """
     found: dict[int, Start] = {}
     known, step = np.concatenate((known, np.zeros(joint.ny))), joint.interval
-    late = np.array(free.delays)
+    late, few = np.array(free.delays), joint.ny * (_MODES - _MORE)
     shifts = [k * step for k in _SHIFTS if k * step <= free.longest] if late.any() else [0.0]
     for shift in shifts:
         if found and joint.effort.beyond(POINT):
             break
-        for n, one in enumerate(_at(joint, highest, np.where(late, shift, known), free), 1):
-            if n not in found or one.score < found[n].score:
-                found[n] = one
+        delay = np.where(late, shift, known)
+        for modes, lowest, top in ((_MODES, 1, min(few, highest)),
+                                   (-(-highest // joint.ny) + _MORE, few + 1, highest)):
+            with suppress(np.linalg.LinAlgError):
+                for n, one in _at(joint, modes, range(lowest, top + 1), delay, free):
+                    if n not in found or one.score < found[n].score:
+                        found[n] = one
     return found
 
 
-def _at(joint: Samples, highest: int, delay: Array, free: Free) -> Iterator[Start]:
-    """Yield predictors of all orders with given dead times."""
-    m = min(_MODES, int(np.min(joint.counts.sum(axis=0))) // (_ROWS * joint.nu))
-    if m < 2:
+def _at(joint: Samples, modes: int, orders: range, delay: Array,
+        free: Free) -> Iterator[tuple[int, Start]]:
+    """Yield predictors of some orders with given dead times."""
+    m = min(modes, int(np.min(joint.counts.sum(axis=0))) // (_ROWS * joint.nu))
+    if m < 2 or not orders:
         return
     poles = np.geomspace(_SLOWEST, _FASTEST, m) / -joint.interval
     tables = _tables(joint, poles, delay)
@@ -105,12 +112,13 @@ def _at(joint: Samples, highest: int, delay: Array, free: Free) -> Iterator[Star
             rcond=None)[0] / size[:, np.newaxis]).T
     moved = np.vstack([states for states, _, _ in tables])
     # What a state does to the outputs from now on: the integral of squares, as a root.
-    root = np.linalg.cholesky(-1.0 / np.add.outer(poles, poles)).T
+    power, turn = np.linalg.eigh(-1.0 / np.add.outer(poles, poles))
+    root = np.sqrt(np.maximum(power, 0.0))[:, np.newaxis] * turn.T
     seen = np.einsum('ki,oij->okij', root, weights.reshape(joint.ny, m, joint.nu)).reshape(
         joint.ny * m, -1)
     left, s, right = np.linalg.svd(seen @ moved.T, full_matrices=False)
     A, B = np.repeat(poles, joint.nu)[:, np.newaxis], np.tile(np.eye(joint.nu), (m, 1))
-    for n in range(1, min(highest, int(np.sum(s > _LEAST * s[0]))) + 1):
+    for n in orders[:max(int(np.sum(s > _LEAST * np.max(s, initial=0.0))) + 1 - orders.start, 0)]:
         to_state = (left[:, :n] / np.sqrt(s[:n])).T @ seen
         back = moved.T @ (right[:n].T / np.sqrt(s[:n]))
         squares = np.zeros(joint.ny)
@@ -118,7 +126,7 @@ def _at(joint: Samples, highest: int, delay: Array, free: Free) -> Iterator[Star
             x = states @ to_state.T
             squares[channels] = np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2, axis=0)
         score = float(cost_of(squares, joint.counts.sum(axis=0)))
-        yield Start(score, *_modes(to_state @ (A * back), to_state @ B, free), delay)
+        yield n, Start(score, *_modes(to_state @ (A * back), to_state @ B, free), delay)
 
 
 def _tables(joint: Samples, poles: Array, delay: Array) -> list[tuple[Array, Array, slice]]:
