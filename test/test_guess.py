@@ -27,7 +27,12 @@ from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
 from ctsid_ros.recordings.guess import better, guess, scalars
 from ctsid_ros.recordings.guess_candidates import no_signal
-from ctsid_ros.recordings.guess_pairs import Comparison, effective_frequencies, without_slow
+from ctsid_ros.recordings.guess_pairs import (
+    Comparison,
+    begins_before,
+    effective_frequencies,
+    without_slow,
+)
 from ctsid_ros.recordings.guess_ranking import rank
 from ctsid_ros.recordings.survey import survey
 
@@ -55,6 +60,11 @@ def lagged(u: np.ndarray, pole: float, step: float) -> np.ndarray:
     for k in range(1, len(u)):
         y[k] = share * y[k - 1] + (1 - share) * u[k - 1]
     return y
+
+
+def delayed(u: np.ndarray) -> np.ndarray:
+    """Return a signal ten ticks later."""
+    return np.concatenate([np.full(10, u[0]), u[:-10]])
 
 
 def moves(rng, count: int, every: int = 25) -> np.ndarray:
@@ -119,6 +129,40 @@ def test_frequencies_are_counted():
     ticks = clock(60.0)
     assert effective_frequencies(np.sin(3 * ticks.time), ticks) < 3
     assert effective_frequencies(moves(np.random.default_rng(5), len(ticks.time)), ticks) > 20
+
+
+def test_which_of_two_signals_begins_to_move_first():
+    rng, time = np.random.default_rng(6), np.arange(0.0, 20.0, 0.01)
+    u = (time > 5.0).astype(float)
+    y = lagged(delayed(u), 4.0, 0.01) + 0.02 * rng.standard_normal(len(u))
+    assert begins_before(u, y)
+    assert not begins_before(y, u)
+    late = np.where(time < 2.0, np.nan, y)       # known later, and still at rest
+    assert begins_before(u, late)
+    for drift in (np.sin(0.3 * time), np.cos(0.3 * time), time,
+                  1 - np.exp(-time / 2)):     # what moves all the time
+        assert not begins_before(u, drift)
+        assert not begins_before(drift, u)
+    assert not begins_before(u, u)
+    assert not begins_before(u, np.zeros(len(u)))
+    assert not begins_before(u[450:480], y[450:480])     # too little rest
+
+
+@pytest.mark.parametrize('columns', ['uy', 'yu'])
+@pytest.mark.parametrize(('duration', 'at', 'pole', 'noise'), [
+    (30.0, 3.0, 10.0, 0.05),     # an output like noise tells much about a single step
+    (60.0, 6.0, 0.17, 0.002),
+    (10.0, 1.0, 2.9, 0.02),
+    (4.0, 1.0, 2.9, 0.02)])      # short: names alone decide, if they say anything
+def test_a_step_comes_before_its_response(tmp_path, columns, duration, at, pole, noise):
+    rng, time = np.random.default_rng(7), np.arange(0.0, duration, 0.01)
+    u = (time >= at).astype(float)
+    y = lagged(delayed(u), pole, 0.01) + noise * rng.standard_normal(len(u))
+    table = [time, *({'u': u, 'y': y}[name] for name in columns)]
+    path = tmp_path / 'run.csv'
+    np.savetxt(path, np.transpose(table), delimiter=',', comments='',
+               header=f'time,{",".join(columns)}')
+    assert keys(guessed(path))[0] == (('run', 'u'), ('run', 'y'))
 
 
 def test_switches_modes_clocks_and_constants_are_no_signals():

@@ -20,11 +20,12 @@ from ctsid_ros.recordings.excited import Stretch, excited, together
 from ctsid_ros.recordings.guess_candidates import Candidate
 from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
-from ctsid_ros.recordings.guess_ranking import Pair, Ranking, rank
+from ctsid_ros.recordings.guess_ranking import Pair, Ranking, in_order, rank
 from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
 from ctsid_ros.recordings.survey import survey as look_at
 
 OFFERED = 3  # pairs that are shown
+_BEST_NAMED = 48  # pairs of which it is looked which signal begins to move first
 _MOST_STRETCHES = 3  # that are identified from: more take long and tell little more
 _BY_NAMES = ('no scalar of this bag explains the motion of another one: the channels are only '
              'guessed by their names: check them, and whether there is an experiment')
@@ -212,10 +213,14 @@ def words(signal: Candidate) -> str:
 def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
     """Return pairs where the data do not say: what is named like a command, a measurement."""
     found = ranking.found
-    pairs = sorted((Pair(u, y, Explained(), ranking.clock)
-                    for u in found for y in found if u is not y),
-                   key=lambda p: (p.input.key[0] == p.output.key[0], p.output.field.white,
-                                  -p.input.acts * p.output.measures))
+
+    def order(pair: Pair, factor: float = 1.0) -> tuple[bool, bool, float]:
+        return (pair.input.key[0] == pair.output.key[0], pair.output.field.white,
+                -factor * pair.input.acts * pair.output.measures)
+
+    named = sorted((Pair(u, y, Explained(), ranking.clock)
+                    for u in found for y in found if u is not y), key=order)[:_BEST_NAMED]
+    pairs = sorted(named, key=lambda p: order(p, in_order(p)))
     if not pairs:
         raise BagError('a model needs an input and an output that move, but '
                        + _what_moves(found, survey) + '; `ctsid info` shows what is there')

@@ -28,6 +28,10 @@ _FOLDS = 6
 _RIDGES = (1e-5, 1e-3, 1e-1)  # relative to the mean power of the regressors
 _FEWEST_ROWS = 100
 _LOCAL = 8.0  # s: within which the size of the motion is measured
+_REST = 10  # ticks at the start that tell the noise of a signal at rest
+_LEAVES = 5.0  # standard deviations of that noise: what is farther away is at rest no longer,
+_BEGUN = 0.1  # and has begun to move from so much of its range on: gusts before are no beginning
+_NOISY = 0.3  # of the range: a signal that has to move so far to be seen tells nothing
 _QUIET = 0.3  # of the usual size of motion where there is some: less is not scaled up to it
 
 
@@ -80,6 +84,31 @@ def effective_frequencies(values: Array, clock: Clock) -> float:
         total = float(np.sum(power ** 2))
         found = max(found, float(np.sum(power)) ** 2 / total if total > 0 else 0.0)
     return found
+
+
+def begins_before(one: Array, other: Array) -> bool:
+    """
+    Whether both signals rest at first, and one begins to move before the other does.
+
+    Both have to be away from their rest by the same share of their range. What left its noise in
+    the first half of the time until then, or soon, was not at rest, but moved slowly.
+    """
+    known = np.flatnonzero(np.isfinite(one) & np.isfinite(other))
+    signals = [values[known] for values in (one, other)]
+    if len(known) <= _REST or any(np.ptp(x) == 0 for x in signals):
+        return False
+    away = [np.abs(x - x[:_REST].mean()) / np.ptp(x) for x in signals]
+    noise = [_LEAVES * float(np.std(x[:_REST]) / np.ptp(x)) for x in signals]
+    share = max(_BEGUN, *noise)
+    first, second = (_exceeds(x, share) for x in away)
+    rests = all(2 * _exceeds(x, own) >= max(_exceeds(x, share), 6 * _REST)
+                for x, own in zip(away, noise, strict=True))
+    return rests and share < _NOISY and first < second
+
+
+def _exceeds(values: Array, limit: float) -> int:
+    """Return from which tick on two in a row exceed a limit; 0 if none do."""
+    return int(np.argmax(np.minimum(values[:-1], values[1:]) > limit))
 
 
 class Comparison:

@@ -29,6 +29,7 @@ from ctsid_ros.recordings.guess_pairs import (
     STEPS,
     Comparison,
     Explained,
+    begins_before,
     effective_frequencies,
     without_slow,
 )
@@ -51,6 +52,7 @@ _TOLD = 15.0
 _CERTAIN = 0.999  # most that is explained: echoes would tell without limit
 _NEARER, _DRIVES = 0.8, 0.3  # what the command nearer to the plant has to explain of that before,
 _BEHIND = 0.7  # and the factor for that before
+_EFFECT_FIRST = 0.3  # for an output that begins to move before its input, if no name says more
 _SIBLINGS, _CROWD = 2, 0.8  # others of its message that explain as much, and the factor for these
 
 
@@ -150,6 +152,7 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
                                          spread, lines)
              for pair in _looked_at(inputs[i], listed, chosen, comparison, clock,
                                     spread[inputs[i]], lines)]
+    pairs = [replace(pair, score=in_order(pair) * pair.score) for pair in pairs]
     pairs = [_in_crowd(pair, pairs) for pair in pairs]
     pairs = [_behind(pair, pairs, listed, inputs, shares) for pair in pairs]
     pairs = sorted(pairs, key=lambda p: -p.score)
@@ -261,6 +264,13 @@ def _score(u: Candidate, y: Candidate, found: Explained, lines: float) -> float:
 def _enough(told: float) -> float:
     """Return how much of a proof it is if so much is told of a motion [nats]."""
     return told / (told + _TOLD)
+
+
+def in_order(pair: Pair) -> float:
+    """Return a factor for an output that moves before its input, where names do not tell."""
+    u, y = pair.input, pair.output
+    named = u.acts * y.measures > y.acts * u.measures
+    return 1.0 if named or not begins_before(y.smooth, u.smooth) else _EFFECT_FIRST
 
 
 def _in_crowd(pair: Pair, pairs: Sequence[Pair]) -> Pair:
