@@ -438,6 +438,18 @@ def test_try_does_all_in_one_go(base, tmp_path, capsys, monkeypatch):
     assert '--params res/params.yaml --interval 1' in report
 
 
+def test_try_takes_the_time_that_it_is_told(tmp_path, capsys, monkeypatch):
+    rng, time = np.random.default_rng(8), np.arange(0.0, 800.0, 2.0)
+    u = moves(rng, len(time), 10)
+    y = lagged(u, 0.1, 2.0) + 0.01 * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
+               header='t,u,y')
+    monkeypatch.chdir(tmp_path)
+    assert main(['try', 'run.csv', '--time', 't:s', '--out', 'res', '--quiet']) == 0
+    assert 'run.csv: 798.0 s' in capsys.readouterr().out       # else 0.8 s: steps of 2 are of ms
+    assert '--time t:s' in (tmp_path / 'res/report.md').read_text(encoding='utf-8')
+
+
 def test_a_rejected_run_names_better_pairs(base, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     good = guessed(base).config

@@ -15,6 +15,7 @@ from ctsid_ros.verbs.arguments import (
     add_pick,
     add_results,
     add_style,
+    bag_words,
     say,
 )
 
@@ -52,7 +53,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.verbs.info import stretch_section, topic_section
     from ctsid_ros.verbs.init import head, next_command, pair_section
 
-    with open_bag(args.bag) as bag, working('looking at the bag', quiet=args.quiet):
+    with open_bag(args.bag, args.time) as bag, working('looking at the bag', quiet=args.quiet):
         found = survey(bag)
         guessed = guess(bag, found, args.pick)
     if not args.json:
@@ -63,7 +64,7 @@ def command(args: argparse.Namespace) -> int:
     with results_folder(args.out, args.bag, guessed.config.settings.method,
                         force=args.force) as out:
         params = out / PARAMS
-        line = next_command(guessed, args.bag, str(params))
+        line = next_command(guessed, bag_words(args), str(params))
         text = head(guessed, line) + dump_brief(guessed.config)
         write_file(params, text.encode(), force=True)
         code = _identify(line, args, out)
@@ -88,7 +89,7 @@ def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
 def _otherwise(guessed: Guess, args: argparse.Namespace, out: Path) -> str:
     """Return how to try with other signals, as a line."""
     if guessed.pick < len(guessed.pairs):
-        words = ('ctsid', 'try', *args.bag, '--pick', str(guessed.pick + 1))
+        words = ('ctsid', 'try', *bag_words(args), '--pick', str(guessed.pick + 1))
         return f'The next pair of signals: {shlex.join(words)}'
-    return f'With signals of your own: correct {out / PARAMS}, then ' \
-           f'{shlex.join(("ctsid", "identify", *args.bag, "--params", str(out / PARAMS)))}'
+    words = ('ctsid', 'identify', *bag_words(args), '--params', str(out / PARAMS))
+    return f'With signals of your own: correct {out / PARAMS}, then {shlex.join(words)}'
