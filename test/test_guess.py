@@ -25,7 +25,7 @@ from ctsid_ros.recordings.bag import open_bag
 from ctsid_ros.recordings.coherence import lag, mean_coherence
 from ctsid_ros.recordings.excerpts import Clock, averaged, clock_for, held
 from ctsid_ros.recordings.excited import excited
-from ctsid_ros.recordings.guess import better, guess, scalars
+from ctsid_ros.recordings.guess import _AT_ONCE, better, guess, scalars
 from ctsid_ros.recordings.guess_candidates import no_signal
 from ctsid_ros.recordings.guess_pairs import (
     Comparison,
@@ -351,7 +351,7 @@ def test_where_nothing_explains_anything_names_decide_and_that_is_said(tmp_path)
                  array(rng.standard_normal())) for k in range(500) for topic in ('/x', '/cmd')]
     found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
     assert keys(found)[0] == (('/cmd', 'data[0]'), ('/x', 'data[0]'))
-    assert 'only guessed by their names' in found.reasons[0]
+    assert 'guessed by their names' in found.reasons[0]
 
 
 def test_too_little_moves(tmp_path):
@@ -460,3 +460,10 @@ def test_a_rejected_run_names_better_pairs(base, tmp_path, capsys, monkeypatch):
     out = ' '.join(capsys.readouterr().out.split())
     assert 'the data say more about other signals: /twist_out twist.angular.z -> /' in out
     assert '-o other.yaml --' in out
+
+
+@pytest.mark.parametrize(('name', 'at_once'), [
+    ('linear_acceleration.x', True), ('accelerometer_m_s2[0]', True), ('AccX', True),
+    ('accel', True), ('acc', True), ('angular_velocity.x', False), ('account', False)])
+def test_accelerometers_answer_at_once_whoever_names_them(name, at_once):
+    assert bool(_AT_ONCE.search(name)) is at_once

@@ -106,7 +106,7 @@ def _input_spectra(samples: Samples,
     Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
 
     Of the record in which inputs change most, the strongest lines only. Further the inputs at
-    uniform instants, and the effective number of frequencies of each.
+    uniform instants, without dead times, and the effective number of frequencies of each.
     """
     record = max(samples.records, key=_motion)
     finest = min(s.period for s in record.streams)
@@ -125,7 +125,7 @@ def _input_spectra(samples: Samples,
     # What lies beyond half the rate of an input are the edges of its hold.
     tapered *= omega < np.pi / np.array([[s.period] for s in inputs for _ in range(s.width)])
     breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
-    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), u,
+    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), as_sent,
             breadth / _LOBE)
 
 

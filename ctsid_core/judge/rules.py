@@ -192,14 +192,15 @@ def _summary(e: Evidence) -> str:
     deviation = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
                  if j not in e.fixed_inputs)
     held = np.nanmax(e.held_out, initial=-np.inf)
-    unseen = f'and the part held out to {np.floor(100 * (1 - float(held))):.0f} % ' \
+    ahead = ', 1 sample ahead,' if e.by_prediction else ''
+    unseen = f'and the part held out{ahead} to {100 * (1 - float(held)):.1f} % ' \
         if held >= 0.0 else ''
     untested = '' if unseen else \
         ' Nothing was held out to test it: a test there could tell nothing, or was not asked for.'
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
-            f'{np.floor(100 * (1 - float(np.nanmax(e.error)))):.0f} % {unseen}of the motion; the '
-            f'response to each input is known to {_percent(deviation)}.{untested}')
+            f'{100 * (1 - float(np.nanmax(e.error))):.1f} % {unseen}of the motion; the '
+            f'response to each input has a standard deviation of {_percent(deviation)}.{untested}')
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import math
 import re
 
 from ctsid_core.settings import Settings
@@ -27,8 +28,11 @@ from ctsid_ros.recordings.survey import survey as look_at
 OFFERED = 3  # pairs that are shown
 _BEST_NAMED = 48  # pairs of which it is looked which signal begins to move first
 _MOST_STRETCHES = 3  # that are identified from: more take long and tell little more
-_BY_NAMES = ('no scalar of this bag explains the motion of another one: the channels are only '
-             'guessed by their names: check them, and whether there is an experiment')
+_BY_NAMES = ('the data alone do not tell which signal is the input, for the recording is short '
+             'or little moves: the channels are guessed by their names, what moves first, and '
+             'their order: check them, and whether there is an experiment')
+# Outputs that may answer at once: of an accelerometer, as ROS, PX4, ArduPilot and people name it.
+_AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
@@ -198,6 +202,9 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
 
 def _why(pair: Pair) -> str:
     found = pair.explained
+    if math.isnan(found.past):
+        return (f'the recording is too short to compare {words(pair.input)} and '
+                f'{words(pair.output)} by their motion')
     sentence = (f'{words(pair.input)} explains {100 * found.past:.0f} % of the motion of '
                 f'{words(pair.output)}, from its past and in data held out')
     return sentence if found.past > found.future else (
@@ -218,7 +225,8 @@ def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
         return (pair.input.key[0] == pair.output.key[0], pair.output.field.white,
                 -factor * pair.input.acts * pair.output.measures)
 
-    named = sorted((Pair(u, y, Explained(), ranking.clock)
+    compared = {(p.input, p.output): p for p in ranking.compared}
+    named = sorted((compared.get((u, y)) or Pair(u, y, Explained(), ranking.clock)
                     for u in found for y in found if u is not y), key=order)[:_BEST_NAMED]
     pairs = sorted(named, key=lambda p: order(p, in_order(p)))
     if not pairs:
@@ -287,6 +295,6 @@ def _settings(survey: Survey, outputs: Sequence[Candidate]) -> Settings:
     if survey.duration < 2 * length:
         length = survey.duration / 2.0
     length = max(float(f'{length:.2g}'), 0.01)
-    return Settings(feedthrough=any('acceleration' in y.key[1] for y in outputs),
+    return Settings(feedthrough=any(_AT_ONCE.search(y.key[1]) for y in outputs),
                     window_length=length,
                     window_stride=float(f'{max(length / 10.0, 0.001):.2g}'))

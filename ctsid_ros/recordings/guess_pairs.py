@@ -47,11 +47,13 @@ class Explained:
         its future does: 0 to 1.
     overlap : float
         How long both are known [s].
+
+    All are NaN where the two were not compared.
     """
 
-    past: float = 0.0
-    future: float = 0.0
-    overlap: float = 0.0
+    past: float = float('nan')
+    future: float = float('nan')
+    overlap: float = float('nan')
 
 
 def without_slow(values: Array, clock: Clock) -> Array:

@@ -68,7 +68,7 @@ class Pair:
     clock : Clock
         Of their values.
     frequencies : float
-        Over how many lines the spectrum of the input is spread.
+        Over how many lines the spectrum of the input is spread; NaN if not known.
     score : float
         The share of the output's motion that is explained, times factors of at most 1.
     nearer : str
@@ -79,7 +79,7 @@ class Pair:
     output: Candidate
     explained: Explained
     clock: Clock
-    frequencies: float = 0.0
+    frequencies: float = float('nan')
     score: float = 0.0
     nearer: str = ''
 

@@ -77,8 +77,10 @@ def channel_section(played: Played, title: str = 'Signals', *, brief: bool = Tru
                      known.get(c.name, _delay(c)) if c.role == 'input' else '',
                      counts.source, str(counts.samples.accepted)))
     head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
+    messages = {c.name for c in played.config.channels if not c.type.startswith('table/')}
     why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'
-           for name, counts in played.counts.channels.items() if counts.why.endswith('no header')]
+           for name, counts in played.counts.channels.items()
+           if counts.why.endswith('no header') and name in messages]
     return Section(title, (Table(head, tuple(rows), head[:5] + head[6:7]),
                            *([Bullets(tuple(why))] if why else [])), brief=brief)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import math
 import shlex
 import sys
 import textwrap
@@ -115,11 +116,15 @@ def _row(index: int, pair: Pair, taken: bool) -> tuple[str, ...]:
     u, y, clock = pair.input, pair.output, pair.clock
     found = pair.explained
     return (f'{index}{" *" if taken else ""}', ' '.join(u.key), ' '.join(y.key),
-            f'{100 * found.past:.0f}', f'{100 * found.future:.0f}',
+            _whole(100 * found.past), _whole(100 * found.future),
             number(mean_coherence(u.held, y.smooth, clock), 2),
-            number(lag(u.held, y.smooth, clock), 2), f'{pair.frequencies:.0f}',
-            f'{found.overlap:.0f}',
+            number(lag(u.held, y.smooth, clock), 2), _whole(pair.frequencies),
+            _whole(found.overlap),
             f'{number(u.rate, 3)} / {number(y.rate, 3)}')
+
+
+def _whole(value: float) -> str:
+    return '-' if math.isnan(value) else f'{value:.0f}'
 
 
 def head(guessed: Guess, line: str) -> str:
@@ -131,7 +136,7 @@ def head(guessed: Guess, line: str) -> str:
         if guessed.free and i != guessed.pick:
             lines += _comment(f'- Other pair (--pick {i}): {" ".join(pair.input.key)} -> '
                               f'{" ".join(pair.output.key)}, '
-                              f'{100 * pair.explained.past:.0f} % explained.')
+                              f'{_whole(100 * pair.explained.past)} % explained.')
     others = guessed.others[:_MOST_OTHERS]
     if others:
         lines += ['#', '# These move as well (standard deviation in brackets):']
