@@ -98,12 +98,16 @@ def test_ctrl_c_while_a_reader_is_dropped_is_not_lost():
     def load(chunk, room):
         time.sleep(0.2)
 
-    loaded = _ahead(load, [[Chunk(0, 0)]] * 4, [])
-    next(loaded)
+    readers = [_ahead(load, [[Chunk(0, 0)]] * 4, [])]
+    next(readers[0])
+
+    def drop() -> None:
+        readers.clear()
+        time.sleep(1.0)
+
     threading.Timer(0.02, signal.pthread_kill, (threading.get_ident(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
-        del loaded
-        time.sleep(1.0)
+        drop()
 
 
 def test_ctrl_c_before_the_command_can_handle_it_is_not_lost(tmp_path):

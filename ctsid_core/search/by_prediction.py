@@ -40,6 +40,7 @@ from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCH, Tried, affordable, nearest, parameters, tried
+from ctsid_core.search.needless import without_needless
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
@@ -106,6 +107,10 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
     best = min(known, key=lambda one: information(one.errors, joint, one.found.parameters))
+    # One sample ahead any error is small where samples are dense.
+    needed, free = without_needless(joint, best.found, own, 0.0)
+    best = replace(best, free=free) if needed is best.found else \
+        _judged(joint, needed.fit, free, last) or best
     return replace(best, orders={n: one.found for n, one in found.items()})
 
 

@@ -226,7 +226,7 @@ def _ahead(load: Callable[[Chunk, Room], C], batches: Sequence[Sequence[Chunk]],
     def task(batch: Sequence[Chunk], room: Room) -> list[C]:
         return [load(chunk, room) for chunk in batch]
 
-    # Not as a context: a reader that is dropped would wait for its threads, and an interrupt be lost.
+    # No context: a reader that is dropped would wait for its threads, and lose an interrupt.
     pool = ThreadPoolExecutor(_THREADS)
     for batch in batches:
         room = free.pop() if free else Room()
