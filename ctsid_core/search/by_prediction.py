@@ -106,12 +106,19 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
-    best = min(known, key=lambda one: information(one.errors, joint, one.found.parameters))
+    best = min(known, key=lambda one: _as_used(one, joint))
     # One sample ahead any error is small where samples are dense.
-    needed, free = without_needless(joint, best.found, own, 0.0)
-    best = replace(best, free=free) if needed is best.found else \
-        _judged(joint, needed.fit, free, last) or best
+    needed, fewer = without_needless(joint, best.found, own, 0.0)
+    other = replace(best, free=fewer) if needed is best.found else \
+        _judged(joint, needed.fit, fewer, last)
+    # Far ahead a dead time may show that hardly does one sample ahead.
+    if other is not None and _as_used(other, joint) <= _as_used(best, joint):
+        best = other
     return replace(best, orders={n: one.found for n, one in found.items()})
+
+
+def _as_used(one: PredictionFit, joint: Samples) -> float:
+    return information(one.errors, joint, one.found.parameters)
 
 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free, last: Last,

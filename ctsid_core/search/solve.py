@@ -120,6 +120,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
+    if late > 0.0 or best is not climbed:
         best = _climbed(samples, best, free)
     smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
