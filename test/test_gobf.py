@@ -29,6 +29,7 @@ from ctsid_ros.studies import takenaka_malmquist as study
 from ctsid_ros.studies.experiments import flexible, from_rest, quadrotor, running
 from ctsid_ros.studies.filtered_inputs import realised
 from ctsid_ros.studies.local_polynomials import derivatives, local_polynomials
+from ctsid_ros.studies.robots import families as robots
 
 SEQUENCES = {
     'spread': np.linspace(1.0, 15.0, 8), 'laguerre': np.full(8, 6.0),
@@ -246,3 +247,9 @@ def test_example_of_the_paper_over_20_seeds(tmp_path):
     own = median_errors(tmp_path, 20)
     assert all(own[study.SPREAD, 'kinks'] < own[name, 'kinks']
                for name in study.SEQUENCES if name != study.SPREAD)
+
+
+def test_a_part_held_out_is_tested_if_any_tuning_has_a_model_of_the_rest():
+    """Chains with the poles of the whole have models that explode there."""
+    found = identify(robots.experiment('receipt-stamps', 21, 0).record, Settings(method='gobf'))
+    assert np.isfinite(found.verdict.held_out_error).all()

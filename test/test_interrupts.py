@@ -9,10 +9,13 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from marks import slow
 import pytest
+
+from ctsid_ros.recordings.chunks import Chunk, _ahead
 
 ROOT = Path(__file__).resolve().parent.parent
 BAG = ROOT / 'bags/quadrotor_roll'
@@ -88,6 +91,23 @@ def test_ctrl_c_may_be_pressed_again_and_again(tmp_path):
     code, text = interrupted(READ, tmp_path, 0.05, times=20)
     assert 'Traceback' not in text
     assert code == 130
+
+
+def test_ctrl_c_while_a_reader_is_dropped_is_not_lost():
+    """What is raised while Python drops a generator, it prints and forgets."""
+    def load(chunk, room):
+        time.sleep(0.2)
+
+    readers = [_ahead(load, [[Chunk(0, 0)]] * 4, [])]
+    next(readers[0])
+
+    def drop() -> None:
+        readers.clear()
+        time.sleep(1.0)
+
+    threading.Timer(0.02, signal.pthread_kill, (threading.get_ident(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        drop()
 
 
 def test_ctrl_c_before_the_command_can_handle_it_is_not_lost(tmp_path):

@@ -23,7 +23,7 @@ class Evidence:
     # (ny,): the part of the error on what was held out that the uncertainty of the rest's model
     # lets expect, over the motion
     expected: Array
-    driven: Array                   # (ny,): rms response to inputs alone, over the motion, or 0
+    driven: Array                   # (ny,): rms of what inputs explain, over the motion, or 0
     poles: ComplexArray             # (n,)
     change: Change
     where: str                      # which window, or record, changed, and when

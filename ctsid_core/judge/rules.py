@@ -33,7 +33,7 @@ _LEAKS = 0.25           # frequencies more than its sines that an input seems to
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
-_DRIVEN = 0.5           # held-out error over the response to inputs: less, and it follows them
+_DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model

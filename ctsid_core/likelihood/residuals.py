@@ -23,16 +23,18 @@ def residuals(samples: Samples, fit: Fit) -> Residuals:
 
 
 def driven(samples: Samples, fit: Fit, errors: Residuals) -> Array:
-    """Return the rms response to the inputs alone, over the size of the outputs, (ny,)."""
-    m, found = fit.model, []
-    for k, s in enumerate(samples.records[0].streams):
+    """Return the rms of what inputs alone explain, over the size of the outputs, (ny,)."""
+    poles, found = fit.model.poles, []
+    for k in range(len(samples.records[0].streams)):
         rows = []
-        for i, (r, own) in enumerate(zip(samples.records, errors, strict=True)):
-            z = m.x0[i][:, np.newaxis] * np.exp(
-                m.poles[:, np.newaxis] * (r.streams[k].times - r.start))
-            rows.append(r.streams[k].y - own[k] - (m.c[s.channels] @ z).real.T
-                        - m.y0[i, s.channels])
-        found.append(np.std(np.concatenate(rows), axis=0))
+        for r, own in zip(samples.records, errors, strict=True):
+            since = (r.streams[k].times - r.start)[:, np.newaxis]
+            free = np.exp(poles * since)
+            known = np.hstack((free.real, free[:, poles.imag > 0.0].imag, np.ones_like(since)))
+            moved = r.streams[k].y - own[k]
+            # Of initial states and a trim that would imitate or outweigh it nothing is left.
+            rows.append(moved - known @ np.linalg.lstsq(known, moved, rcond=None)[0])
+        found.append(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)))
     return np.concatenate(found)
 
 

@@ -40,6 +40,7 @@ from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import SEARCH, Tried, affordable, nearest, parameters, tried
+from ctsid_core.search.needless import without_needless
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
@@ -105,8 +106,19 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
-    best = min(known, key=lambda one: information(one.errors, joint, one.found.parameters))
+    best = min(known, key=lambda one: _as_used(one, joint))
+    # One sample ahead any error is small where samples are dense.
+    needed, fewer = without_needless(joint, best.found, own, 0.0)
+    other = replace(best, free=fewer) if needed is best.found else \
+        _judged(joint, needed.fit, fewer, last)
+    # Far ahead a dead time may show that hardly does one sample ahead.
+    if other is not None and _as_used(other, joint) <= _as_used(best, joint):
+        best = other
     return replace(best, orders={n: one.found for n, one in found.items()})
+
+
+def _as_used(one: PredictionFit, joint: Samples) -> float:
+    return information(one.errors, joint, one.found.parameters)
 
 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free, last: Last,

@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
@@ -26,7 +25,7 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
-from ctsid_core.likelihood.state_space import entry_changes, modal_of
+from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
@@ -50,6 +49,7 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
+from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.signals.outliers import spikes
@@ -66,8 +66,6 @@ _OPEN_LOOP = 0.5      # error that is not noise, over the motion, with which a p
                       # may need its outputs' own past
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
-_SURE = 6.0           # standard deviations from which on a dead time needs no further test
-_MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
@@ -117,11 +115,12 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             part, settings, corrupt, samples, best, free, predicted)):
         return solved
     climbed = _climbed(samples, best, free)
-    best, free = _without_needless(samples, climbed, free)
+    best, free = without_needless(samples, climbed, free, LEAST)
     others = _with(others, climbed, best)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
+    if late > 0.0 or best is not climbed:
         best = _climbed(samples, best, free)
     smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
@@ -443,32 +442,6 @@ def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) ->
             mask[rows] = True
             marks[k], count = mask, count + len(rows)
     return count
-
-
-def _without_needless(samples: Samples, best: Tried, free: Free) -> tuple[Tried, Free]:
-    """Return the model without dead times that explain too little."""
-    model = best.fit.model
-    deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
-    unsure = np.flatnonzero(free.delays & (model.delay < _SURE * deviation))
-    none = np.flatnonzero(free.delays & (model.delay == 0.0))
-    free = _fixed(free, none)
-    # All at once, and if that is too many, one by one.
-    for places in ([unsure] if len(unsure) > 1 else []) + [unsure[k:k + 1]
-                                                           for k in range(len(unsure))]:
-        if samples.effort.over or not np.any(np.array(free.delays)[places]):
-            continue
-        fewer, delay = _fixed(free, places), best.fit.model.delay.copy()
-        delay[places] = 0.0
-        other = tried(samples, climb(samples, fit_at(
-            samples, best.fit.model.poles, delay, fewer), fewer), fewer)
-        if criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS:
-            best, free = other, fewer
-    return best, free
-
-
-def _fixed(free: Free, places: NDArray[np.intp]) -> Free:
-    """Return what is free, without the dead times of some inputs."""
-    return replace(free, delays=tuple(f and k not in places for k, f in enumerate(free.delays)))
 
 
 def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:

@@ -58,10 +58,11 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
 
     def refit(early: Samples) -> Fit | None:
         records = part.early(own)
-        offered = method.models(records, replace(made.settings, delay=own.delay), [fit.model.n]) \
-            or method.models(records, own, [fit.model.n])
-        found = _likeliest(offered, early, own, free)
-        return None if found is None else found[0]
+        for tuned in (replace(made.settings, delay=own.delay), own):
+            found = _likeliest(method.models(records, tuned, [fit.model.n]), early, own, free)
+            if found is not None:
+                return found[0]
+        return None
 
     used = made.settings.replace(delay=settings.delay, order=fit.model.n)
     return Solution(used, part, samples, fit, free, chosen.independent, table, tuple(choices),

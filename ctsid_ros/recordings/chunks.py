@@ -226,17 +226,14 @@ def _ahead(load: Callable[[Chunk, Room], C], batches: Sequence[Sequence[Chunk]],
     def task(batch: Sequence[Chunk], room: Room) -> list[C]:
         return [load(chunk, room) for chunk in batch]
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        try:
-            for batch in batches:
-                room = free.pop() if free else Room()
-                waiting.append((room, pool.submit(task, batch, room)))
-                if len(waiting) > _AHEAD:
-                    room, future = waiting.popleft()
-                    yield room, future.result()
-            while waiting:
-                room, future = waiting.popleft()
-                yield room, future.result()
-        finally:
-            for _, future in waiting:
-                future.cancel()
+    # No context: a reader that is dropped would wait for its threads, and lose an interrupt.
+    pool = ThreadPoolExecutor(_THREADS)
+    for batch in batches:
+        room = free.pop() if free else Room()
+        waiting.append((room, pool.submit(task, batch, room)))
+        if len(waiting) > _AHEAD:
+            room, future = waiting.popleft()
+            yield room, future.result()
+    while waiting:
+        room, future = waiting.popleft()
+        yield room, future.result()

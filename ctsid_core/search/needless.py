@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead times that explain too little: a number that a model may do without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Free, climb, fit_at
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.search.by_order import Tried, criterion, tried
+
+_MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
+
+
+def without_needless(samples: Samples, best: Tried, free: Free,
+                     least: float) -> tuple[Tried, Free]:
+    """
+    Return the model without dead times that explain too little, and what is free in it.
+
+    Rms errors below `least`, over the motion, are no evidence.
+    """
+    late = np.flatnonzero(np.array(free.delays) & (best.fit.model.delay > 0.0))
+    free = _fixed(free, np.flatnonzero(free.delays & (best.fit.model.delay == 0.0)))
+    count = samples.counts.sum()
+    # What one costs at most, in samples that are not independent; below `least` nothing counts.
+    price = float(np.log(count) * np.max(samples.counts.sum(axis=0) / best.independent))
+    nothing = 2.0 * float(count) * float(np.log(least)) if least else -np.inf
+    # All at once, and if that is too many, one by one.
+    for places in ([late] if len(late) > 1 else []) + [late[k:k + 1] for k in range(len(late))]:
+        if samples.effort.over or not np.any(np.array(free.delays)[places]):
+            continue
+        fewer, delay = _fixed(free, places), best.fit.model.delay.copy()
+        delay[places] = 0.0
+        other = tried(samples, climb(samples, fit_at(
+            samples, best.fit.model.poles, delay, fewer), fewer, steps=FEWER,
+            least=ROUGHLY, rival=max(best.fit.cost + len(places) * price, nothing)), fewer)
+        if np.all(other.power < least ** 2) or (
+                criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS):
+            best, free = other, fewer
+    return best, free
+
+
+def _fixed(free: Free, places: NDArray[np.intp]) -> Free:
+    """Return what is free, without the dead times of some inputs."""
+    return replace(free, delays=tuple(f and k not in places for k, f in enumerate(free.delays)))
