@@ -108,7 +108,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     # As they are used: the filter starts from the first samples, not from the best states.
     best = min(known, key=lambda one: _as_used(one, joint))
     # One sample ahead any error is small where samples are dense.
-    needed, fewer = without_needless(joint, best.found, own, 0.0)
+    needed, fewer = without_needless(joint, best.found, own, 0.0, each=False)
     other = replace(best, free=fewer) if needed is best.found else \
         _judged(joint, needed.fit, fewer, last)
     # Far ahead a dead time may show that hardly does one sample ahead.

@@ -15,12 +15,13 @@ from ctsid_core.search.by_order import Tried, criterion, tried
 _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
 
 
-def without_needless(samples: Samples, best: Tried, free: Free,
-                     least: float) -> tuple[Tried, Free]:
+def without_needless(samples: Samples, best: Tried, free: Free, least: float,
+                     each: bool = True) -> tuple[Tried, Free]:
     """
     Return the model without dead times that explain too little, and what is free in it.
 
-    Rms errors below `least`, over the motion, are no evidence.
+    They are asked all at once and, if that is too many, `each` by itself. Rms errors below
+    `least`, over the motion, are no evidence.
     """
     late = np.flatnonzero(np.array(free.delays) & (best.fit.model.delay > 0.0))
     free = _fixed(free, np.flatnonzero(free.delays & (best.fit.model.delay == 0.0)))
@@ -28,8 +29,7 @@ def without_needless(samples: Samples, best: Tried, free: Free,
     # What one costs at most, in samples that are not independent; below `least` nothing counts.
     price = float(np.log(count) * np.max(samples.counts.sum(axis=0) / best.independent))
     nothing = 2.0 * float(count) * float(np.log(least)) if least else -np.inf
-    # All at once, and if that is too many, one by one.
-    for places in ([late] if len(late) > 1 else []) + [late[k:k + 1] for k in range(len(late))]:
+    for places in [late, *(late[k:k + 1] for k in range(len(late)) if each and len(late) > 1)]:
         if samples.effort.over or not np.any(np.array(free.delays)[places]):
             continue
         fewer, delay = _fixed(free, places), best.fit.model.delay.copy()
