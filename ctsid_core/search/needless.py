@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Free, climb, fit_at
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.state_space import entry_changes
 from ctsid_core.search.by_order import Tried, criterion, tried
 
+_SURE = 6.0           # standard deviations from which on a dead time is not asked by itself
 _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
 
 
@@ -20,10 +22,12 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
     """
     Return the model without dead times that explain too little, and what is free in it.
 
-    They are asked all at once and, if that is too many, `each` by itself. Rms errors below
-    `least`, over the motion, are no evidence.
+    They are asked all at once and, if that is too many, `each` by itself, but for those that are
+    sure. Rms errors below `least`, over the motion, are no evidence.
     """
-    late = np.flatnonzero(np.array(free.delays) & (best.fit.model.delay > 0.0))
+    deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
+    sure = (best.fit.model.delay >= _SURE * deviation) & np.any(best.power >= least ** 2) & each
+    late = np.flatnonzero(np.array(free.delays) & (best.fit.model.delay > 0.0) & ~sure)
     free = _fixed(free, np.flatnonzero(free.delays & (best.fit.model.delay == 0.0)))
     count = samples.counts.sum()
     # What one costs at most, in samples that are not independent; below `least` nothing counts.
