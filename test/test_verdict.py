@@ -29,6 +29,7 @@ from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
 from ctsid_core.model.verdict import UNJUDGED, Verdict
 from ctsid_core.sequence.tracking import Tracker
+from ctsid_ros.studies.robots import families as robots
 
 
 def judged(record: Record, settings: Settings | None = None) -> Verdict:
@@ -445,3 +446,11 @@ def test_curves_are_told_of_plants_that_predictions_found(curve):
                      Settings(feedthrough=False))
     assert (verdict.grade is Grade.GOOD) == (curve == 'none')
     assert ('not linear in the inputs' in verdict.reason) == (curve != 'none')
+
+
+def test_what_a_controller_answers_is_no_curve():
+    """A linear quadrotor's rate in gusts, under its PID: 17 points were taken for squares."""
+    given = robots.experiment('rates-1x1', 17, 1)
+    found = identify(given.record, given.settings)
+    assert found.verdict.curve_gain[0] < 6.0
+    assert 'not linear' not in found.verdict.reason

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.judge.curve import beside, curves_of
+from ctsid_core.judge.curve import MOST, beside, curves_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
@@ -46,7 +46,6 @@ _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
-_MOST = 0.5           # columns for each row of a regression: with more nothing is told
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
 NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
@@ -191,7 +190,7 @@ def _best(samples: Samples, own: Own, share: float) -> bool:
 
     def unexplained(more: Array) -> float:
         columns = np.hstack((rows, rows[:, states] * after, more))
-        if columns.shape[1] > _MOST * len(error):
+        if columns.shape[1] > MOST * len(error):
             return np.inf
         samples.effort.spend(4.0 * len(error) * columns.shape[1] ** 2)
         left, told = beside(columns, error)

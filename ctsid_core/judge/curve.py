@@ -29,13 +29,13 @@ from ctsid_core.likelihood.output_error import Fit, Free, Residuals
 from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.modal import mode_responses
 from ctsid_core.signals.record import Signal
 
 _POWERS = (2, 3)
 _SEARCHED = 600       # samples of a stream that are looked at
-_MOST = 0.5           # columns for each sample: with more nothing is told
+MOST = 0.5           # columns for each sample: with more nothing is told
 _TIMES = 3            # that noise is estimated
 _CHANCE = 2.0         # deviations beyond what numbers gain by chance, that are by chance, too
 _DEPENDENT = 1e-4     # part of a column that others do not explain: less is rounding, or none
@@ -77,9 +77,15 @@ def curves_of(samples: Samples, fit: Fit) -> Array:
 
 def beside(columns: Array, error: Array) -> tuple[Array, int]:
     """Return what columns leave of errors, and how many of them tell something."""
-    Q, R = np.linalg.qr(columns)
-    own = Q[:, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)]
+    Q, told = _basis(columns)
+    own = Q[:, told]
     return error - own @ (own.T @ error), own.shape[1]
+
+
+def _basis(columns: Array) -> tuple[Array, Mask]:
+    """Return columns made orthonormal one after another, and which are not of those before."""
+    Q, R = np.linalg.qr(columns)
+    return Q, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)
 
 
 def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:
@@ -130,10 +136,10 @@ def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
     """
     width, count = base.shape[1], len(base)
     gains = np.zeros(errors[0].shape[1])
-    if width + curves.shape[1] > _MOST * count:
+    if width + curves.shape[1] > MOST * count:
         return gains
-    Q, R = np.linalg.qr(np.hstack((base, curves)))
-    own = Q[:, width:][:, np.abs(np.diag(R))[width:] > _DEPENDENT * np.linalg.norm(curves, axis=0)]
+    Q, told = _basis(np.hstack((base, curves)))
+    own = Q[:, width:][:, told[width:]]
     Q, edges = Q[:, :width], np.cumsum([len(one) for one in errors])[:-1]
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):
         part = np.zeros(count)

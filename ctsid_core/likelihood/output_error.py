@@ -132,7 +132,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
 
 def _lower(share: float) -> float:
     """Return a factor of the damping, after a step that gained a share of what was hoped for."""
-    return min(max(0.1, 1.0 - (2.0 * share - 1.0) ** 3), 2.0)
+    return max(0.1, 1.0 - (2.0 * share - 1.0) ** 3)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:

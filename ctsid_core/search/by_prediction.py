@@ -378,8 +378,8 @@ def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
     short record, the last ones, are left out.
     """
     record = last.record
-    slowest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
-    seen = record.outputs[slowest].time
+    rarest = max(range(len(record.outputs)), key=lambda i: record.outputs[i].period)
+    seen = record.outputs[rarest].time
     seen = seen[(seen >= record.start) & (seen <= record.end)]
     step = float(np.median(np.diff(seen)))
     t, y = carried_on(seen, np.column_stack([

@@ -22,13 +22,16 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
     """
     Return the model without dead times that explain too little, and what is free in it.
 
-    They are asked all at once and, if that is too many, `each` by itself, but for those that are
-    sure. Rms errors below `least`, over the motion, are no evidence.
+    They are asked all at once. If `each` may go, then, if that is too many, one by one, and those
+    that are sure are not asked. Rms errors below `least`, over the motion, are no evidence.
     """
-    deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
-    sure = (best.fit.model.delay >= _SURE * deviation) & np.any(best.power >= least ** 2) & each
-    late = np.flatnonzero(np.array(free.delays) & (best.fit.model.delay > 0.0) & ~sure)
-    free = _fixed(free, np.flatnonzero(free.delays & (best.fit.model.delay == 0.0)))
+    found = best.fit.model.delay
+    asked = np.array(free.delays) & (found > 0.0)
+    if each and np.any(best.power >= least ** 2):
+        deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
+        asked &= found < _SURE * deviation
+    late = np.flatnonzero(asked)
+    free = _fixed(free, np.flatnonzero(free.delays & (found == 0.0)))
     count = samples.counts.sum()
     # What one costs at most, in samples that are not independent; below `least` nothing counts.
     price = float(np.log(count) * np.max(samples.counts.sum(axis=0) / best.independent))

@@ -116,7 +116,7 @@ class _Cells:
         self.count = count
         self._edges = np.linspace(first, record.end, count + 1)
         self._step = float(self._edges[1] - self._edges[0])
-        self._means = np.vstack([cell_means(s, self._edges) for s in record.inputs])
+        self._means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
 
     def responses(self, poles: Array | ComplexArray) -> ComplexArray:
         """Return the responses of poles at the edges, (m, nu, cells + 1); real if they are."""
@@ -168,7 +168,7 @@ def _parts(responses: ComplexArray) -> Array:
     return np.stack((responses.real, responses.imag), axis=1)
 
 
-def cell_means(signal: Signal, edges: Array) -> Array:
+def _cell_means(signal: Signal, edges: Array) -> Array:
     """Return the mean of each channel over each cell, (w, cells): held before and after."""
     t, x = signal.time, signal.values
     steps = np.diff(t)[:, np.newaxis]
