@@ -445,6 +445,12 @@ def test_try_takes_the_time_that_it_is_told(tmp_path, capsys, monkeypatch):
     np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
                header='t,u,y')
     monkeypatch.chdir(tmp_path)
+    for verb in (['try', '--out', 'wrong', '--force', '--quiet'], ['info'], ['init']):
+        main([verb[0], 'run.csv', *verb[1:]])
+        begin = ' '.join(''.join(capsys.readouterr()[::-1 if verb == ['init'] else 1]).split())
+        guess = begin.index('taken as ms, for they step by 2: 0.798 s in all; if that is wrong, '
+                            'say --time t:s')
+        assert guess < begin.index('Time stamps' if verb == ['info'] else 'Inputs and outputs')
     assert main(['try', 'run.csv', '--time', 't:s', '--out', 'res', '--quiet']) == 0
     assert 'run.csv: 798.0 s' in capsys.readouterr().out       # else 0.8 s: steps of 2 are of ms
     assert '--time t:s' in (tmp_path / 'res/report.md').read_text(encoding='utf-8')

@@ -56,7 +56,9 @@ def test_the_unit_of_a_time_is_in_its_name(tmp_path, title, scale):
 @pytest.mark.parametrize(('start', 'scale', 'said'), [
     (1.7e9, 1, ''), (1.7e9, 1e-3, ''), (1.7e9, 1e-6, ''), (1.7e9, 1e-9, ''),  # dates
     (5.0, 1, ''), (5.0, 1e-3, 'taken as ms, for they step by 10'),
-    (5.0, 1e-6, 'taken as us'), (5.0, 1e-9, 'taken as ns, for they step by 1e+07')])
+    (5.0, 1e-6, 'taken as us'),
+    (5.0, 1e-9, 'taken as ns, for they step by 1e+07: 0.19 s in all; if that is wrong, say --time '
+     'timestamp:s')])
 def test_or_the_values_tell_it(tmp_path, start, scale, said):
     whole = round(start) * round(1 / scale)
     times = [f'{start + t:.2f}' for t in T] if scale == 1 else [
@@ -67,6 +69,13 @@ def test_or_the_values_tell_it(tmp_path, start, scale, said):
     assert found[0] == start * 1e9
     assert said in notes(path)
     assert bool(notes(path)) == bool(said)
+
+
+@pytest.mark.parametrize(('step', 'told'), [(0.1, False), (0.5, True), (1.003, True)])
+def test_steps_that_could_be_milliseconds_are_told(tmp_path, step, told):
+    path = write_csv(tmp_path / 'a.csv', {'t': step * np.arange(20), 'u': T})
+    np.testing.assert_allclose(stamps(path), step * 1e9 * np.arange(20), atol=1)
+    assert ('taken as s' in notes(path)) == told
 
 
 def test_nanoseconds_are_exact(tmp_path):

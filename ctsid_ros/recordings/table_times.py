@@ -36,6 +36,7 @@ _NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNOR
 _FAR = 2.0**62  # ns: what is beyond is no time of any recording, and too large to be counted
 _CENTURY = (946_684_800, 4_102_444_800)  # 2000 to 2100 [s]
 _SLOWEST = 2.0  # interval of samples; twice as long is rather told in the next smaller unit [s]
+_SURE = 0.2  # shorter ones are of seconds: as milliseconds they would be of 5 kHz and more [s]
 _ORDERED = 0.98  # of the steps of a time column go forward: a clock may have been set
 
 
@@ -221,7 +222,9 @@ def _guess(column: Column) -> tuple[str, str]:
         return dated[0], ''
     slowest = {unit: _SLOWEST * UNITS['s'] / ns for unit, ns in UNITS.items()}
     unit = next((unit for unit in UNITS if step < slowest[unit]), 'ns')
-    if unit == 's' and step != 1.0:
+    if unit == 's' and step < _SURE:
         return unit, ''
-    return unit, (f'the times of column {column.name} are taken as {unit}, for they step by '
-                  f'{step:g}; if they are not, say --time {column.name}:s (or ms, us, ns)')
+    length = float(np.ptp(values)) * UNITS[unit] / UNITS['s'] if len(values) else 0.0
+    return unit, (f'the times of column {column.name} name no unit and are taken as {unit}, for '
+                  f'they step by {step:g}: {length:.6g} s in all; if that is wrong, say --time '
+                  f'{column.name}:s (or ms, us, ns)')

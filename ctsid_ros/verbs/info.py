@@ -71,8 +71,12 @@ def _document(found: Survey, guesses: Sequence[Guess], bags: list[str]) -> dict[
 
 
 def topic_section(found: Survey, bags: list[str]) -> Section:
-    """Return what a bag is, and its topics."""
-    return Section(_title(found, bags), (_topics(found.topics),))
+    """Return what a bag is, its topics, and what is odd about it or was guessed."""
+    return Section(_title(found, bags), (_topics(found.topics), *_notes(found)))
+
+
+def _notes(found: Survey) -> tuple[Bullets, ...]:
+    return (Bullets(found.notes),) if found.notes else ()
 
 
 def _title(found: Survey, bags: list[str]) -> str:
@@ -107,6 +111,7 @@ def _brief(found: Survey, guesses: Sequence[Guess], args: argparse.Namespace
     used = [c.key[0] for g in guesses for c in (g.pair.input, g.pair.output)]
     yield from overview(found, _title(found, args.bag), used,
                         sorted(likely, key=lambda name: -likely[name]))
+    yield Section('', _notes(found))
     yield stretch_section(guesses)
     yield from _end(_torn(found), found, args)
 
@@ -118,9 +123,8 @@ def _torn(found: Survey) -> list[str]:
 
 
 def _end(notes: Sequence[str], found: Survey, args: argparse.Namespace) -> Iterable[Section]:
-    """Yield what is odd, and what to do next."""
-    said = (*notes, *found.notes)
-    yield Section('Notes', (Bullets(said),) if said else ())
+    """Yield what is left to say, and what to do next."""
+    yield Section('Notes', (Bullets(tuple(notes)),) if notes else ())
     yield Section('', (f'Next: ctsid init {shlex.join(bag_words(args))} -o params.yaml',)
                   if any(t.moving for t in found.topics) else ())
 

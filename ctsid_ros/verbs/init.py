@@ -62,6 +62,8 @@ def command(args: argparse.Namespace) -> int:
 
     with open_bag(args.bag, args.time) as bag:
         found = survey(bag)
+        for note in found.notes:
+            say(note)
         guessed = guess(bag, found, args.pick, named(found, args.input, args.output))
     name = 'params.yaml' if args.out == '-' else args.out
     line = next_command(guessed, bag_words(args), name)
