@@ -468,6 +468,16 @@ def test_a_rejected_run_names_better_pairs(base, tmp_path, capsys, monkeypatch):
     assert '-o other.yaml --' in out
 
 
+def test_units_are_those_of_message_types_not_of_names(tmp_path):
+    rng, time = np.random.default_rng(9), np.arange(0.0, 40.0, 0.02)
+    u = moves(rng, len(time), 25)
+    y = lagged(u, 2.0, 0.02) + 0.01 * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
+               header='t,torque,speed')
+    found = guessed(tmp_path / 'run.csv').config.channels
+    assert [(c.name, c.unit) for c in found] == [('torque', ''), ('speed', '')]
+
+
 @pytest.mark.parametrize(('name', 'at_once'), [
     ('linear_acceleration.x', True), ('accelerometer_m_s2[0]', True), ('AccX', True),
     ('accel', True), ('acc', True), ('angular_velocity.x', False), ('account', False)])

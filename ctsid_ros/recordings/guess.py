@@ -35,6 +35,8 @@ _BY_NAMES = ('the data alone do not tell which signal is the input, for the reco
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
+# Packages whose messages are in SI units, by their definition; accelerations have other fields.
+_SAYS_UNIT = re.compile('(ackermann|geometry|nav|sensor)_msgs/msg/(?!Accel)')
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
           ('force', 'N'), (r'angular\.', 'rad/s'), (r'linear\.', 'm/s'), ('euler', 'rad'),
           (r'position\.[xyz]$', 'm'), (r'^velocity\[', 'rad/s'), (r'^position\[', 'rad'),
@@ -257,7 +259,7 @@ def _channels(inputs: Sequence[Candidate], outputs: Sequence[Candidate], reasons
     roles: list[tuple[Candidate, Role]] = [*((c, 'input') for c in inputs),
                                            *((c, 'output') for c in outputs)]
     channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
-                        c.key[1], _unit(c.key[1]), stamp=stamp) for c, role in roles]
+                        c.key[1], _unit(c), stamp=stamp) for c, role in roles]
     return tuple(replace(channel, hold='smooth') if channel.role == 'input'
                  and _is_measured(c, outputs) else channel
                  for channel, c in zip(channels, both, strict=True))    # else held
@@ -285,7 +287,11 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
     return name
 
 
-def _unit(text: str) -> str:
+def _unit(signal: Candidate) -> str:
+    """Return the unit that a message type says; what is only called so may be in any."""
+    kind, text = signal.topic.info.type, signal.key[1]
+    if not (signal.path.euler or _SAYS_UNIT.match(kind)):
+        return ''
     return next((unit for pattern, unit in _UNITS if re.search(pattern, text)), '')
 
 
