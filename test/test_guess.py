@@ -456,6 +456,24 @@ def test_try_takes_the_time_that_it_is_told(tmp_path, capsys, monkeypatch):
     assert '--time t:s' in (tmp_path / 'res/report.md').read_text(encoding='utf-8')
 
 
+def test_try_takes_signals_and_a_rate(tmp_path, capsys, monkeypatch):
+    rng = np.random.default_rng(10)
+    u = moves(rng, 1000, 10)
+    y = lagged(u, 2.0, 0.05) + 0.01 * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.dat', np.transpose([y, u, rng.standard_normal(len(u))]))
+    monkeypatch.chdir(tmp_path)
+    assert main(['try', 'run.dat', '--out', 'res', '--quiet']) == 1
+    assert '--time 100Hz' in capsys.readouterr().err
+    args = ['try', 'run.dat', '--time', '20Hz', '--out', 'res', '--force', '--quiet']
+    assert main([*args, '--input', 'column_1', '--output', 'column_3']) == 3
+    assert 'ctsid try run.dat --time 20Hz --input FIELD --output FIELD' in capsys.readouterr().out
+    assert main([*args, '--input', 'column_2']) == 0
+    assert 'GOOD' in capsys.readouterr().out
+    report = (tmp_path / 'res/report.md').read_text(encoding='utf-8')
+    assert 'ctsid identify run.dat --time 20Hz --params res/params.yaml' in report
+    assert '-2.0' in report
+
+
 def test_a_rejected_run_names_better_pairs(base, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     good = guessed(base).config

@@ -156,9 +156,9 @@ def test_columns_that_are_filled_in_other_rows_are_sampled_at_other_times(tmp_pa
     't\tu\n0\t1\n0.1\t2\n', '# made by hand\n\nt, u\n0, 1\n0.1, 2\n', 't,u,\n0,1,\n0.1,2,\n',
     '# t,u\n0,1\n0.1,2\n', 't [s],u [N m]\n0,1\n0.1,2', 't,u\n0,1,\n0.1,2,\n',
     't;u\n"0";"1,0"\n"0,1";"2,0"\n', '\n\nt,u\n0,1\n0.1,2\n',
-    'sep=;\nt;u\n0,0;1\n0,1;2\n'],
+    'sep=;\nt;u\n0,0;1\n0,1;2\n', '  t   u\n0.0 1\n  0.1   2 \n', '# t u\n0e0 1e0\n1e-1 2e0\n'],
     ids=['bom', 'quoted', 'decimal comma', 'tab', 'comment', 'trailing', 'comment header',
-         'units', 'trailing in rows', 'all quoted', 'blank lines', 'excel'])
+         'units', 'trailing in rows', 'all quoted', 'blank lines', 'excel', 'spaces', 'NumPy'])
 @pytest.mark.parametrize('encoding', ['utf-8', 'utf-16'])
 def test_ways_to_write_a_table(tmp_path, text, encoding):
     path = text_file(tmp_path, text.lstrip('\ufeff') if encoding == 'utf-16' else text,
@@ -178,6 +178,26 @@ def test_a_table_without_a_header(tmp_path):
     path = text_file(tmp_path, '0.0,5\n0.1,3\n0.2,4\n')
     assert numbers(path, 'a', 'column_2') == [(5.0,), (3.0,), (4.0,)]
     assert 'it has no header: its columns are called column_1' in notes(path)
+
+
+def test_spaces_make_a_table_of_numbers_only(tmp_path):
+    titles = text_file(tmp_path, 'elapsed time [s] u\n0.0 1\n0.1 2\n')
+    assert numbers(titles, 'a', 'column_2') == [(1.0,), (2.0,)]
+    prose = text_file(tmp_path, 'flown on day 1\nlanded on day 2\nbroken on day 3\n', 'b.txt')
+    assert 'looks like text' in refused(prose)
+
+
+def test_rows_without_times_have_a_rate(tmp_path):
+    bare = write_csv(tmp_path / 'b.csv', {'u': [1, 3, 2], 'y': [2, 5, 1]})
+    assert 'such as --time 100Hz' in refused(bare)
+    np.testing.assert_array_equal(stamps(bare, time=['12.5Hz']), [0, 80_000_000, 160_000_000])
+    with open_bag(bare, ['12.5Hz']) as bag:
+        assert [str(field) for field in bag.scalar_fields('b')] == ['u', 'y']
+    for text in ('-5Hz', '0Hz', 'fastHz'):
+        with pytest.raises(BagError, match=f'no column is called {text}'):
+            open_bag(bare, [text])
+    named = write_csv(tmp_path / 'a.csv', {'u': T, '1Hz': 2 * T, 'y': T})
+    np.testing.assert_allclose(stamps(named, time=['1Hz']), 2e9 * T, atol=1)
 
 
 def test_rows_and_cells_that_are_no_numbers(tmp_path):

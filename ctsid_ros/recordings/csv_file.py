@@ -2,8 +2,8 @@
 """
 Tables of text: CSV and its relatives, by the csv module of Python.
 
-Encoding, separator (comma, semicolon, tab), decimal comma and header are told from the start of
-the file. What is no row of numbers is left out, and said.
+Encoding, separator (comma, semicolon, tab, spaces), decimal comma and header are told from the
+start of the file. What is no row of numbers is left out, and said.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ctsid_ros.recordings.table_columns import column_of, table_recording
 _START = 1 << 16  # bytes that tell how a file is written
 _SHOWN = 50  # lines of them
 _ROWS = 1 << 15  # that are converted at once: their texts take much memory
-_SEPARATORS = '\t;,|'  # where two fit, the comma is a decimal one
+_SEPARATORS = '\t;,| '  # where two fit, the comma is a decimal one, and a space stands beside it
 _COMMENT = ('#', '%', 'sep=')  # the last one is Excel's
 _NOTHING = {'', 'nan', 'null', 'none', 'na', 'n/a', '-'}
 _LOGICAL = {'true': 1.0, 'false': 0.0}
@@ -112,20 +112,23 @@ def _form(path: Path) -> _Form | None:
     separator = max(_SEPARATORS, key=lambda mark: _regular(shown, mark))
     if not _regular(shown, separator):
         return None
-    rows = list(csv.reader(shown, delimiter=separator))
+    rows = list(_rows(shown, separator))
     first = [cell for cell in rows[0] if cell.strip()]
     titles, has_header, body = rows[0], True, rows[1:]
     if first and all(map(_is_value, first)):  # the header may be a comment, as NumPy writes it
         body = rows
         comment = lines[skipped - 1].strip().lstrip('#%').strip() if skipped else ''
-        titles = next(csv.reader([comment], delimiter=separator), [])
+        titles = next(_rows([comment], separator), [])
         has_header = len(titles) == len(rows[0])
         titles = titles if has_header else [''] * len(rows[0])
     elif lines[skipped].strip():
         skipped += 1
     cells = [cell.strip() for row in body for cell in row]
-    if not any(map(_is_value, cells)):
+    spaces = separator == ' '                       # prose has some as well
+    if not (all if spaces and cells else any)(map(_is_value, cells)):
         return None
+    if spaces and len(titles) != len(body[0]):      # titles of several words
+        titles, has_header = [''] * len(body[0]), False
     comma = separator != ',' and any(map(_DECIMAL_COMMA.fullmatch, cells)) \
         and not any(map(_DECIMAL_POINT.fullmatch, cells))
     dates = frozenset(i for i in range(len(titles))
@@ -146,9 +149,16 @@ def _encoding(start: bytes) -> str:
 
 def _regular(lines: Sequence[str], separator: str) -> int:
     """Return how many lines have as many cells as most have; 0 if that is one."""
-    counts = [len(row) for row in csv.reader(lines, delimiter=separator)]
+    counts = [len(row) for row in _rows(lines, separator)]
     most = max(counts, key=counts.count, default=1)
     return counts.count(most) if most > 1 else 0
+
+
+def _rows(lines: Iterable[str], separator: str) -> Any:
+    """Return a reader of rows; any number of spaces is one separator."""
+    if separator == ' ':
+        lines = (' '.join(line.split()) for line in lines)
+    return csv.reader(lines, delimiter=separator)
 
 
 def _is_value(cell: str) -> bool:
@@ -172,8 +182,8 @@ class _Damage:
 
     def sound(self, lines: Iterable[str], form: _Form) -> Iterator[list[str]]:
         # A quotation mark that is not closed would take the rest of the file for one cell.
-        reader = csv.reader((line if line.count('"') % 2 == 0 else line.replace('"', '')
-                             for line in self.watched(lines)), delimiter=form.separator)
+        reader = _rows((line if line.count('"') % 2 == 0 else line.replace('"', '')
+                        for line in self.watched(lines)), form.separator)
         while True:
             try:
                 row = next(reader)

@@ -24,6 +24,7 @@ from ctsid_ros.recordings.series import Series, plain_name, recording
 from ctsid_ros.recordings.table_times import (
     Column,
     Time,
+    constant_rate,
     find_times,
     joined_seconds,
     read_time,
@@ -57,7 +58,8 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     path : Path
     columns : sequence of Column
     wanted : sequence of str
-        Names of the time columns, with or without a unit (`t:ms`); told by the table if empty.
+        Names of the time columns, with or without a unit (`t:ms`), or the rate of the rows
+        (`100Hz`); told by the table if empty.
     notes : sequence of str
         On what was left out so far.
 
@@ -73,6 +75,9 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     said = list(notes)
     if empty:
         said.append(f'{path.name}: left out, for they are empty: {", ".join(empty)}')
+    if rate := constant_rate(wanted, columns):
+        rows = np.arange(len(columns[0].values)) if columns else np.empty(0)
+        columns, wanted = [Column(wanted[0], 's', rows / rate), *columns], wanted[:1]
     at = find_times(columns, wanted, str(path))
     names = [column.name for column in columns]
     units = dict(split_unit(text, names) for text in wanted)

@@ -2,9 +2,9 @@
 """
 Which columns of a table are times, and what they count.
 
-Told by the user (`--time t`, `--time t:ms`), by names and units (`t [s]`, `time_ms`), else by the
-values: a date lies between 2000 and 2100 in one unit only, and what robots record comes every few
-microseconds to every few seconds.
+Told by the user (`--time t`, `--time t:ms`, `--time 100Hz`), by names and units (`t [s]`,
+`time_ms`), else by the values: a date lies between 2000 and 2100 in one unit only, and what robots
+record comes every few microseconds to every few seconds.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ _WORDS = {**dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 's'),
 _NAME = re.compile(
     r'_*(t|times?|time_?stamps?|timestamps?|stamps?|secs?|seconds|date|datetime)([^a-z].*)?'
     r'|.*[^a-z](t|time|timestamp|stamp)([^a-z]*(s|ms|us|ns|sec|msec|usec|nsec))?|time(us|ms|ns)')
+_RATE = re.compile(r'(\d+\.?\d*|\.\d+)\s*Hz', re.IGNORECASE)
 _SECONDS = re.compile(r'(?<![a-z])(secs?|seconds)$', re.IGNORECASE)
 _NANOSECONDS = re.compile(r'(?<![a-z])(nsecs?|nanosecs?|nanoseconds)$', re.IGNORECASE)
 _FAR = 2.0**62  # ns: what is beyond is no time of any recording, and too large to be counted
@@ -133,6 +134,14 @@ def _are_pair(seconds: Column, rest: Column) -> bool:
         and len(values) > 0 and bool(np.min(values) >= 0 and np.max(values) < 1e9)
 
 
+def constant_rate(wanted: Sequence[str], columns: Sequence[Column]) -> float:
+    """Return the rate of rows without times that the user says, '100Hz'; else 0 [Hz]."""
+    if len(wanted) == 1 and wanted[0] not in [column.name for column in columns] \
+            and (found := _RATE.fullmatch(wanted[0])):
+        return float(found[1])
+    return 0.0
+
+
 def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> list[int]:
     """
     Return which of the columns are times: the wanted ones, or those that look so.
@@ -163,7 +172,9 @@ def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> l
     if rising and rising[0] == 0:
         return rising[:1]
     raise BagError(f'{path}: no column is known to be the time: none is called t or time and '
-                   'increases; say which one by --time COLUMN' + nearest('time', names))
+                   'increases; say which one by --time COLUMN' + nearest('time', names)
+                   + '; if there is none, but rows follow each other at a constant rate, say it '
+                   'in rows per second, such as --time 100Hz')
 
 
 def _overlap(columns: Sequence[Column]) -> bool:

@@ -71,8 +71,9 @@ def add_bag(parser: argparse.ArgumentParser,
                         help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag file, PX4 .ulg, '
                         f'ArduPilot .bin, .csv, .parquet, or a URL of one; {several}')
     parser.add_argument('--time', action='append', default=[], metavar='COLUMN', help='column of '
-                        'a table that is the time, such as t or t:ms; once for each [default: '
-                        'by name, unit and values]')
+                        'a table that is the time, such as t or t:ms, once for each; or the rate '
+                        'of rows that have none, such as 100Hz [default: by name, unit and values]'
+                        )
 
 
 def bag_words(args: argparse.Namespace) -> tuple[str, ...]:
@@ -106,6 +107,22 @@ def add_params(parser: argparse.ArgumentParser) -> None:
     """Add the parameter file."""
     parser.add_argument('--params', metavar='FILE', help='ROS parameter file with channels and '
                         'settings; `ctsid init` writes one [default: its guess]')
+
+
+def add_signals(parser: argparse.ArgumentParser) -> None:
+    """Add which signals to take; see `signal_words`."""
+    for role in ('input', 'output'):
+        parser.add_argument(
+            f'--{role}', action='append', default=[], metavar='FIELD',
+            help=f"{role} of the model, as `ctsid info` names it: FIELD, 'TOPIC FIELD' or TOPIC, "
+            f"with * for anything and [0:3] for several; once for each [default: chosen from the "
+            'data]')
+
+
+def signal_words(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the signals that were named as another command line needs them."""
+    return tuple(word for role in ('input', 'output') for text in getattr(args, role)
+                 for word in (f'--{role}', text))
 
 
 def add_pick(parser: argparse.ArgumentParser) -> None:

@@ -183,7 +183,7 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.outputs import Part
 
-    with open_bag(bags) as bag:
+    with open_bag(bags, getattr(args, 'time', ())) as bag:  # `show` has none
         data, offset, notes = _read(bag, config, args)
     record, spikes = without_corrupt(data.record, config.settings)
     predicted = any(c.estimate.ok and by_predictions(c.estimate) for c in compared.found)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ctsid_ros.report.document import Bullets, Command, Section, to_text
 from ctsid_ros.report.tables import Table, number
 from ctsid_ros.report.words import cell, printable
-from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_pick, bag_words, say
+from ctsid_ros.verbs.arguments import ACCEPTED, add_bag, add_pick, add_signals, bag_words, say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,12 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag(parser)
     parser.add_argument('-o', '--out', metavar='FILE', default='-',
                         help='parameter file to write [default: standard output]')
-    for role in ('input', 'output'):
-        parser.add_argument(
-            f'--{role}', action='append', default=[], metavar='FIELD',
-            help=f"{role} of the model, as `ctsid info` names it: FIELD, 'TOPIC FIELD' or TOPIC, "
-            f"with * for anything and [0:3] for several; once for each [default: chosen from the "
-            'data]')
+    add_signals(parser)
     parser.add_argument('--force', action='store_true', help='replace the file if it exists')
     add_pick(parser)
 

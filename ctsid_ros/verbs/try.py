@@ -14,9 +14,11 @@ from ctsid_ros.verbs.arguments import (
     add_budget,
     add_pick,
     add_results,
+    add_signals,
     add_style,
     bag_words,
     say,
+    signal_words,
 )
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 HELP = 'look at a bag, choose input and output, identify, and write the report'
 EPILOG = """example: ctsid try flight.mcap
+example: ctsid try run.csv --input voltage --output speed
 
 Does what `ctsid info`, `ctsid init` and `ctsid identify` do one after the other. The input is used
 where it excites the plant. The folder of results has the parameter file as well, to correct and
@@ -34,6 +37,7 @@ PARAMS = 'params.yaml'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag(parser)
+    add_signals(parser)
     add_pick(parser)
     add_budget(parser)
     add_results(parser)
@@ -47,6 +51,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.progress import working
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.guess import guess
+    from ctsid_ros.recordings.guess_named import named
     from ctsid_ros.recordings.survey import survey
     from ctsid_ros.replay.results import results_folder
     from ctsid_ros.report.document import to_text
@@ -55,7 +60,7 @@ def command(args: argparse.Namespace) -> int:
 
     with open_bag(args.bag, args.time) as bag, working('looking at the bag', quiet=args.quiet):
         found = survey(bag)
-        guessed = guess(bag, found, args.pick)
+        guessed = guess(bag, found, args.pick, named(found, args.input, args.output))
     if not args.json:
         print(to_text([topic_section(found, args.bag), pair_section(guessed),
                        stretch_section([guessed])]) + '\n')
@@ -69,7 +74,7 @@ def command(args: argparse.Namespace) -> int:
         write_file(params, text.encode(), force=True)
         code = _identify(line, args, out)
     if not args.json and code != ACCEPTED:
-        print(_otherwise(guessed, args, out))
+        print(_otherwise(guessed, args))
     return code
 
 
@@ -86,10 +91,11 @@ def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
     return identify.command(own)
 
 
-def _otherwise(guessed: Guess, args: argparse.Namespace, out: Path) -> str:
+def _otherwise(guessed: Guess, args: argparse.Namespace) -> str:
     """Return how to try with other signals, as a line."""
     if guessed.pick < len(guessed.pairs):
-        words = ('ctsid', 'try', *bag_words(args), '--pick', str(guessed.pick + 1))
+        words = ('ctsid', 'try', *bag_words(args), *signal_words(args),
+                 '--pick', str(guessed.pick + 1))
         return f'The next pair of signals: {shlex.join(words)}'
-    words = ('ctsid', 'identify', *bag_words(args), '--params', str(out / PARAMS))
-    return f'With signals of your own: correct {out / PARAMS}, then {shlex.join(words)}'
+    again = shlex.join(('ctsid', 'try', *bag_words(args)))
+    return f'With signals of your own: {again} --input FIELD --output FIELD'
