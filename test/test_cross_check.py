@@ -257,6 +257,24 @@ def test_what_cannot_be_compared_does_not_contradict():
         assert found.verdict.grade is Grade.GOOD
 
 
+def test_a_model_that_diverges_does_not_agree_however_near_its_response_is():
+    """A slow mode that grows is hardly seen in the band, but no simulation is right with it."""
+    def beside(pole: float) -> Estimate:
+        model = StateSpace(A=[[-2.0, 0.0], [0.0, pole]], B=[[1.0], [1e-3]], C=[[1.0, 1.0]],
+                           D=[[0.0]], K=[[0.0], [0.0]], input_names=('u',), output_names=('y',))
+        return first_order(1.0, model=model, covariance=Covariance(np.zeros((1, 10)), 2, 1, 1))
+
+    stable, integrates, grows = beside(-0.1), beside(1e-6), beside(0.1)      # of 100 s
+    for first, second, words in (
+            (stable, grows, 'its model diverges, as exp(0.1 t), and the first does not'),
+            (grows, integrates, 'the first model diverges, as exp(0.1 t), and its own does not')):
+        found = agreement(first, second, 'gobf')
+        assert (found.answer, found.difference < 0.01) == ('no', True)
+        assert words in found.words
+    for first, second in ((stable, stable), (stable, integrates), (grows, grows)):
+        assert agreement(first, second, 'gobf').answer == 'yes'
+
+
 def test_a_verdict_never_gets_better():
     weak = first_order(1.0, verdict=replace(GOOD, grade=Grade.WEAK, reason='A pole is uncertain.'))
     for factor in (1.0, 2.0):

@@ -74,7 +74,9 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     size, over the band that the input excites (`Excitation`). Standard deviations are those of
     both estimates, as if they were independent.
 
-    A difference beyond chance at any frequency contradicts. To agree is more than not to
+    A difference beyond chance at any frequency contradicts, and so does a model that diverges
+    within the record where the other does not: a slow mode that grows is hardly seen within the
+    band. To agree is more than not to
     contradict: the difference over the band, and its standard deviation, are both no more than
     what the verdict lets the response to an input be uncertain by. Where nothing can be compared,
     the methods neither agree nor contradict each other.
@@ -84,6 +86,7 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     if one is None or other is None:
         return Agreement(method, False, True,
                          problem=problem or 'there is no model to compare.')
+    problem = problem or _divergence(first, one, other)
     bands = _bands(first)
     if not bands:
         return Agreement(method, False, bool(problem),
@@ -116,6 +119,16 @@ def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
 def _finding(reason: str) -> str:
     """Return what was found, without what to try next: that is for who asked for this method."""
     return (reason.rpartition('; ')[0] or reason).removesuffix('.')
+
+
+def _divergence(first: Estimate, one: StateSpace, other: StateSpace) -> str:
+    """Say which of two models grows by more than a factor e within the record, if one does."""
+    growth = [float(np.max(model.poles.real, initial=0.0)) for model in (one, other)]
+    unstable = [g * 1e-9 * (first.end_ns - first.start_ns) > 1.0 for g in growth]
+    if unstable[0] == unstable[1]:
+        return ''
+    which, rest = ('its model', 'the first') if unstable[1] else ('the first model', 'its own')
+    return f'{which} diverges, as exp({max(growth):.2g} t), and {rest} does not.'
 
 
 def _later(first: Estimate, second: Estimate, one: StateSpace,

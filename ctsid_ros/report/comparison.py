@@ -100,8 +100,8 @@ def table_section(found: Sequence[Contender], kind: str) -> Section:
         'rms over the excited band, with the standard deviation of both. A model agrees where '
         f'both are at most {100 * KNOWN:g} %, as the verdict asks of the response to an input. It '
         f'does not where the largest difference is beyond {100 * RELATIVE:g} % and beyond chance '
-        f'({DEVIATIONS:g} standard deviations, {EFFICIENT:g} for HD-PBSID), or its dead time is '
-        f'another one. Else these data cannot tell. {GLOSSARY}']
+        f'({DEVIATIONS:g} standard deviations, {EFFICIENT:g} for HD-PBSID), its dead time is '
+        f'another one, or only one of both diverges. Else these data cannot tell. {GLOSSARY}']
     return Section(f'{kind.capitalize()}s side by side', (
         Table((kind, *columns), rows, (kind, 'verdict', 'agrees')), *words))
 
