@@ -199,11 +199,41 @@ def test_models_of_the_same_signals_are_compared_whatever_they_are_called(run):
     assert re.search(r'renamed\s+GOOD.*yes', out)
 
 
+def test_a_signal_with_two_names_is_named_with_what_to_do(run):
+    t = np.arange(0.0, 20.0, 0.02)
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.choice([-1.0, 1.0], 40), 25)
+    y = np.zeros(1000)
+    for k in range(1, 1000):
+        y[k] = 0.96 * y[k - 1] + 0.04 * u[k - 1]
+    for name in ('torque', 'tau'):
+        np.savetxt(f'{name}.csv', np.transpose([t, u, y + 0.01 * rng.normal(size=1000)]),
+                   delimiter=',', comments='', header=f't,{name},rate')
+        assert run('try', f'{name}.csv', '--out', f'of_{name}')[0] == 0
+    for line in (('compare', 'of_torque', 'of_tau', 'tau.csv'), ('show', 'of_torque', 'of_tau')):
+        code, _, err = run(*line)
+        assert code == 1
+        assert 'of_torque: torque to rate; of_tau: tau to rate; not in all of them: tau, torqu' \
+            in err
+        assert 'identify once more with a parameter file' in err
+    own = Path('of_tau/params.yaml').read_text(encoding='utf-8')
+    Path('alike.yaml').write_text(own.replace('inputs: [tau]', 'inputs: [torque]').replace(
+        '    tau:', '    torque:'))
+    for line in (('compare', 'of_torque', 'tau.csv', '--out', 'two_names'),
+                 ('simulate', 'of_torque/model.json', 'tau.csv')):
+        code, _, err = run(*line)
+        assert (code, "has no field 'torque'" in err, 'give --params FILE' in err) == (1, True,
+                                                                                       True)
+        assert run(*line, '--params', 'alike.yaml')[0] == 0
+    assert run('identify', 'tau.csv', '--params', 'alike.yaml', '--out', 'alike_tau')[0] == 0
+    assert run('compare', 'of_torque', 'alike_tau', '--out', 'both')[0] == 0
+
+
 def test_models_that_cannot_be_compared_are_named(run):
     assert run('show', *['methods/gobf.json'] * 7)[2].count('these are 7 models') == 1
     save_model('named.json', replace(TRUTH, output_names=('angle',)), force=True)
     code, _, err = run('show', 'methods/gobf.json', 'named.json')
-    assert (code, 'torque to angle; torque to rate' in err) == (1, True)
+    assert (code, 'not in all of them: angle, rate' in err) == (1, True)
     assert 'methods/gobf.json is given more than once' in run(
         'compare', *['methods/gobf.json'] * 3)[2]
     code, _, err = run('compare', 'methods/gobf.json', '--orders', '1:2')

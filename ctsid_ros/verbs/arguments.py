@@ -283,12 +283,17 @@ def read_models(paths: Sequence[str]) -> dict[str, Estimate]:
             raise DataError(f'{path} is given more than once')
         found[key] = estimate
     found = _under_one_name(found, paths)
-    names = {(m.input_names, m.output_names) for e in found.values()
+    names = {name: (m.input_names, m.output_names) for name, e in found.items()
              if (m := e.model or e.rejected_model)}
-    if len(names) > 1:
+    if len(set(names.values())) > 1:
+        own = [{*u, *y} for u, y in names.values()]
+        apart = sorted({one for some in own for one in some if not all(one in o for o in own)})
         raise DataError('the models have other inputs or outputs: ' + '; '.join(
-            f'{", ".join(u)} to {", ".join(y)}' for u, y in sorted(names))
-            + '; choose those that are alike')
+            f'{name}: {", ".join(u)} to {", ".join(y)}' for name, (u, y) in names.items())
+            + f'; not in all of them: {", ".join(apart) or "none, but their order differs"}. '
+            'Choose models that are alike. Where one signal has two names, identify once more '
+            'with a parameter file that gives its channel the name of the other model (`field` '
+            'says where it is, the name is free)')
     return found
 
 
@@ -322,8 +327,21 @@ def check_channels(model: StateSpace, config: Config, path: str) -> None:
         given = tuple(name for channel in channels for name in channel.scalar_names)
         if len(given) != len(names) or (all(names) and given != names):
             raise DataError(f'the {what} of {path} are {", ".join(names)}, but those of the '
-                            f'channels are {", ".join(given)}; give the parameter file of the '
-                            'model with --params')
+                            f'channels are {", ".join(given)}; give a parameter file with '
+                            'the names of the model, such as its own, with --params')
+
+
+def of_this_bag(bag: Bag, config: Config, path: str) -> Config:
+    """Return the channels of a model as this bag has them; `BagError` says what to do if not."""
+    from ctsid_ros.errors import BagError
+    from ctsid_ros.recordings.playback import fit_config
+
+    try:
+        return fit_config(bag, config)
+    except BagError as error:
+        raise BagError(f'{error}\nThese are the channels of {path}. Where a signal has another '
+                       'name in this bag, give --params FILE: the same channels, with their '
+                       '`topic` and `field` here') from None
 
 
 def say(text: str) -> None:

@@ -29,6 +29,7 @@ from ctsid_ros.verbs.arguments import (
     is_model,
     model_file,
     named,
+    of_this_bag,
     read_models,
     read_params,
     run_of,
@@ -149,7 +150,7 @@ def of_models(paths: Sequence[str], bags: Sequence[str], args: argparse.Namespac
         config = read_params(args.params) if args.params else _config(
             [load_metadata(f) for f in files], first, files[0])
         check_channels(_model(first), config, files[0])
-        compared = _on_data(compared, config, bags, args)
+        compared = _on_data(compared, config, bags, args, files[0])
     args.bag = [*bags]
     with results_folder(args.out, bags or [str(Path(files[0]).resolve().parent)], verb,
                         force=args.force) as out, working('writing the report', quiet=args.quiet):
@@ -173,9 +174,9 @@ def _config(metadata: Sequence[Mapping[str, object]], first: Estimate, path: str
     return config_of(known, first.settings, path)
 
 
-def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argparse.Namespace
-             ) -> Compared:
-    """Return models with what each makes of a bag: trims are fitted to it."""
+def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argparse.Namespace,
+             path: str) -> Compared:
+    """Return models, of which `path` is the first, with what each makes of a bag."""
     from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.model.validation import prediction, simulation
     from ctsid_core.search.by_prediction import AHEAD, HORIZONS
@@ -184,6 +185,7 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     from ctsid_ros.report.outputs import Part
 
     with open_bag(bags, getattr(args, 'time', ())) as bag:  # `show` has none
+        config = config if args.params else of_this_bag(bag, config, path)
         data, offset, notes = _read(bag, config, args)
     record, spikes = without_corrupt(data.record, config.settings)
     predicted = any(c.estimate.ok and by_predictions(c.estimate) for c in compared.found)

@@ -23,6 +23,7 @@ from ctsid_ros.verbs.arguments import (
     check_channels,
     interval_of,
     named,
+    of_this_bag,
     read_params,
     run_of,
     say,
@@ -89,6 +90,7 @@ def command(args: argparse.Namespace) -> int:
         load_metadata(args.model), estimate.settings, args.model)
     check_channels(model, config, args.model)
     with open_bag(args.bag, args.time) as bag:
+        config = config if args.params else of_this_bag(bag, config, args.model)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
         record, spikes = without_corrupt(data.record, config.settings)
