@@ -924,6 +924,8 @@ def test_data_that_no_model_explains_are_rejected_with_the_reason(ctsid, shared,
         assert ' '.join(text.split()).count(estimate.verdict.reason) == 1
     assert 'no further data are needed' not in Path('res/report.md').read_text(encoding='utf-8')
     drawn = Path('res/report.html').read_text(encoding='utf-8')
+    assert '<dl>' not in drawn          # numbers beside the verdict, large
+    assert 'p-value' not in out         # nothing that is not judged
     for title in ('Measured and simulated', 'Frequency response'):
         assert f'{title}: rejected model' in drawn
     code, out, err = ctsid('simulate', 'res/model.json', bag)

@@ -84,7 +84,7 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
     better : Better
         The way out where signals are at fault.
     """
-    model = estimate.model or estimate.rejected_model
+    model = estimate.model      # beside a REJECT the figures of a model would look like a success
     ahead = (f', predicted {HORIZONS[AHEAD]} samples ahead', ', 1 sample ahead') \
         if by_predictions(estimate) else ('', '')
     own = [] if model is None else [

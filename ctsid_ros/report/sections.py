@@ -141,13 +141,13 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
                     percent(100 * x.own), number(100 * x.uncertainty, 2))
                    for x in verdict.excitation)
-    columns = (100 * verdict.coloured_error, 100 * verdict.independent, verdict.whiteness,
-               verdict.curve_gain, verdict.fresh_ratio)
+    columns = (100 * verdict.coloured_error, 100 * verdict.independent, verdict.curve_gain,
+               verdict.fresh_ratio)
     outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
                     for i, name in enumerate(model.output_names))
     tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
                      'uncorrelated [%]', 'response std [%]'), inputs, ('input',))]
-    tables.append(Table(('output', 'error not white [%]', 'independent [%]', 'whiteness p-value',
+    tables.append(Table(('output', 'error not white [%]', 'independent [%]',
                          'gain of curves [%]', 'fresh error ratio'), outputs, ('output',)))
     return tables if inputs else []
 
@@ -235,7 +235,8 @@ def residual_section(tests: ResidualTests, model: StateSpace, *, predicted: bool
     head = ('output', 'residual whiteness p-value',
             *(f'independence of {u}, p-value' for u in model.input_names))
     return Section('Residual tests', (
-        f'The residuals are the measured minus the {which}. A p-value below 0.01 means '
+        'These tests are not judged: with enough samples every real plant fails the first. The '
+        f'residuals are the measured minus the {which}. A p-value below 0.01 means '
         f'that they are not white ({why}), or that '
         'they depend on past values of an input (then dynamics from that input are not '
         'modelled, or a controller closes a loop).',

@@ -357,6 +357,8 @@ def _facts(outcome: Outcome) -> list[tuple[str, str]]:
     from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.tables import fit_words
 
+    if not outcome.estimate.ok:
+        return []
     alone = []
     if outcome.model and by_predictions(outcome.estimate) and len(outcome.sources) == 1 \
             and not outcome.tests:      # what a controller is designed for; as by horizon below
