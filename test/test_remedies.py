@@ -75,7 +75,7 @@ def test_every_rule_is_looked_at():
                   'finite', 'zero column', '1 frequency', 'independently', 'move it more',
                   'explain little', 'is not linear', 'held out', 'response to input a is at',
                   'not been tested', 'Nobody',
-                  'badly (fresh', 'is unstable', 'order has changed', 'A pole has moved',
+                  'badly (its fit there', 'is unstable', 'order has changed', 'A pole has moved',
                   'An earlier window', 'arithmetic', 'acts 0.1 s later', 'gaps', 'gobf failed'):
         assert words in said, words
 

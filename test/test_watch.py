@@ -46,7 +46,7 @@ def test_arrows_say_where_a_mode_went():
     watched.model(GOOD, told(-1 + 2.5j, window=6))
     assert watched.modes[0].arrow == '→'        # since the last window that had a model
     assert watched.line().startswith(
-        'window 6: GOOD, fit 95.0 %, fresh 91.2 %, poles -1.00 ± 2.50j →')
+        'window 6: GOOD, fit 95.0 %, on new data 91.2 %, poles -1.00 ± 2.50j →')
 
 
 def test_a_picture_has_numbers_for_people():

@@ -117,7 +117,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
             f'Output {e.output_names[i]} is not linear in the inputs: squares and cubes of these '
-            f'and of the outputs gain {e.numbers.curve_gain[i]:.1f} points of fit, so something '
+            f'and of the outputs raise the fit by {e.numbers.curve_gain[i]:.1f} %, so something '
             'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
             'less.')
     moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
@@ -294,8 +294,8 @@ def _collapses(names: tuple[str, ...], fit: Array, ratio: Array
                          fit < EXPLAINED)
     for i in np.flatnonzero(collapsed):
         yield Remedy.WAIT, (
-            f'The previous model simulates the new data of output {names[i]} badly (fresh fit '
-            f'{max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
+            f'The previous model simulates the new data of output {names[i]} badly (its fit there '
+            f'is {max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
             'successive models agree again.')
 
 

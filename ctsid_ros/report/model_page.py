@@ -115,12 +115,12 @@ def response_sections(models: Models, shown: Shown | None = None,
     poles = pole_figure(models, truth)
     if len(steps) == 1:
         yield Section('Step response and poles', (Gallery((
-            Figure(steps[0].drawing, 'Response to a unit step of the input, in deviations from '
-                   'the trim; band: two standard deviations.', steps[0].title), poles), 2),))
+            Figure(steps[0].drawing, 'Response to a unit step of the input, from the operating '
+                   'point (trim); band: two standard deviations.', steps[0].title), poles), 2),))
         return
     yield Section('Step responses', (
-        'Response to a unit step of each input, in deviations from the trim; bands: two standard '
-        'deviations.', Gallery(tuple(steps), columns)))
+        'Response to a unit step of each input, from the operating point (trim); bands: two '
+        'standard deviations.', Gallery(tuple(steps), columns)))
     yield Section('Poles', (Gallery((poles,)),))
 
 
@@ -161,7 +161,7 @@ def residual_sections(shown: Shown, found: Validation, simulated: Array,
     figures = residual_figures(shown.model, shown.record, errors)
     level = found.fit if ahead else simulated
     which = 'outputs predicted one sample ahead' if ahead else \
-        'simulated outputs, with the trim refitted'
+        'simulated outputs, with their constant offsets refitted'
     own = [horizon_figure(shown.model, fits, level)] if fits else []
     if own or figures:
         title = 'Residuals of predictions' if ahead else 'Residuals'

@@ -62,8 +62,9 @@ def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float
                      number(1.0 / own.weight, 2) if own else 'left out'))
     head = ('record', 'bag', 'from [s]', 'to [s]', 'fit [%]', 'noise')
     words = [] if not shares else [
-        'One plant; each record has its own trim and initial state. The trim of the model is '
-        'that of the record that ends last. Noise: its amplitude over the mean of all records.']
+        'One plant; each record has its own constant offsets (trim) and initial state. Those of '
+        'the model are of the record that ends last. Noise: its amplitude over the mean of all '
+        'records.']
     return Section('Records', (*words, Table(head, tuple(rows), ('bag',))))
 
 
@@ -141,14 +142,15 @@ def verdict_tables(estimate: Estimate, model: StateSpace) -> list[Table]:
     inputs = tuple((x.name, number(x.low, 3), number(x.high, 3), number(x.frequencies, 2),
                     percent(100 * x.own), number(100 * x.uncertainty, 2))
                    for x in verdict.excitation)
-    columns = (100 * verdict.coloured_error, 100 * verdict.independent, verdict.curve_gain,
-               verdict.fresh_ratio)
-    outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns))
+    columns = {'error not white [%]': 100 * verdict.coloured_error,
+               'independent [%]': 100 * verdict.independent, 'not linear [%]': verdict.curve_gain}
+    if np.isfinite(verdict.fresh_ratio).any():
+        columns['error on new over old data'] = verdict.fresh_ratio
+    outputs = tuple((name, *(number(v[i], 2) if i < len(v) else '-' for v in columns.values()))
                     for i, name in enumerate(model.output_names))
     tables = [Table(('input', 'excited from [rad/s]', 'to [rad/s]', 'effective frequencies',
                      'uncorrelated [%]', 'response std [%]'), inputs, ('input',))]
-    tables.append(Table(('output', 'error not white [%]', 'independent [%]',
-                         'gain of curves [%]', 'fresh error ratio'), outputs, ('output',)))
+    tables.append(Table(('output', *columns), outputs, ('output',)))
     return tables if inputs else []
 
 

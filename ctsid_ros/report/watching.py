@@ -30,7 +30,9 @@ _BAR = 24           # characters
 _PAINT = {Grade.GOOD: 'green', Grade.WEAK: 'yellow', Grade.REJECT: 'red'}
 _LEVELS = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'red', Level.STALE: 'dim'}
 _RATE, _MESSAGES = ' rate [1/s]', ' messages'
-_KINDS = ('late', 'astray', 'bad_stamp', 'duplicate', 'non_finite', 'wrong_width')
+_KINDS = {'late': 'came too late', 'astray': 'had stamps far from all others',
+          'bad_stamp': 'had stamps that cannot be', 'duplicate': 'had the stamp of another',
+          'non_finite': 'were not finite', 'wrong_width': 'had another length'}
 
 
 @dataclass(frozen=True)
@@ -123,8 +125,9 @@ class Watched:
         poles = ', '.join(f'{pole_text(m.pole, 3)} {m.arrow}' for m in self.modes
                           if m.pole.imag >= 0.0)
         return printable(f'window {self.window}: {verdict.grade.name}, fit '
-                         f'{fit_words(self.estimate.fit)} %, fresh {fit_words(self.fresh_fit)} %'
-                         f', poles {poles or "none"}, {self.computing:.2f} s. {verdict.reason}')
+                         f'{fit_words(self.estimate.fit)} %, on new data '
+                         f'{fit_words(self.fresh_fit)} %, poles {poles or "none"}, '
+                         f'{self.computing:.2f} s. {verdict.reason}')
 
 
 def picture(watched: Watched, now: float) -> RenderableType:
@@ -202,7 +205,7 @@ def _topics(watched: Watched) -> Table | None:
     for key, value in values.items():
         name, _, kind = key.removesuffix(' in the last window').rpartition(' ')
         if key.endswith('in the last window') and kind in _KINDS and str(value) != '0':
-            _add(table, (f'{name}: {value} samples {kind.replace("_", " ")} in the last window',
+            _add(table, (f'{name}: in the last window {value} samples {_KINDS[kind]}',
                          '', '', '', ''), 'yellow')
     return table
 
@@ -261,7 +264,7 @@ def _model(watched: Watched) -> RenderableType | None:
     model = estimate.model or estimate.rejected_model if estimate is not None else None
     if estimate is None or model is None:
         return None
-    fits = _table('output', 'fit [%]', 'held out [%]', 'fresh [%]')
+    fits = _table('output', 'fit [%]', 'held out [%]', 'on new data [%]')
     for i, name in enumerate(model.output_names):
         _add(fits, (name, *(percent(float(v[i])) if i < len(v) else '-' for v in (
             estimate.fit, estimate.held_out_fit, watched.fresh_fit))))

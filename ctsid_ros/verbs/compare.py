@@ -406,7 +406,7 @@ def _headline_of_models(compared: Compared, run: Run) -> Headline:
     lead = max(on_data, key=_mean_fit)
     outputs = ', '.join(_model(lead.estimate).output_names)
     words = (f'{lead.name} explains most of {outputs} on these data, {_words(lead)} %, simulated '
-             'from the inputs alone with the trim fitted to them'
+             'from the inputs alone with constant offsets fitted to them'
              + ''.join(f'; {c.name} {_words(c)} %' for c in on_data if c is not lead)
              + f'. {lead.name}: {lead.estimate.verdict.reason}')
     facts += [(f'fit on these data [%], {c.name}', fit_words(c.simulated))

@@ -64,10 +64,10 @@ HELP = 'identify one model from one or several recordings'
 EPILOG = ('example: ctsid identify flight.mcap --params params.yaml --test-from 60\n'
           '         (one model of the first 60 s, tested on the rest)\n'
           'example: ctsid identify monday tuesday --params params.yaml\n'
-          '         (one model of two flights, each with a trim of its own)')
+          '         (one model of two flights, each with constant offsets of its own)')
 _SEVERAL = ('several that overlap or follow each other within a second are the parts of one '
-            'recording; else each is a recording of its own, and one model of all is made, with a '
-            'trim for each')
+            'recording; else each is a recording of its own, and one model of all is made, with '
+            'constant offsets (a trim) for each')
 _MOST_DRAWN = 6  # records
 
 
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_interval(parser)
     parser.add_argument('--interval', type=span, action='append', metavar='START:END',
                         help='take this part of each recording [s after its first message]; may '
-                        'be given several times: one model of all parts, with a trim for each')
+                        'be given several times: one model of all parts, with offsets for each')
     parser.add_argument('--test-from', type=seconds, metavar='S',
                         help='identify from the data before this time only, and test the model '
                         'on the rest [s after the first message of each recording]')
@@ -194,8 +194,8 @@ def command(args: argparse.Namespace) -> int:
     with open_bag(groups[0], args.time) as bag:
         config = config_for(args, bag)
     if len(groups) > 1:
-        say(f'these are {len(groups)} recordings of their own: one model of all, with a trim of '
-            'each: ' + '; '.join(named(group) for group in groups)
+        say(f'these are {len(groups)} recordings of their own: one model of all, with constant '
+            'offsets (a trim) of each: ' + '; '.join(named(group) for group in groups)
             + '; `ctsid batch` makes models of each by itself')
     with results_folder(args.out, args.bag, config.settings.method, force=args.force) as out:
         with progress('reading', quiet=args.quiet) as advance:
@@ -328,7 +328,7 @@ def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
     whose = f' of record {outcome.sources.index(test.source) + 1}' \
         if len(outcome.sources) > 1 else ''
     return Section(f'Test on data{whose} the model has not seen, {first:.1f} to {last:.1f} s', (
-        Table(('output', 'simulation fit [%]', 'simulation fit, trim refitted [%]'), rows,
+        Table(('output', 'simulation fit [%]', 'simulation fit, offsets refitted [%]'), rows,
               ('output',)),))
 
 
