@@ -39,6 +39,7 @@ _EPILOG = """first steps:
   ctsid compare BAG --params params.yaml      all methods and orders; or models: A B BAG
   ctsid plot MODEL... -o models.pdf           models in one figure
   ctsid watch                                 what a running node hears and finds, live
+  ctsid params                                every parameter with its meaning
   ctsid study hd-vs-ct                        the published Monte Carlo study, repeated
 
 exit codes: 0 model accepted, 1 could not run, 2 usage, 3 no acceptable model, 130 interrupted

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The generated documents are those of the code, and the README keeps its promises."""
 
+from fnmatch import fnmatch
 import json
 from pathlib import Path
 import re
@@ -9,7 +10,7 @@ from runpy import run_path
 import pytest
 
 from ctsid_core.model.estimate import Status
-from ctsid_ros.cli import main
+from ctsid_ros.cli import VERBS, main
 from ctsid_ros.config.origin import package_version
 from ctsid_ros.messages.interface import OUTPUTS, SERVICES, SHARED
 
@@ -95,10 +96,20 @@ def test_readme_is_short_and_its_links_exist():
 def test_readme_commands_are_verbs_of_the_tool(capsys):
     text = (ROOT / 'README.md').read_text()
     verbs = set(re.findall(r'^ctsid (\w+)', text, flags=re.MULTILINE))
-    assert {'info', 'init', 'identify', 'replay', 'simulate'} <= verbs
+    assert set(re.findall(r'(?:^|`)ctsid (--version|\w+)', text, flags=re.MULTILINE)) == {
+        *VERBS, '--version'}
     for verb in verbs:
         assert main([verb, '--help']) == 0
         assert verb in capsys.readouterr().out
+
+
+def test_what_the_lines_of_the_readme_make_is_not_a_change_of_the_checkout():
+    made = re.findall(r'^ctsid .*(?:-o|--out) ([\w.]+)', (ROOT / 'README.md').read_text(),
+                      re.MULTILINE)
+    assert {'params.yaml', 'roll.c', 'models.pdf', 'fleet'} <= {*made}
+    lines = [line.strip('/') for line in (ROOT / '.gitignore').read_text().splitlines()]
+    for name in (*made, 'roll.h'):
+        assert any(fnmatch(name, line) for line in lines), name
 
 
 def test_the_example_in_python_runs_as_it_stands(capsys):
