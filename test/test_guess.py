@@ -354,6 +354,25 @@ def test_where_nothing_explains_anything_names_decide_and_that_is_said(tmp_path)
     assert 'guessed by their names' in found.reasons[0]
 
 
+@pytest.mark.parametrize('order', ['ab', 'ba'])
+def test_a_step_without_rest_before_it_is_not_decided_by_the_order_of_columns(tmp_path, order):
+    time = np.arange(0.0, 10.0, 0.02)
+    u = np.where((time > 0.0) & (time < 4.0), 1.0, 0.0)
+    signals = {'a': u, 'b': lagged(u, 2.0, 0.02)
+               + 0.01 * np.random.default_rng(3).standard_normal(len(u))}
+    path = tmp_path / 'run.csv'
+    np.savetxt(path, np.transpose([time, *(signals[name] for name in order)]), delimiter=',',
+               header=f't,{",".join(order)}', comments='')
+    found = guessed(path)
+    assert keys(found)[0] == (('run', 'a'), ('run', 'b'))
+    assert 'guessed by their names' in found.reasons[0]
+    assert "to turn it round: --input 'run b' --output 'run a'" in found.reasons[0]
+    np.savetxt(path, np.transpose([time, 0 * u + 1.0, signals['b']]), delimiter=',',
+               header='t,a,b', comments='')
+    with pytest.raises(BagError, match='a step before the first sample is not seen'):
+        guessed(path)
+
+
 def test_too_little_moves(tmp_path):
     kind = 'std_msgs/msg/Float64MultiArray'
     sent = [Sent('/cmd', kind, START + k * S // 50, array(math.sin(k / 20), 1.0))

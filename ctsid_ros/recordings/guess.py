@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 import re
+import shlex
 
 from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
@@ -190,7 +191,7 @@ def scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
 def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool,
            named: Named = NOBODY) -> Guess:
     pair = pairs[pick - 1]
-    reasons = [_BY_NAMES if by_names else _why(pair)]
+    reasons = [f'{_BY_NAMES}; {_turned(pair)}' if by_names else _why(pair)]
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
@@ -211,7 +212,13 @@ def _why(pair: Pair) -> str:
                 f'{words(pair.output)}, from its past and in data held out')
     return sentence if found.past > found.future else (
         f'{sentence}; but its future would explain {100 * found.future:.0f} %: a loop may be '
-        'closed around them, or the roles are the other way round')
+        f'closed around them, or the roles are the other way round; {_turned(pair)}')
+
+
+def _turned(pair: Pair) -> str:
+    """Return how to take a pair the other way round."""
+    return 'to turn it round: ' + shlex.join(('--input', words(pair.output),
+                                              '--output', words(pair.input)))
 
 
 def words(signal: Candidate) -> str:
@@ -223,9 +230,9 @@ def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
     """Return pairs where the data do not say: what is named like a command, a measurement."""
     found = ranking.found
 
-    def order(pair: Pair, factor: float = 1.0) -> tuple[bool, bool, float]:
+    def order(pair: Pair, factor: float = 1.0) -> tuple[bool, bool, float, float]:
         return (pair.input.key[0] == pair.output.key[0], pair.output.field.white,
-                -factor * pair.input.acts * pair.output.measures)
+                -factor * pair.input.acts * pair.output.measures, -pair.score)
 
     compared = {(p.input, p.output): p for p in ranking.compared}
     named = sorted((compared.get((u, y)) or Pair(u, y, Explained(), ranking.clock)
@@ -239,7 +246,8 @@ def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
 
 def _what_moves(found: Sequence[Candidate], survey: Survey) -> str:
     if found:
-        return f'only {found[0].key[1]} of {found[0].key[0]} does'
+        return (f'only {found[0].key[1]} of {found[0].key[0]} does (a step before the first '
+                'sample is not seen: the recording has to begin before it)')
     moving = [(t, f.field) for t in survey.topics for f in t.moving]
     few = ', '.join(f'{field} of {topic.info.name} ({topic.info.count} messages)'
                     for topic, field in moving[:4])
