@@ -20,7 +20,7 @@ from ctsid_core.model.covariance import Covariance, Entries
 from ctsid_core.model.estimate import Choice, Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation
-from ctsid_core.model.verdict import Excitation, Grade, Verdict
+from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
 from ctsid_core.sequence.tracking import Tracked
 from ctsid_core.settings import Settings
 from ctsid_ros.progress import progress, time_left, working
@@ -43,6 +43,7 @@ from ctsid_ros.report.sections import (
     bode_section,
     model_section,
     remark_section,
+    status_section,
     truth_section,
     window_section,
 )
@@ -370,6 +371,19 @@ def test_windows_are_told_with_what_became_of_them():
     assert lines[4].split() == ['2', '3.0', '8.0', 'REJECT', '-', '-', '-', 'none:', 'GAPS']
     many = to_text([window_section([results[0]] * 300, 0)])
     assert '40 of 300 windows are shown' in many
+
+
+def test_weak_windows_are_counted_by_what_to_try():
+    def weak(remedy, reason):
+        return Result(Tracked(replace(estimate(), verdict=Verdict(
+            grade=Grade.WEAK, reason=reason, remedy=remedy))), np.array([90.0]))
+
+    results = [weak(Remedy.EXCITE, 'Little moves; move it more.'),
+               *(weak(Remedy.SETTING, f'Order {n}; set it.') for n in (2, 3)),
+               Result(Tracked(estimate()), np.array([90.0]))]
+    assert to_text([status_section(results)]).splitlines()[1:] == [
+        '  - 2 of 4 windows gave a WEAK model, such as: Order 3; set it.',
+        '  - 1 of 4 windows gave a WEAK model, such as: Little moves; move it more.']
 
 
 def test_a_rejected_model_is_shown_as_such():

@@ -42,6 +42,7 @@ _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that 
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
+_WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
             'samples are too few; test it on data that it has not seen.')
 
@@ -295,16 +296,20 @@ def _collapses(names: tuple[str, ...], fit: Array, ratio: Array
     for i in np.flatnonzero(collapsed):
         yield Remedy.WAIT, (
             f'The previous model simulates the new data of output {names[i]} badly (its fit there '
-            f'is {max(fit[i], -999.0):.0f} %), as after a change of the plant; wait until '
-            'successive models agree again.')
+            f'is {max(fit[i], -999.0):.0f} %{_times(ratio[i])}), as after a change of the plant; '
+            f'{_WAIT}.')
+
+
+def _times(ratio: float) -> str:
+    return f', its error {ratio:.1f} times that on older data' if np.isfinite(ratio) else ''
 
 
 def _moves(order: int, before: int, moved: float) -> Iterator[tuple[Remedy, str]]:
     if before not in (0, order):
         yield Remedy.SETTING, (
             f'The order has changed from {before} to {order} since the last accepted model; '
-            'set `order`.')
+            'set `order` in the parameter file, to keep one.')
     if moved > _MOVED:
         yield Remedy.WAIT, (
             f'A pole has moved by {moved:.2g} standard deviations since the previous model; '
-            'wait until successive models agree again.')
+            f'{_WAIT}.')

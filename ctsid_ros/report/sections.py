@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import TYPE_CHECKING
@@ -275,11 +276,10 @@ def status_section(results: Sequence[Result]) -> Section:
     bad = [r.estimate.status for r in results if not r.estimate.ok]
     lines = [f'{bad.count(s)} of {len(results)} windows gave no model ({s.name}). {s.value}'
              for s in Status if s in bad]
-    weak = [r.estimate.verdict.reason for r in results
-            if r.estimate.verdict.grade is Grade.WEAK]
-    if weak:
-        lines.insert(0, f'{len(weak)} of {len(results)} windows gave a WEAK model, such as: '
-                     f'{weak[-1]}')
+    weak = [r.estimate.verdict for r in results if r.estimate.verdict.grade is Grade.WEAK]
+    for remedy, count in Counter(v.remedy for v in weak).most_common():
+        last = [v.reason for v in weak if v.remedy is remedy][-1]
+        lines.append(f'{count} of {len(results)} windows gave a WEAK model, such as: {last}')
     return Section('Windows without a GOOD model', (Bullets(tuple(lines)),) if lines else ())
 
 
