@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctsid_core.errors import DataError
-from ctsid_ros.verbs.arguments import ACCEPTED, NO_MODEL, say
+from ctsid_ros.verbs.arguments import ACCEPTED, NO_MODEL, model_file, say
 
 if TYPE_CHECKING:
     from ctsid_ros.export.content import Content
@@ -33,7 +33,8 @@ model.json itself is described by a JSON schema, ctsid_core/model/model.schema.j
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('model', metavar='MODEL', help='a model.json')
+    parser.add_argument('model', metavar='MODEL', type=model_file,
+                        help='a model.json, or a folder of results that has one')
     parser.add_argument('--to', required=True, choices=tuple(SUFFIXES), help='the tool')
     parser.add_argument('-o', '--output', required=True, metavar='FILE', help='file to write')
     parser.add_argument('--rate', type=_rate, metavar='HZ',

@@ -22,6 +22,7 @@ from ctsid_ros.verbs.arguments import (
     add_style,
     check_channels,
     interval_of,
+    model_file,
     named,
     of_this_bag,
     read_params,
@@ -48,7 +49,8 @@ EPILOG = 'example: ctsid simulate results/demo/model.json another_flight.mcap --
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('model', metavar='MODEL', help='a model.json')
+    parser.add_argument('model', metavar='MODEL', type=model_file,
+                        help='a model.json, or a folder of results that has one')
     add_bag(parser)
     add_params(parser)
     add_interval(parser)
