@@ -513,6 +513,12 @@ def test_units_are_those_of_message_types_not_of_names(tmp_path):
                header='t,torque,speed')
     found = guessed(tmp_path / 'run.csv').config.channels
     assert [(c.name, c.unit) for c in found] == [('torque', ''), ('speed', '')]
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
+               header="t [s],voltage [V],x[0] (it's °/s)")
+    found = guessed(tmp_path / 'run.csv').config
+    assert [(c.field, c.unit) for c in found.channels] == [('voltage', 'V'), ('x[0]', "it's °/s")]
+    (tmp_path / 'p.yaml').write_text(dump_brief(found), encoding='utf-8')
+    assert [c.unit for c in read_config(str(tmp_path / 'p.yaml')).channels] == ['V', "it's °/s"]
 
 
 @pytest.mark.parametrize(('name', 'at_once'), [

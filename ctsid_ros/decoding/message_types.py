@@ -29,11 +29,14 @@ class FieldType:
         One element, a fixed number of them, or a number that each message states.
     length : int
         Number of elements of a fixed array.
+    unit : str
+        As the title of a column says it.
     """
 
     base: str
     kind: Literal['single', 'array', 'sequence'] = 'single'
     length: int = 0
+    unit: str = ''
 
     def __str__(self) -> str:
         bounds = {'single': '', 'array': f'[{self.length}]', 'sequence': '[]'}

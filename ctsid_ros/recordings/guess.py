@@ -296,10 +296,10 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
 
 
 def _unit(signal: Candidate) -> str:
-    """Return the unit that a message type says; what is only called so may be in any."""
+    """Return the unit that a title or a message type says; a mere name may be in any."""
     kind, text = signal.topic.info.type, signal.key[1]
-    if not (signal.path.euler or _SAYS_UNIT.match(kind)):
-        return ''
+    if signal.unit or not (signal.path.euler or _SAYS_UNIT.match(kind)):
+        return signal.unit
     return next((unit for pattern, unit in _UNITS if re.search(pattern, text)), '')
 
 

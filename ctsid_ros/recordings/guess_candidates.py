@@ -16,7 +16,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_ros.decoding.field_path import FieldPath, parse_field
-from ctsid_ros.decoding.message_types import MessageType
+from ctsid_ros.decoding.message_types import FieldType, MessageType
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, gather, held
 from ctsid_ros.recordings.survey import Survey, TopicSurvey
@@ -76,6 +76,8 @@ class Candidate:
         Samples per second while they come [Hz].
     stays : bool
         Whether most samples equal the one before, as those of a command that is held do.
+    unit : str
+        As the title of a column says it.
     """
 
     topic: TopicSurvey
@@ -89,6 +91,7 @@ class Candidate:
     last: float
     rate: float
     stays: bool
+    unit: str = ''
 
     @property
     def key(self) -> Key:
@@ -171,28 +174,30 @@ def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath],
               clock: Clock, wanted: Collection[str]) -> list[Candidate]:
     stats: Mapping[str, FieldStats] = {f.field: f for f in topic.fields}
     found = []
-    whole = [path for path in paths if not is_real(kind, path)]
+    types = [_type(kind, path) for path in paths]
+    whole = [i for i, one in enumerate(types) if not one.base.startswith('float')]
     for i, path in enumerate(paths):
         good = np.isfinite(samples.values[:, i])
         time, values = samples.time[good], samples.values[good, i]
         if not len(time) or (str(path) not in wanted and (
-                len(time) < FEWEST or no_signal(time, values, counts=path in whole))):
+                len(time) < FEWEST or no_signal(time, values, counts=i in whole))):
             continue
         acts, measures = likely_roles(topic, str(path))
         found.append(Candidate(
             topic, stats[str(path)], path, acts, measures, held(time, values, clock),
             averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time),
-            bool(2 * np.count_nonzero(np.diff(values)) < len(values) - 1)))
+            bool(2 * np.count_nonzero(np.diff(values)) < len(values) - 1),
+            '' if path.euler else types[i].unit))
     return found
 
 
-def is_real(kind: MessageType, path: FieldPath) -> bool:
-    """Whether a field is declared as a real number, not as a whole one or a bool."""
-    name = kind.name
+def _type(kind: MessageType, path: FieldPath) -> FieldType:
+    """Return as what the field is declared that a path leads to."""
+    found = FieldType(kind.name)
     for step in path.leaves[0]:
         if isinstance(step, str):
-            name = kind.types[name][step].base
-    return name.startswith('float')
+            found = kind.types[found.base][step]
+    return found
 
 
 def no_signal(time: Array, values: Array, *, counts: bool = False) -> bool:

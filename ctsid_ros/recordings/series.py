@@ -10,7 +10,7 @@ whatever reads bags reads them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 import re
@@ -47,6 +47,8 @@ class Series:
         Numbers, by field path; a name that is none is made one.
     header_ns : ndarray of int64, shape (N,), optional
         When what the rows hold was measured, if that is known beside the time of recording.
+    units : mapping of str to str, optional
+        Of columns that name theirs.
     """
 
     topic: str
@@ -55,6 +57,7 @@ class Series:
     log_ns: Stamps
     columns: Mapping[str, NDArray[Any]]
     header_ns: Stamps | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.log_ns)
@@ -68,7 +71,7 @@ class Series:
         types: dict[str, Fields] = {}
         order: list[str] = []
         top = f'{self.package}/msg/{self.name}'
-        fields = _fields(tree, top, types, order, self.columns)
+        fields = _fields(tree, top, types, order, self)
         if self.header_ns is not None:
             fields = {'header': FieldType(HEADER), **fields}
             types |= {HEADER: {'stamp': FieldType(TIMES[0])},
@@ -200,32 +203,32 @@ def _insert(tree: _Tree, steps: Sequence[Step], column: str) -> None:
 
 
 def _fields(tree: _Tree, name: str, types: dict[str, Fields], order: list[str],
-            columns: Mapping[str, NDArray[Any]]) -> dict[str, FieldType]:
+            series: Series) -> dict[str, FieldType]:
     """Describe the members of a message; the types below it are added to `types`."""
     fields: dict[str, FieldType] = {}
     for key, node in tree.items():
-        if isinstance(node, dict) and not _regular(node, columns):
+        if isinstance(node, dict) and not _regular(node, series.columns):
             # Indices that are missing, or elements that differ: each a field of its own.
             for column in _leaves(node):
                 flat: _Tree = {}
                 _insert(flat, (plain_name(column),), column)
-                fields |= _fields(flat, name, types, order, columns)
+                fields |= _fields(flat, name, types, order, series)
         else:
-            fields[str(key)] = _field(node, f'{name}_{key}', types, order, columns)
+            fields[str(key)] = _field(node, f'{name}_{key}', types, order, series)
     return fields
 
 
 def _field(node: Any, name: str, types: dict[str, Fields], order: list[str],
-           columns: Mapping[str, NDArray[Any]]) -> FieldType:
+           series: Series) -> FieldType:
     if not isinstance(node, dict):
         order.append(node)
-        return FieldType(_kind(columns[node]).name)
+        return FieldType(_kind(series.columns[node]).name, unit=series.units.get(node, ''))
     if 0 in node:
-        elements = [_field(node[i], name, types, order, columns) for i in range(len(node))]
-        return FieldType(elements[0].base, 'array', len(node))
+        elements = [_field(node[i], name, types, order, series) for i in range(len(node))]
+        return FieldType(elements[0].base, 'array', len(node), elements[0].unit)
     if [*node] == _QUATERNION:
         name = f'{name}_Quaternion'  # `euler(...)` of it is offered
-    types[name] = _fields(node, name, types, order, columns)
+    types[name] = _fields(node, name, types, order, series)
     return FieldType(name)
 
 

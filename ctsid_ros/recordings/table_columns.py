@@ -129,7 +129,8 @@ def _sampled_together(topic: str, time: Time, columns: Sequence[Column]) -> Iter
         taken.add(name)
         some = np.any([c.known for c in members], axis=0) & rows
         yield Series(name, 'table', 'Row', time.log_ns[some],
-                     {c.name: c.values[some] for c in _distinct(members)})
+                     {c.name: c.values[some] for c in _distinct(members)},
+                     units={c.name: c.unit for c in _distinct(members)})
 
 
 def _common(names: Sequence[str], groups: Sequence[tuple[Any, Sequence[Column]]]) -> str:
