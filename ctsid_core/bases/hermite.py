@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.hermite_functions import Blocks, hermite_functions
+from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
@@ -37,28 +37,27 @@ class HermiteLines:
     """What depends on nmax alone."""
 
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
-    even: Blocks  # (L, ceil(nc/2)): from even coefficients to real parts of the lines
-    odd: Blocks   # (L, floor(nc/2)): from odd ones to imaginary parts
+    # (nc, L): from even coefficients to real parts of the lines, from odd ones to imaginary parts
+    table: Array
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients, (m, nc), to lines, (m, L)."""
-        out = np.empty((len(f), self.even.shape[0]), dtype=np.complex128)
-        out.real = self.even.times(f[:, 0::2])
-        out.imag = self.odd.times(f[:, 1::2])
+        out = np.empty((len(f), len(self.w)), dtype=np.complex128)
+        out.real = f[:, 0::2] @ self.table[0::2]
+        out.imag = f[:, 1::2] @ self.table[1::2]
         return out
 
     @cached_property
     def tail(self) -> Lines:
         """The lines of e_last = [0 ... 0 1], (1, L)."""
-        nmax = self.even.shape[1] + self.odd.shape[1] - 1
-        return self.lines(np.eye(1, nmax + 1, nmax))
+        return self.lines(np.eye(1, len(self.table), len(self.table) - 1))
 
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
         # <h_n, 1>: odd ones vanish, c_(n+2) = c_n ratio
-        nmax = self.even.shape[1] + self.odd.shape[1] - 1
-        c, n = np.zeros((1, nmax + 1)), np.arange(2, nmax + 1, 2)
+        nc = len(self.table)
+        c, n = np.zeros((1, nc)), np.arange(2, nc, 2)
         c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
             np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
         return self.lines(c)
@@ -71,8 +70,8 @@ def hermite_lines(nmax: int) -> HermiteLines:
     h = hermite_functions(nmax, w)
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
-    sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
-    return HermiteLines(w, Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2]))
+    sign = 1.0 - 2.0 * (np.arange(1, nmax + 2) // 2 % 2)    # (-i)^n, or its imaginary part
+    return HermiteLines(w, sign[:, np.newaxis] * q)
 
 
 def time_scale(nmax: int, tau: float, settings: Settings) -> float:
