@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import eval_laguerre
 
-from ctsid_core.bases import takenaka_malmquist
+from ctsid_core.model import simulation
 from ctsid_core.signals.record import Signal
 from ctsid_core.subspace.ct_pbsid import coefficients, reach
 
@@ -86,7 +86,7 @@ def test_signals_of_other_stamps_and_dead_times_stand_below_each_other():
 
 def test_a_long_sweep_in_chunks_is_exact(monkeypatch):
     """10,000 intervals: the transform of a sine seen from anywhere is that of the all-pass."""
-    monkeypatch.setattr(takenaka_malmquist, '_CHUNK', 700)
+    monkeypatch.setattr(simulation, '_CHUNK', 700)
     t = np.linspace(0.0, 50.0, 10001)
     at = np.linspace(0.0, 30.0, 13)
     found = coefficients([Signal(t, np.sin(2.0 * t)[:, None])], at, (0.0, 50.0), A, 8, [0.0],
