@@ -23,6 +23,8 @@ class MethodModel:
     settings: Settings
     singular_values: Array  # whose drop shows the order
     condition: float        # condition number of the regression
+    # B, C and D are then those of the best simulation with its poles
+    poles_only: bool = False
 
 
 @dataclass(frozen=True)
