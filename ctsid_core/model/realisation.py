@@ -56,7 +56,7 @@ def modal(A: Array, C: Array) -> tuple[Array, Array]:
     found = modes(A, SOUND)
     if found is None:
         raise DataError('poles coincide too closely for a modal form (the eigenvectors of A are '
-                        'dependent); use balanced() instead')
+                        'dependent); identify with a lower order')
     rows, blocks = [], []
     for k in pole_order(found.values):
         pole, c = found.values[k], C @ found.right[:, k]
@@ -96,24 +96,6 @@ def _root(gramian: Array) -> Array:
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
 
 
-def _stable_part(A: Array, B: Array, C: Array) -> tuple[Array, int, Array, Array]:
-    T, unstable = _split(A)
-    inverse = np.linalg.inv(T)
-    stable = slice(unstable, None)
-    A, B, C = (T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable]
-    # R R^T and L L^T are the Gramians
-    return (T, unstable, _root(solve_continuous_lyapunov(A, -B @ B.T)),
-            _root(solve_continuous_lyapunov(A.T, -C.T @ C)))
-
-
-def hankel(A: Array, B: Array, C: Array) -> Array:
-    """Return the Hankel singular values of the stable part, largest first."""
-    if not len(A):
-        return np.empty(0)
-    _, _, R, L = _stable_part(A, B, C)
-    return np.asarray(np.linalg.svd(L.T @ R, compute_uv=False))
-
-
 def balancing(A: Array, B: Array, C: Array) -> Array:
     """
     Return T that balances the stable part, the unstable one first; shape (n, n).
@@ -123,14 +105,19 @@ def balancing(A: Array, B: Array, C: Array) -> Array:
     """
     if not len(A):
         return np.empty((0, 0))
-    T, unstable, R, L = _stable_part(A, B, C)
+    T, unstable = _split(A)
+    inverse = np.linalg.inv(T)
+    stable = slice(unstable, None)
+    A, B, C = (T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable]
+    R = _root(solve_continuous_lyapunov(A, -B @ B.T))      # R R^T and L L^T are the Gramians
+    L = _root(solve_continuous_lyapunov(A.T, -C.T @ C))
     U, sigma, _ = np.linalg.svd(L.T @ R)
-    if len(sigma) and not sigma[-1] > len(A) * np.finfo(float).eps * sigma[0]:
+    if len(sigma) and not sigma[-1] > len(T) * np.finfo(float).eps * sigma[0]:
         raise DataError(f'a state is not controllable or not observable (smallest Hankel singular '
                         f'value {sigma[-1]:.1e}, largest {sigma[0]:.1e}), so it cannot be '
                         'balanced; identify with a lower order')
     balance = (U / np.sqrt(sigma)).T @ L.T
-    columns = np.linalg.solve(balance.T, (C @ np.linalg.inv(T))[:, unstable:].T)
+    columns = np.linalg.solve(balance.T, C.T)
     signs = np.array([-1.0 if _signs(c.astype(complex)).real < 0 else 1.0 for c in columns])
     return np.asarray(block_diag(np.eye(unstable), signs[:, np.newaxis] * balance) @ T)
 
