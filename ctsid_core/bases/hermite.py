@@ -21,11 +21,10 @@ from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.bases.projection import Projection
+from ctsid_core.bases.projection import Projection, joined
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
@@ -103,11 +102,9 @@ def project_record(record: Record, settings: Settings, nmax: int,
     for start, end in pairwise(bounds.tolist()):
         check()
         parts.append(_project_part(record, settings, nmax, start, end))
-    tail = block_diag(*(p.tail for p in parts))
-    return replace(
-        parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
-        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]), tail=tail,
-        length=record.duration / max(len(tail), 1))
+    whole = joined(parts)
+    return replace(whole, ones=np.hstack([p.ones for p in parts]),
+                   length=record.duration / max(len(whole.tail), 1))
 
 
 def _project_part(record: Record, settings: Settings, nmax: int, start: float,
