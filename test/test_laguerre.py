@@ -52,7 +52,7 @@ def test_held_and_linear_signals_are_exact(hold, uniform):
             return values[np.searchsorted(t, x, side='right') - 1]
         return np.stack([np.interp(x, t, row) for row in values.T], axis=1)
 
-    found = coefficients([Signal(t, values, hold)], at, span, A, 14, [0.0])
+    found = coefficients([Signal(t, values, hold)], at, span, A, 14, [0.0, 0.0])
     wanted = direct(f, at, span, 14, t)
     np.testing.assert_allclose(found, wanted, atol=1e-11)
 
@@ -65,7 +65,7 @@ def test_smooth_signals_at_irregular_stamps():
     def f(x):
         return np.stack((np.sin(3.0 * x), np.cos(7.0 * x + 1.0)), axis=1)
 
-    found = coefficients([Signal(t, f(t))], at, span, A, 12, [0.0])
+    found = coefficients([Signal(t, f(t))], at, span, A, 12, [0.0, 0.0])
     wanted = direct(f, at, span, 12, np.linspace(0.5, 5.0, 40))
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 

@@ -111,7 +111,7 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
                   end: float) -> Projection:
     basis = hermite_lines(nmax)
     alpha = time_scale(nmax, 0.5 * (end - start), settings)
-    inputs, delays = by_delay(record, settings.delays(record.nu))
+    inputs, delays = _by_delay(record, settings.delays(record.nu))
     found = coefficients((*inputs, *record.outputs), start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     nu = sum(map(len, found[:len(inputs)]))
@@ -134,8 +134,8 @@ def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int
     return basis.lines(coefficients([held], start, end, alpha, nmax, [0.0])[0])
 
 
-def by_delay(record: Record,
-              delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
+def _by_delay(record: Record,
+               delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []
     shifts: list[float] = []

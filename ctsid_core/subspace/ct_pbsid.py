@@ -32,13 +32,12 @@ import numpy as np
 from scipy.special import eval_laguerre
 
 from ctsid_core.bases.bandwidth import output_band
-from ctsid_core.bases.hermite import by_delay
-from ctsid_core.bases.quadrature import SPLINED, smooth_values, spline_degree
 from ctsid_core.bases.records import Joint
-from ctsid_core.bases.takenaka_malmquist import chain, of_one_degree, respond
+from ctsid_core.bases.takenaka_malmquist import chain, respond
 from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
+from ctsid_core.model.simulation import input_polynomials, knots_between
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
@@ -116,12 +115,11 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float,
 
 def _block(record: Record, settings: Settings, a: float, count: int) -> Array:
     """Return the coefficients of one record seen from its instants, (count, nz, instants)."""
-    inputs, delays = by_delay(record, settings.delays(record.nu))
     at = instants(record, reach(count) / a)
     if len(at) == 0:
         return np.empty((count, record.nu + record.ny, 0))
-    z = coefficients((*inputs, *record.outputs), at, (record.start, record.end), a, count,
-                     (*delays, *(0.0,) * len(record.outputs)))
+    z = coefficients((*record.inputs, *record.outputs), at, (record.start, record.end), a, count,
+                     (*settings.delays(record.nu), *(0.0,) * record.ny))
     return z - z.mean(axis=2, keepdims=True) if settings.trim else z
 
 
@@ -130,38 +128,17 @@ def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float]
     """
     Return `count` Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
 
-    Of pole a [rad/s], signals later by their delays [s] and zero outside of the span [s]. They are
-    the responses of a chain of equal Takenaka-Malmquist filters in reversed time.
+    Of pole a [rad/s], channels later by their delays [s] and zero outside of the span [s]. They
+    are the responses of a chain of equal Takenaka-Malmquist filters in reversed time.
     """
-    late = [s.time + delay for s, delay in zip(signals, delays, strict=True)]
-    knots = np.unique(np.concatenate([span, at, *(
-        t[(t > span[0]) & (t < span[1])] for t in late)]))
-    pieces = [_pieces(t, s, knots)[::-1, ::-1] for t, s in zip(late, signals, strict=True)]
-    h = np.diff(knots)[::-1, np.newaxis]
-    derivatives = np.concatenate(of_one_degree([_derivatives(p, h) for p in pieces]), axis=2)
-    seen = respond(chain([a] * count), derivatives, -knots[::-1])
+    knots = knots_between(signals, delays, np.unique(np.concatenate((span, at))))
+    ahead = input_polynomials(signals, delays, knots)[:, :-1]
+    h = np.diff(knots)[:, np.newaxis]
+    # The derivatives at the ends of intervals, where they begin in reversed time
+    ends = [(-1) ** j * sum(v * h ** i / factorial(i) for i, v in enumerate(ahead[j:]))
+            for j in range(len(ahead))]
+    seen = respond(chain([a] * count), np.array(ends)[:, ::-1], -knots[::-1])
     return seen[::-1][np.searchsorted(knots, at)].transpose(1, 2, 0)
-
-
-def _pieces(t: Array, signal: Signal, knots: Array) -> Array:
-    """Return a signal at the equidistant points of each interval that tell a polynomial there."""
-    if signal.hold == 'zoh':
-        row = np.clip(np.searchsorted(t, knots[:-1], side='right') - 1, 0, None)
-        return signal.values[np.newaxis, row]
-    values, degree = signal.values.T, 1
-    if signal.hold == 'smooth' and len(t) >= SPLINED:
-        degree = max(spline_degree(t, values), 3)
-    points = knots[:-1, np.newaxis] + np.diff(knots)[:, np.newaxis] * np.linspace(0, 1, degree + 1)
-    level = smooth_values(t, values, points.ravel(), degree).T
-    return level.reshape(len(points), degree + 1, -1).transpose(1, 0, 2)
-
-
-def _derivatives(values: Array, h: Array) -> Array:
-    """Return the derivatives at the start of intervals h of values at points within them."""
-    q = len(values)
-    powers = np.linalg.inv(np.vander(np.arange(q) / max(q - 1, 1), increasing=True))
-    found = np.tensordot(powers, values, axes=1)
-    return np.array([factorial(j) * part / h ** j for j, part in enumerate(found)])
 
 
 @lru_cache(maxsize=64)
