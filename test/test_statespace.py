@@ -88,6 +88,14 @@ def test_both_ways_of_simulation_agree(monkeypatch):
     assert np.abs(by_modes - by_matrices).max() < 1e-11 * np.abs(by_modes).max()
 
 
+def test_the_response_at_poles_that_are_known_to_half_of_the_digits_is_infinite():
+    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    A = np.block([[turn, np.eye(2)], [np.zeros((2, 2)), turn]])       # exactly singular at 1 rad/s
+    model = StateSpace(A, np.eye(4)[:, 2:3], np.eye(4)[:1])
+    assert np.isinf(model.frequency_response([1.0]).real).all()
+    assert np.isfinite(model.frequency_response([0.5, 2.0])).all()
+
+
 def balanced(model):
     return model.transform(realisation.balancing(model.A, model.B, model.C))
 

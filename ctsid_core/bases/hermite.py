@@ -135,7 +135,7 @@ def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int
 
 
 def _by_delay(record: Record,
-               delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
+              delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []
     shifts: list[float] = []
