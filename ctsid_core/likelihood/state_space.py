@@ -65,12 +65,13 @@ def modal_of(m: Matrices, samples: Samples, delay: Array,
 def _modal(poles: ComplexArray, b: ComplexArray, c: ComplexArray,
            pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Return A, B and C of real modal states: Re z of all modes, then Im z of pairs."""
-    m = len(poles)
-    A = np.diag(np.concatenate((poles.real, poles[pairs].real)))
-    A[pairs, m + np.arange(len(pairs))] = -poles[pairs].imag
-    A[m + np.arange(len(pairs)), pairs] = poles[pairs].imag
-    B = np.vstack((b.real, b[pairs].imag))
-    return A, B, np.hstack((c.real, -c[:, pairs].imag))
+    m = poles.shape[-1]
+    own, second = np.arange(m), m + np.arange(len(pairs))
+    A = np.zeros((*poles.shape[:-1], m + len(pairs), m + len(pairs)))
+    A[..., own, own], A[..., second, second] = poles.real, poles[..., pairs].real
+    A[..., pairs, second], A[..., second, pairs] = -poles[..., pairs].imag, poles[..., pairs].imag
+    return (A, np.concatenate((b.real, b[..., pairs, :].imag), axis=-2),
+            np.concatenate((c.real, -c[..., pairs].imag), axis=-1))
 
 
 def _mended(model: ModalModel) -> Array:
@@ -140,21 +141,14 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     at += places.delays
     db = _complex(root[:, at:at + places.b].reshape(r, -1, nu), m, pairs)
     at += places.b + len(samples.records) * places.x0
-    width = places.own
-    dc, dD = np.zeros((r, ny, m), dtype=complex), np.zeros((r, ny, nu))
-    for i in range(ny):
-        own = root[:, at + i * width:at + (i + 1) * width]
-        dc[:, i] = _complex(own[:, :n, np.newaxis], m, pairs)[:, :, 0]
-        if free.feedthrough:
-            dD[:, i] = own[:, n:n + nu]
+    own = root[:, at:at + ny * places.own].reshape(r, ny, places.own)
+    dc = _complex(own[:, :, :n].swapaxes(1, 2), m, pairs).swapaxes(1, 2)
+    dD = own[:, :, n:n + nu] if free.feedthrough else np.zeros((r, ny, nu))
     T = _mended(model)
     inverse = np.linalg.inv(T)
-    dA, dB, dC = np.zeros((r, n, n)), np.zeros((r, n, nu)), np.zeros((r, ny, n))
-    for k in range(r):
-        A, B, C = _modal(dp[k], db[k], dc[k], pairs)
-        dA[k], dB[k] = T @ A @ inverse, T @ B
-        dC[k] = (C * samples.size[:, np.newaxis]) @ inverse
-    return Entries(dA, dB, dC, dD * samples.size[:, np.newaxis], delay)
+    A, B, C = _modal(dp, db, dc, pairs)
+    return Entries(T @ A @ inverse, T @ B, (C * samples.size[:, np.newaxis]) @ inverse,
+                   dD * samples.size[:, np.newaxis], delay)
 
 
 def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> Array:
