@@ -260,26 +260,6 @@ class StateSpace:
             C=np.linalg.solve(matrix.T, self.C.T).T, K=matrix @ self.K,
             x_trim=matrix @ self.x_trim)
 
-    def modal(self) -> StateSpace:
-        """
-        Return the same system in real modal form, the modes in the order of `poles`.
-
-        A real pole s gives the block [s], a pair s +- j w the block [[s, w], [-w, s]]; what is
-        outside of the blocks is exactly 0. Each block is scaled such that its columns of C have
-        norm 1 (Frobenius), and signed (pairs: turned) such that c1 + c2/sqrt(2) + c3/sqrt(3) +
-        ... is positive, with c its column of C (pairs: the first one, and the second's sum is
-        0). So the matrices of neighbouring windows can be compared: they change continuously
-        with the system, except where two modes swap places, where a mode turns from real to
-        oscillating, or where that sum passes through 0.
-
-        Raises
-        ------
-        DataError
-            If poles coincide so closely that there is no usable modal form.
-        """
-        T, A = realisation.modal(self.A, self.C)
-        return replace(self.transform(T), A=A)
-
     def pade(self, order: int) -> StateSpace:
         """
         Return a model without dead time, each one replaced by its Pade approximation.
