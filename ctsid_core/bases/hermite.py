@@ -36,41 +36,38 @@ class HermiteLines:
     """What depends on nmax alone."""
 
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
-    # (nc, L): from even coefficients to real parts of the lines, from odd ones to imaginary parts
-    table: Array
+    V: Lines      # (nc, L): from coefficients to lines, the rest of them conjugates
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients, (m, nc), to lines, (m, L)."""
-        out = np.empty((len(f), len(self.w)), dtype=np.complex128)
-        out.real = f[:, 0::2] @ self.table[0::2]
-        out.imag = f[:, 1::2] @ self.table[1::2]
-        return out
+        lines: Lines = f @ self.V
+        return lines
 
     @cached_property
     def tail(self) -> Lines:
         """The lines of e_last = [0 ... 0 1], (1, L)."""
-        return self.lines(np.eye(1, len(self.table), len(self.table) - 1))
+        return self.lines(np.eye(1, len(self.V), len(self.V) - 1))
 
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
         # <h_n, 1>: odd ones vanish, c_(n+2) = c_n ratio
-        nc = len(self.table)
+        nc = len(self.V)
         c, n = np.zeros((1, nc)), np.arange(2, nc, 2)
         c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
             np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
         return self.lines(c)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def hermite_lines(nmax: int) -> HermiteLines:
     """Return the diagonal form of the derivative for orders 0 .. nmax, nmax at least 1."""
     w = roots_hermite(nmax + 1)[0][(nmax + 1) // 2:]
     h = hermite_functions(nmax, w)
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
-    sign = 1.0 - 2.0 * (np.arange(1, nmax + 2) // 2 % 2)    # (-i)^n, or its imaginary part
-    return HermiteLines(w, sign[:, np.newaxis] * q)
+    power = np.array([1, -1j, -1, 1j], dtype=complex)[np.arange(nmax + 1) % 4]      # (-i)^n
+    return HermiteLines(w, np.asarray(power[:, np.newaxis] * q, dtype=complex))
 
 
 def time_scale(nmax: int, tau: float, settings: Settings) -> float:
