@@ -3,9 +3,9 @@
 Time of a whole identification over its floor.
 
 The floor is the projection done directly: the Hermite functions at every sample, and one product
-of (channels x samples) by (samples x functions). ctsid goes by way of frequencies where that is
-cheaper, so that a whole identification of many samples may cost less than its floor. Stamps are
-uniform and shared in the first table; in the second every channel has its own, as on a robot.
+of (channels x samples) by (samples x functions). ctsid goes by way of frequencies, so that a whole
+identification of many samples may cost less than its floor. Stamps are uniform and shared in the
+first table; in the second every channel has its own, as on a robot.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np  # noqa: E402
 from ctsid_core import Record, Settings, identify  # noqa: E402
 from ctsid_core.bases.bandwidth import choose_nmax  # noqa: E402
 from ctsid_core.bases.hermite import hermite_lines, time_scale  # noqa: E402
-from ctsid_core.bases.hermite_functions import project_directly  # noqa: E402
+from ctsid_core.bases.hermite_functions import hermite_functions  # noqa: E402
 from ctsid_core.bases.hermite_sums import frequency_grid, frequency_table  # noqa: E402
 from ctsid_core.signals.record import Signal  # noqa: E402
 
@@ -64,7 +64,7 @@ def floor(record: Record, nmax: int) -> Callable[[], object]:
     work = [((same[0].time - middle) / alpha,
              np.ascontiguousarray(np.hstack([signal.values for signal in same]).T))
             for same in groups.values()]
-    return lambda: [project_directly(nmax, x, values) for x, values in work]
+    return lambda: [values @ hermite_functions(nmax, x).T for x, values in work]
 
 
 def row(count: int, record: Record, nmax: int, rounds: int) -> tuple[str, ...]:

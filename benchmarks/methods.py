@@ -60,8 +60,8 @@ def by_hermite(record: Record, nmax: int, parts: int) -> Matrices:
 
 def by_laguerre(record: Record) -> Matrices:
     """Return the model by CT-PBSID as ctsid has it."""
-    levels = laguerre_levels([record], Settings(delay=0.0), POLE, PAST + 2, 'ahead')
-    return to_continuous(_realised(levels, 0.0, 1.0), POLE, 'ahead')
+    levels = laguerre_levels([record], Settings(delay=0.0), POLE, PAST + 2)
+    return to_continuous(_realised(levels, 0.0, 1.0), POLE)
 
 
 def _realised(levels: Levels, beta: float, gamma: float) -> Matrices:

@@ -13,7 +13,9 @@ import pytest
 from ctsid_core.bases.takenaka_malmquist import chain
 from ctsid_core.errors import SettingsError
 from ctsid_core.identify import identify
-from ctsid_core.model.residue_fit import simulated
+from ctsid_core.likelihood.output_error import Free, fit_at
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
@@ -57,6 +59,15 @@ def record(hold: str, *, jitter: float = 0.4, seed: int = 1, plant: StateSpace =
 def worst(found: StateSpace, truth: StateSpace) -> float:
     G = truth.frequency_response(OMEGA)
     return float(np.max(np.abs(found.frequency_response(OMEGA) - G)) / np.max(np.abs(G)))
+
+
+def simulating(own: Record, poles: np.ndarray) -> StateSpace:
+    """Return the model of given poles that simulates best."""
+    samples = samples_of([own], [[None]])
+    fit = fit_at(samples, poles.astype(complex), np.zeros(2),
+                 Free(True, True, (False, False), 0.0, np.inf, np.inf))
+    m = matrices_of(fit.model, samples.size)
+    return StateSpace(m.A, m.B, m.C, m.D)
 
 
 def observability(sigma, plant: StateSpace) -> np.ndarray:
@@ -112,9 +123,7 @@ def test_noise_free_irregular_and_of_several_signals(name, hold):
     assert far.max() < (1e-3 if hold == 'smooth' else 3e-6)
     assert seen.singular_values[3] / seen.singular_values[2] < (
         1e-2 if hold == 'smooth' else 1e-4)
-    best = simulated([own], found.A, (0.0, 0.0), trim=True, feedthrough=True, tolerance=1e-10)
-    model = StateSpace(found.A, best.B, best.C, best.D)
-    assert worst(model, PLANT) < (1e-3 if hold == 'smooth' else 1e-5)
+    assert worst(simulating(own, poles), PLANT) < (1e-3 if hold == 'smooth' else 1e-5)
 
 
 @pytest.mark.parametrize('hold', ['zoh', 'linear'])
@@ -175,8 +184,7 @@ def test_local_polynomials_of_the_paper_on_irregular_stamps():
 
 def test_simulations_give_the_inputs_and_outputs_of_the_truth():
     own = record('zoh')
-    found = simulated([own], PLANT.A, (0.0, 0.0), trim=True, feedthrough=True, tolerance=1e-10)
-    assert worst(StateSpace(PLANT.A, found.B, found.C, found.D), PLANT) < 1e-7
+    assert worst(simulating(own, PLANT.poles), PLANT) < 1e-7
 
 
 def test_identify_noise_free():

@@ -7,12 +7,15 @@ import pytest
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases import hermite_sums, quadrature
 from ctsid_core.bases.hermite import time_scale
-from ctsid_core.bases.hermite_functions import hermite_functions, project_directly
+from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.hermite_sums import project
 from ctsid_core.signals.record import Signal
 
 LONG = pytest.mark.skipif(np.finfo(np.longdouble).maxexp < 16000, reason='needs long exponents')
-WITHOUT_TABLE = 1800        # an order above which no table is kept
+
+
+def directly(nmax: int, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return weights @ hermite_functions(nmax, x).T
 
 
 def turning(nmax: int) -> float:
@@ -47,13 +50,12 @@ def stamps(kind: str, nmax: int, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize('kind', ['uniform', 'jittered', 'unsorted', 'bursts', 'turning points',
                                   'far beyond'])
-@pytest.mark.parametrize('nmax', [100, 101, 300, 812, 1201, WITHOUT_TABLE])
-def test_both_ways_agree(kind, nmax):
+@pytest.mark.parametrize('nmax', [1, 8, 60, 101, 300, 812, 1201, 1800])
+def test_they_are_those_of_the_functions_at_the_samples(kind, nmax):
     x = stamps(kind, nmax, 2000)
     weights = np.vstack((np.random.default_rng(0).standard_normal(len(x)), np.ones(len(x)),
                          np.cos(0.7 * turning(nmax) * x) * np.exp(-x * x / nmax)))
-    found, wanted = project(nmax, x, weights), project_directly(nmax, x, weights)
-    assert not np.array_equal(found, wanted)                       # it did go the other way
+    found, wanted = project(nmax, x, weights), directly(nmax, x, weights)
     error = np.abs(found - wanted).max(axis=1) / np.abs(wanted).max(axis=1)
     assert error.max() < 5e-13
 
@@ -75,11 +77,11 @@ def test_slopes_between_near_stamps_are_no_less_exact_than_directly():
     pairs, weights = np.concatenate((x, x + 1e-6)), np.hstack((slope, -slope))
     wanted = truth(nmax, pairs, weights)
     error = np.abs(project(nmax, pairs, weights) - wanted).max()
-    assert error < np.abs(project_directly(nmax, pairs, weights) - wanted).max()
+    assert error < np.abs(directly(nmax, pairs, weights) - wanted).max()
     assert error < 1e-10 * np.abs(wanted).max()
 
 
-@pytest.mark.parametrize('nmax', [100, 812, WITHOUT_TABLE])
+@pytest.mark.parametrize('nmax', [100, 812, 1800])
 def test_single_values_are_those_of_the_functions(nmax):
     """With all weights but one zero the sums are the functions at one point."""
     at = turning(nmax) * np.array([-1.2, -1.0, -0.3, 0.0, 0.77, 1.05])
@@ -96,12 +98,12 @@ def test_samples_out_of_reach_count_for_nothing():
     np.testing.assert_array_equal(project(300, np.full(1000, 1e3), np.ones((2, 1000))), 0.0)
 
 
-def test_small_problems_take_the_direct_way():
+def test_few_samples():
     rng = np.random.default_rng(3)
-    for nmax, count in ((60, 500), (99, 3000), (300, 30), (812, 1), (300, 0)):
+    for nmax, count in ((60, 500), (300, 30), (812, 1), (300, 0)):
         x, weights = rng.uniform(-9.0, 9.0, count), rng.standard_normal((2, count))
-        np.testing.assert_array_equal(project(nmax, x, weights),
-                                      project_directly(nmax, x, weights))
+        np.testing.assert_allclose(project(nmax, x, weights), directly(nmax, x, weights),
+                                   rtol=0, atol=1e-13 * (1.0 + np.abs(weights).sum()))
 
 
 def test_channels_together_are_as_alone():
@@ -113,7 +115,7 @@ def test_channels_together_are_as_alone():
     assert project(400, x, weights[:0]).shape == (0, 401)
 
 
-@pytest.mark.parametrize('nmax', [300, WITHOUT_TABLE])
+@pytest.mark.parametrize('nmax', [300, 1800])
 def test_equal_bits_whatever_was_computed_before(nmax):
     x = stamps('jittered', nmax, 3000)
     weights = np.random.default_rng(5).standard_normal((3, 3000))
@@ -131,8 +133,6 @@ def test_what_is_kept_is_bounded():
     hermite_sums.frequency_table.cache_clear()
     tracemalloc.start()
     for nmax in range(1500, 1512):
-        project(nmax, x, weights)
-    for nmax in (2000, 3000):
         project(nmax, x, weights)
     kept = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
@@ -179,7 +179,7 @@ def test_signals_of_any_hold_lose_nothing(hold, kind, margin, monkeypatch):
     monkeypatch.setattr(quadrature, 'project', truth)
     wanted = coefficients()
     # Slopes between near stamps are large weights that cancel: directly, more digits are lost.
-    assert (errors(project) < np.maximum(1e-13, errors(project_directly))).all()
+    assert (errors(project) < np.maximum(1e-13, errors(directly))).all()
 
 
 def test_identification_does_not_depend_on_what_is_kept():

@@ -43,7 +43,6 @@ USERS = {
     'rclpy': ['ctsid_ros.node.*', 'ctsid_ros.examples.*'],
     **dict.fromkeys(ROS, ['ctsid_ros.node.*', 'ctsid_ros.examples.*',
                           'ctsid_ros.messages.*']),  # inside functions, where one is made
-    'control': ['ctsid_core.model.statespace'],
     'lz4': ['ctsid_ros.recordings.*'],
     'isal': ['ctsid_ros.recordings.mcap_chunks'],
     'mcap': ['ctsid_ros.recordings.*'],

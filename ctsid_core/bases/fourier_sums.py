@@ -25,11 +25,11 @@ from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csc_array
 from scipy.special import jv
 
-from ctsid_core.bases.hermite_functions import BLOCK
 from ctsid_core.linear.types import Array, ComplexArray
 
 _TERMS = 12             # of the series
 _FINENESS = 2           # highest frequency of the grid over that of the sums
+_BLOCK = 8192           # samples at a time, to stay in the cache
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> ComplexArray:
     N). Right to 1e-13 of the sum of the weights' magnitudes, for stamps the grid was made for.
     """
     moments = np.zeros((grid.size * _TERMS, len(weights)))
-    for first in range(0, len(x), BLOCK):
-        part = slice(first, first + BLOCK)
+    for first in range(0, len(x), _BLOCK):
+        part = slice(first, first + _BLOCK)
         moments += _scatter(x[part], grid) @ weights[:, part].T
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
     spectra = spectra.reshape(len(grid.w), _TERMS, -1)

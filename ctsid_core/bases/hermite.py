@@ -21,11 +21,10 @@ from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
-from ctsid_core.bases.hermite_functions import Blocks, hermite_functions
-from ctsid_core.bases.projection import Projection
+from ctsid_core.bases.hermite_functions import hermite_functions
+from ctsid_core.bases.projection import Projection, joined
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
@@ -37,42 +36,38 @@ class HermiteLines:
     """What depends on nmax alone."""
 
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
-    even: Blocks  # (L, ceil(nc/2)): from even coefficients to real parts of the lines
-    odd: Blocks   # (L, floor(nc/2)): from odd ones to imaginary parts
+    V: Lines      # (nc, L): from coefficients to lines, the rest of them conjugates
 
     def lines(self, f: Array) -> Lines:
         """Map rows of coefficients, (m, nc), to lines, (m, L)."""
-        out = np.empty((len(f), self.even.shape[0]), dtype=np.complex128)
-        out.real = self.even.times(f[:, 0::2])
-        out.imag = self.odd.times(f[:, 1::2])
-        return out
+        lines: Lines = f @ self.V
+        return lines
 
     @cached_property
     def tail(self) -> Lines:
         """The lines of e_last = [0 ... 0 1], (1, L)."""
-        nmax = self.even.shape[1] + self.odd.shape[1] - 1
-        return self.lines(np.eye(1, nmax + 1, nmax))
+        return self.lines(np.eye(1, len(self.V), len(self.V) - 1))
 
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
         # <h_n, 1>: odd ones vanish, c_(n+2) = c_n ratio
-        nmax = self.even.shape[1] + self.odd.shape[1] - 1
-        c, n = np.zeros((1, nmax + 1)), np.arange(2, nmax + 1, 2)
+        nc = len(self.V)
+        c, n = np.zeros((1, nc)), np.arange(2, nc, 2)
         c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
             np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
         return self.lines(c)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def hermite_lines(nmax: int) -> HermiteLines:
     """Return the diagonal form of the derivative for orders 0 .. nmax, nmax at least 1."""
     w = roots_hermite(nmax + 1)[0][(nmax + 1) // 2:]
     h = hermite_functions(nmax, w)
     q = h / np.linalg.norm(h, axis=0)
     q *= np.where(w > 0.0, np.sqrt(2.0), 1.0)               # the line at -w is the conjugate
-    sign = 1.0 - 2.0 * (np.arange(nmax + 1) // 2 % 2)       # real (-i)^n, or i times imaginary
-    return HermiteLines(w, Blocks.of((sign * q.T)[:, 0::2]), Blocks.of((-sign * q.T)[:, 1::2]))
+    power = np.array([1, -1j, -1, 1j], dtype=complex)[np.arange(nmax + 1) % 4]      # (-i)^n
+    return HermiteLines(w, np.asarray(power[:, np.newaxis] * q, dtype=complex))
 
 
 def time_scale(nmax: int, tau: float, settings: Settings) -> float:
@@ -104,18 +99,16 @@ def project_record(record: Record, settings: Settings, nmax: int,
     for start, end in pairwise(bounds.tolist()):
         check()
         parts.append(_project_part(record, settings, nmax, start, end))
-    tail = block_diag(*(p.tail for p in parts))
-    return replace(
-        parts[0], s=np.concatenate([p.s for p in parts]), u=np.hstack([p.u for p in parts]),
-        y=np.hstack([p.y for p in parts]), ones=np.hstack([p.ones for p in parts]), tail=tail,
-        length=record.duration / max(len(tail), 1))
+    whole = joined(parts)
+    return replace(whole, ones=np.hstack([p.ones for p in parts]),
+                   length=record.duration / max(len(whole.tail), 1))
 
 
 def _project_part(record: Record, settings: Settings, nmax: int, start: float,
                   end: float) -> Projection:
     basis = hermite_lines(nmax)
     alpha = time_scale(nmax, 0.5 * (end - start), settings)
-    inputs, delays = by_delay(record, settings.delays(record.nu))
+    inputs, delays = _by_delay(record, settings.delays(record.nu))
     found = coefficients((*inputs, *record.outputs), start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     nu = sum(map(len, found[:len(inputs)]))
@@ -138,7 +131,7 @@ def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int
     return basis.lines(coefficients([held], start, end, alpha, nmax, [0.0])[0])
 
 
-def by_delay(record: Record,
+def _by_delay(record: Record,
               delays: tuple[float, ...]) -> tuple[list[Signal], list[float]]:
     """Split input signals into single channels where their dead times differ."""
     signals: list[Signal] = []

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Sums of Hermite functions over samples, by way of their frequencies where that is cheaper.
+Sums of Hermite functions over samples, by way of their frequencies.
 
 A Hermite function is its own Fourier transform but for a factor. With F_j the Fourier sums of the
 samples at uniform frequencies w_j, the trapezoid rule gives
@@ -19,47 +19,25 @@ from functools import lru_cache
 import numpy as np
 
 from ctsid_core.bases.fourier_sums import Grid, fourier_grid, fourier_sums
-from ctsid_core.bases.hermite_functions import Blocks, hermite_functions, project_directly
+from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.linear.types import Array
 
 _DECAY = 36.0               # beyond its reach h_nmax is below exp(-36) = 2e-16
-_LEAST_ORDER = 100          # below, or with few samples, the direct way is as quick
-_FEWEST = 0.125             # samples over frequencies: a table that is kept serves many times
-_LARGEST_TABLE = 2 ** 21    # values of h_n(w_j) that are kept: 16 MB, nmax up to 1700 or so
 
 
 def project(nmax: int, x: Array, weights: Array) -> Array:
     """
     Return the sums over the samples of h_n(x_k) weights_k, shape (m, nmax + 1).
 
-    Of x (N,) in any order and weights (m, N). Which of the two ways is taken depends on nmax and N
-    only; they agree to 1e-12.
+    Of x (N,) in any order and weights (m, N).
     """
-    fewest = len(frequency_grid(nmax).w) * (_FEWEST if _kept(nmax) else 1.0)
-    if nmax < _LEAST_ORDER or len(x) < fewest:
-        return project_directly(nmax, x, weights)
-    return _project_by_frequencies(nmax, x, weights)
-
-
-def _kept(nmax: int) -> bool:
-    return (nmax + 1) * len(frequency_grid(nmax).w) <= _LARGEST_TABLE
-
-
-def _project_by_frequencies(nmax: int, x: Array, weights: Array) -> Array:
-    grid = frequency_grid(nmax)
+    grid, h = frequency_grid(nmax), frequency_table(nmax)
     inside = np.abs(x) <= 0.5 * grid.size * grid.step          # the reach
-    if not inside.all():
-        x, weights = x[inside], weights[:, inside]
-    spectrum = fourier_sums(x, weights, grid)
+    spectrum = fourier_sums(x[inside], weights[:, inside], grid)
     spectrum *= grid.w[1] * np.sqrt(2.0 / np.pi)               # for both signs of w
     spectrum[:, 0] *= 0.5
     c = np.empty((len(weights), nmax + 1))
-    if _kept(nmax):
-        even, odd = frequency_table(nmax)
-        c[:, 0::2], c[:, 1::2] = even.times(spectrum.real), odd.times(spectrum.imag)
-    else:
-        both = project_directly(nmax, grid.w, np.vstack((spectrum.real, spectrum.imag)))
-        c[:, 0::2], c[:, 1::2] = both[:len(c), 0::2], both[len(c):, 1::2]
+    c[:, 0::2], c[:, 1::2] = spectrum.real @ h[0::2].T, spectrum.imag @ h[1::2].T
     c[:, 1::4] *= -1.0                                         # i^n, or i times imaginary
     c[:, 2::4] *= -1.0
     return c
@@ -79,7 +57,6 @@ def frequency_grid(nmax: int) -> Grid:
 
 
 @lru_cache(maxsize=8)
-def frequency_table(nmax: int) -> tuple[Blocks, Blocks]:
-    """Return h_n(w_j) of the even orders and of the odd ones."""
-    h = hermite_functions(nmax, frequency_grid(nmax).w)
-    return Blocks.of(h[0::2]), Blocks.of(h[1::2])
+def frequency_table(nmax: int) -> Array:
+    """Return h_n(w_j), (nmax + 1, J)."""
+    return hermite_functions(nmax, frequency_grid(nmax).w)

@@ -33,7 +33,7 @@ from ctsid_core.signals.record import Signal
 _UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
 _GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
 _PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
-SPLINED = 8           # samples from which on there is a spline
+_SPLINED = 8           # samples from which on there is a spline
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
 _STEEP = 1e-5         # the same, below which a straight line is a jump: its slope is all rounding
@@ -149,7 +149,7 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
 def _smooth(t: Array, values: Array, start: float, end: float, alpha: float,
             top: float) -> Samples:
     step = np.diff(t)
-    if len(t) < SPLINED:
+    if len(t) < _SPLINED:
         return _lines(t, values, start, end, alpha, top)
     if np.ptp(step) <= _UNIFORM * step.mean():
         return _trapezoid(t, values, start, end, alpha)

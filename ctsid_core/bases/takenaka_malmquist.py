@@ -31,9 +31,9 @@ import numpy as np
 from ctsid_core.errors import SettingsError
 from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.simulation import by_matrices
 
 _SAME = 1e-9          # relative distance of a pole's conjugate that is rounding
-_CHUNK = 2 ** 14      # intervals at a time: each has a matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,43 +116,12 @@ def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
     Exactly, for m signals and their derivatives just after each of the increasing knots (K,) [s],
     shape (degree + 1, K, m), valid up to the next one (`simulation.input_polynomials`).
     """
-    w = np.zeros((len(knots), found.size, derivatives.shape[2]))
-    for first in range(0, len(knots) - 1, _CHUNK):
-        own = slice(first, min(first + _CHUNK, len(knots) - 1))
-        h, which = np.unique(np.diff(knots)[own], return_inverse=True)
-        step, *integrals = exponentials(found.L, h, len(derivatives))
-        drive = sum(((f @ found.b)[which, :, np.newaxis] * v[own, np.newaxis]
-                     for f, v in zip(integrals, derivatives, strict=True)), np.zeros(()))
-        drive[0] += step[which[0]] @ w[first]
-        w[own.start + 1:own.stop + 1] = _recursion(step[which], drive)
-    return w
+    rest = np.zeros((found.size, derivatives.shape[2]))
+    return by_matrices(found.L, found.b[:, np.newaxis], derivatives[:, :, np.newaxis],
+                       np.diff(knots), rest)
 
 
 def of_one_degree(parts: Sequence[Array]) -> list[Array]:
     """Return derivatives (degree + 1, ...) with zeros up to the highest degree among them."""
     degree = max(map(len, parts))
     return [np.concatenate((p, np.zeros((degree - len(p), *p.shape[1:])))) for p in parts]
-
-
-def _recursion(a: Array, g: Array) -> Array:
-    """
-    Return w_1 .. w_K of w_(k+1) = a_k w_k + g_k, w_0 = 0, shape (K, N, m).
-
-    In about sqrt(K) blocks side by side from zero, whose ends are chained then, so that K steps
-    cost 2 sqrt(K) products of stacks.
-    """
-    count, size, m = g.shape
-    length = int(np.sqrt(count)) + 1
-    blocks = -(-count // length)
-    factor = np.zeros((blocks * length, size, size))
-    local = np.zeros((blocks * length, size, m))
-    factor[:count], local[:count] = a, g
-    factor, local = (x.reshape(blocks, length, size, -1) for x in (factor, local))
-    for i in range(1, length):
-        local[:, i] += factor[:, i] @ local[:, i - 1]
-        factor[:, i] = factor[:, i] @ factor[:, i - 1]
-    start = np.zeros((blocks, 1, size, m))
-    for k in range(1, blocks):
-        start[k, 0] = factor[k - 1, -1] @ start[k - 1, 0] + local[k - 1, -1]
-    local += factor @ start
-    return local.reshape(-1, size, m)[:count]

@@ -13,6 +13,7 @@ from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes
 from ctsid_core.linear.types import Array, ComplexArray
@@ -20,7 +21,7 @@ from ctsid_core.model.covariance import Entries
 from ctsid_core.signals.record import Signal
 
 _MET = 0.03           # relative distance of two poles below which they share a block
-_GAUGE = 1e-7         # relative singular value below which a direction changes nothing
+GAUGE = 1e-7          # relative singular value below which a direction changes nothing
 _SAME = 1e-12         # ... below which two columns are the same
 _SPARE = 0.05         # share of the errors' power that a fit leaves at least
 
@@ -64,12 +65,13 @@ def modal_of(m: Matrices, samples: Samples, delay: Array,
 def _modal(poles: ComplexArray, b: ComplexArray, c: ComplexArray,
            pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Return A, B and C of real modal states: Re z of all modes, then Im z of pairs."""
-    m = len(poles)
-    A = np.diag(np.concatenate((poles.real, poles[pairs].real)))
-    A[pairs, m + np.arange(len(pairs))] = -poles[pairs].imag
-    A[m + np.arange(len(pairs)), pairs] = poles[pairs].imag
-    B = np.vstack((b.real, b[pairs].imag))
-    return A, B, np.hstack((c.real, -c[:, pairs].imag))
+    m = poles.shape[-1]
+    own, second = np.arange(m), m + np.arange(len(pairs))
+    A = np.zeros((*poles.shape[:-1], m + len(pairs), m + len(pairs)))
+    A[..., own, own], A[..., second, second] = poles.real, poles[..., pairs].real
+    A[..., pairs, second], A[..., second, pairs] = -poles[..., pairs].imag, poles[..., pairs].imag
+    return (A, np.concatenate((b.real, b[..., pairs, :].imag), axis=-2),
+            np.concatenate((c.real, -c[..., pairs].imag), axis=-1))
 
 
 def _mended(model: ModalModel) -> Array:
@@ -108,21 +110,17 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
         wanted[width - places.own:width - places.own + model.n] = False
     elif samples.nu == 1:
         wanted[places.poles + places.delays:places.poles + places.delays + places.b] = False
-    apart = _orthonormal(rows[:, nuisance])
+    apart = orthonormal(rows[:, nuisance], _SAME)
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
     moving = moving - basis @ (basis.T @ moving)
     moving = np.vstack((moving, _intervals(samples, free, places, width)[:, wanted]))
-    norm = np.linalg.norm(moving, axis=0)
-    norm[norm == 0.0] = np.inf
-    left, s, right = np.linalg.svd(moving / norm, full_matrices=False)
-    kept = s > _GAUGE * s[0]
-    turned = right[kept] / s[kept, np.newaxis] / norm
+    turned = orthonormal(moving, GAUGE).T
     directions = np.zeros((width, apart.shape[1] + len(turned)))
     directions[nuisance, :apart.shape[1]] = apart
     directions[wanted, apart.shape[1]:] = turned.T
     directions[nuisance, apart.shape[1]:] = -apart @ (basis.T @ rows[:, wanted] @ turned.T)
-    known = left[len(rows):, kept]
+    known = moving[len(rows):] @ turned.T
     power = known.T @ known + _noise_power(samples, fit, free, directions)[
         apart.shape[1]:, apart.shape[1]:]
     values, vectors = np.linalg.eigh(power)
@@ -143,21 +141,14 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     at += places.delays
     db = _complex(root[:, at:at + places.b].reshape(r, -1, nu), m, pairs)
     at += places.b + len(samples.records) * places.x0
-    width = places.own
-    dc, dD = np.zeros((r, ny, m), dtype=complex), np.zeros((r, ny, nu))
-    for i in range(ny):
-        own = root[:, at + i * width:at + (i + 1) * width]
-        dc[:, i] = _complex(own[:, :n, np.newaxis], m, pairs)[:, :, 0]
-        if free.feedthrough:
-            dD[:, i] = own[:, n:n + nu]
+    own = root[:, at:at + ny * places.own].reshape(r, ny, places.own)
+    dc = _complex(own[:, :, :n].swapaxes(1, 2), m, pairs).swapaxes(1, 2)
+    dD = own[:, :, n:n + nu] if free.feedthrough else np.zeros((r, ny, nu))
     T = _mended(model)
     inverse = np.linalg.inv(T)
-    dA, dB, dC = np.zeros((r, n, n)), np.zeros((r, n, nu)), np.zeros((r, ny, n))
-    for k in range(r):
-        A, B, C = _modal(dp[k], db[k], dc[k], pairs)
-        dA[k], dB[k] = T @ A @ inverse, T @ B
-        dC[k] = (C * samples.size[:, np.newaxis]) @ inverse
-    return Entries(dA, dB, dC, dD * samples.size[:, np.newaxis], delay)
+    A, B, C = _modal(dp, db, dc, pairs)
+    return Entries(T @ A @ inverse, T @ B, (C * samples.size[:, np.newaxis]) @ inverse,
+                   dD * samples.size[:, np.newaxis], delay)
 
 
 def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> Array:
@@ -250,18 +241,6 @@ def _jumps(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
                 (np.empty(0), np.empty(0))
         place -= s.width
     raise IndexError(place)
-
-
-def _orthonormal(columns: Array) -> Array:
-    """Return W such that columns @ W is an orthonormal basis of what they span."""
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0.0] = np.inf
-    if not np.isfinite(size).any():
-        return np.zeros((columns.shape[1], 0))
-    _, s, right = np.linalg.svd(columns / size, full_matrices=False)
-    kept = s > _SAME * s[0]
-    found: Array = (right[kept] / s[kept, np.newaxis] / size).T
-    return found
 
 
 def _complex(rows: Array, m: int, pairs: NDArray[np.intp]) -> ComplexArray:

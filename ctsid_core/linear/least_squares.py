@@ -44,3 +44,18 @@ def least_norm(regressors: Array, targets: Array, tolerance: float) -> Array:
     _, theta, _, _, _ = dgelsy((regressors / norm[:, np.newaxis]).T, targets.T,
                                np.zeros(r, dtype=np.intc), tolerance, work)
     return np.asarray(theta[:r].T / norm)
+
+
+def orthonormal(columns: Array, tolerance: float) -> Array:
+    """
+    Return W, (k, r), such that columns @ W is an orthonormal basis of what they span.
+
+    Of columns (m, k), scaled to unit norm first; directions whose singular value is below the
+    tolerance, relative to the largest, are left out.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0.0] = np.inf
+    _, s, right = svd(columns / size)
+    kept = s > tolerance * np.max(s, initial=0.0)
+    found: Array = (right[kept] / s[kept, np.newaxis] / size).T
+    return found

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Realisations of one system: modal, balanced, and with dead time approximated.
+Realisations of one system: balanced, and with dead time approximated.
 
 Functions of arrays; transformations are returned as T of the new states z = T x.
 """
@@ -11,15 +11,10 @@ from collections.abc import Sequence
 from math import factorial
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, schur, solve_continuous_lyapunov, solve_sylvester
+from scipy.linalg import block_diag, cholesky, solve_continuous_lyapunov
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.matrix_functions import SOUND, modes
 from ctsid_core.linear.types import Array, ComplexArray, Places
-
-# Poles this close to the imaginary axis, over |A|, have no Gramian worth the name; it is also how
-# far rounding moves a double pole.
-UNDAMPED = 1e-8
 
 
 def regular(T: Array) -> bool:
@@ -41,52 +36,6 @@ def state_changes(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     return A_slope, np.asarray(np.kron(one, B.T)), np.asarray(-np.kron(C, one))
 
 
-def _signs(c: ComplexArray) -> complex:
-    # c1 + c2/sqrt(2) + ...: unlike the largest entry it does not switch between outputs, and
-    # unlike the plain sum it is not zero for antisymmetric modes of symmetric sensors.
-    return complex(c @ (1 / np.sqrt(np.arange(1, len(c) + 1))))
-
-
-def modal(A: Array, C: Array) -> tuple[Array, Array]:
-    """
-    Return T to real modal states, scaled and signed as `StateSpace.modal` says, and the new A.
-
-    Raises `DataError` if A has no usable basis of eigenvectors.
-    """
-    found = modes(A, SOUND)
-    if found is None:
-        raise DataError('poles coincide too closely for a modal form (the eigenvectors of A are '
-                        'dependent); use balanced() instead')
-    rows, blocks = [], []
-    for k in pole_order(found.values):
-        pole, c = found.values[k], C @ found.right[:, k]
-        size, turn = np.linalg.norm(c), _signs(c)
-        # An unobservable mode has no column of C to be scaled by: leave it as it is.
-        scale = size * turn / abs(turn) if size and turn else 1.0
-        row = scale * found.left[k]
-        if pole.imag > 0:  # y = Re(c z) = Re(c) Re(z) - Im(c) Im(z); the second state is -Im(z)
-            rows += [row.real, -row.imag]
-            blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
-        else:
-            rows.append(row.real)
-            blocks.append(np.array([[pole.real]]))
-    shape = A.shape
-    return np.array(rows).reshape(shape), np.asarray(block_diag(*blocks)).reshape(shape)
-
-
-def _split(A: Array) -> tuple[Array, int]:
-    # T that decouples A into unstable (first) and stable states, and how many are unstable
-    limit = -UNDAMPED * float(np.linalg.norm(A))
-    form, Z, unstable = schur(A, sort=lambda re, im=0.0: re >= limit)
-    if unstable in (0, len(A)):
-        return np.asarray(Z.T), int(unstable)
-    X = solve_sylvester(form[:unstable, :unstable], -form[unstable:, unstable:],
-                        -form[:unstable, unstable:])
-    decouple = np.eye(len(A))
-    decouple[:unstable, unstable:] = -X
-    return decouple @ Z.T, int(unstable)
-
-
 def _root(gramian: Array) -> Array:
     symmetric = (gramian + gramian.T) / 2
     try:
@@ -96,43 +45,27 @@ def _root(gramian: Array) -> Array:
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
 
 
-def _stable_part(A: Array, B: Array, C: Array) -> tuple[Array, int, Array, Array]:
-    T, unstable = _split(A)
-    inverse = np.linalg.inv(T)
-    stable = slice(unstable, None)
-    A, B, C = (T @ A @ inverse)[stable, stable], (T @ B)[stable], (C @ inverse)[:, stable]
-    # R R^T and L L^T are the Gramians
-    return (T, unstable, _root(solve_continuous_lyapunov(A, -B @ B.T)),
-            _root(solve_continuous_lyapunov(A.T, -C.T @ C)))
-
-
-def hankel(A: Array, B: Array, C: Array) -> Array:
-    """Return the Hankel singular values of the stable part, largest first."""
-    if not len(A):
-        return np.empty(0)
-    _, _, R, L = _stable_part(A, B, C)
-    return np.asarray(np.linalg.svd(L.T @ R, compute_uv=False))
-
-
 def balancing(A: Array, B: Array, C: Array) -> Array:
     """
-    Return T that balances the stable part, the unstable one first; shape (n, n).
+    Return T that balances a stable system; shape (n, n).
 
     Square-root method: A. C. Antoulas, "Approximation of Large-Scale Dynamical Systems", SIAM
-    2005, section 7.3. Raises `DataError` if the stable part is not minimal.
+    2005, section 7.3. Signed such that c1 + c2/sqrt(2) + c3/sqrt(3) + ... is positive, with c a
+    column of C: unlike the largest entry it does not switch between outputs, and unlike the plain
+    sum it is not zero for antisymmetric modes of symmetric sensors. Raises `DataError` if the
+    system is not minimal.
     """
-    if not len(A):
-        return np.empty((0, 0))
-    T, unstable, R, L = _stable_part(A, B, C)
+    R = _root(solve_continuous_lyapunov(A, -B @ B.T))      # R R^T and L L^T are the Gramians
+    L = _root(solve_continuous_lyapunov(A.T, -C.T @ C))
     U, sigma, _ = np.linalg.svd(L.T @ R)
-    if len(sigma) and not sigma[-1] > len(A) * np.finfo(float).eps * sigma[0]:
+    if not sigma[-1] > len(A) * np.finfo(float).eps * sigma[0]:
         raise DataError(f'a state is not controllable or not observable (smallest Hankel singular '
                         f'value {sigma[-1]:.1e}, largest {sigma[0]:.1e}), so it cannot be '
                         'balanced; identify with a lower order')
     balance = (U / np.sqrt(sigma)).T @ L.T
-    columns = np.linalg.solve(balance.T, (C @ np.linalg.inv(T))[:, unstable:].T)
-    signs = np.array([-1.0 if _signs(c.astype(complex)).real < 0 else 1.0 for c in columns])
-    return np.asarray(block_diag(np.eye(unstable), signs[:, np.newaxis] * balance) @ T)
+    columns = np.linalg.solve(balance.T, C.T)
+    signs = np.where(columns @ (1 / np.sqrt(np.arange(1, len(C) + 1))) < 0.0, -1.0, 1.0)
+    return np.asarray(signs[:, np.newaxis] * balance)
 
 
 def with_pade(A: Array, B: Array, C: Array, D: Array, delay: Sequence[float],

@@ -26,7 +26,7 @@ from ctsid_core.linear.recursion import chain
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal, channel_slices
 
-CHUNK = 4096  # intervals at a time where matrices are stored per interval
+_CHUNK = 4096  # intervals at a time where matrices are stored per interval
 _GROWTH = 5.0  # times e, that modes may grow which are simulated from their start
 
 # From signals, their dead times [s] and knots to what the signals are between the knots.
@@ -94,10 +94,12 @@ def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: 
     with np.errstate(over='ignore', invalid='ignore'):
         if found is not None:
             x = _by_modes(found, B, offset, u, h, x0)
-        elif x0 is not None:
-            x = _by_matrices(A, B, offset, u, h, x0)
         else:
-            x = _bounded(A, B, offset, u, h)
+            force = u @ B.T
+            force[0] += offset
+            force = force[..., np.newaxis]
+            x = _bounded(A, force, h) if x0 is None else \
+                by_matrices(A, np.eye(len(A)), force, h, x0[:, np.newaxis])[..., 0]
     return x[rows], u[0][rows]
 
 
@@ -173,36 +175,38 @@ def _parts(A: Array, length: float) -> tuple[tuple[Array, Array, Array], ...]:
             (T[other, other], Z[:, own] @ Y + Z[:, other], Z[:, other].T))
 
 
-def _bounded(A: Array, B: Array, offset: Array, u: Array, h: Array) -> Array:
+def _bounded(A: Array, force: Array, h: Array) -> Array:
     """Return the solution whose growing part ends at zero and whose other part starts there."""
     found = np.zeros((len(h) + 1, len(A)))
     for backwards, (own, right, left) in enumerate(_parts(A, float(h.sum()))):
-        if not len(own):
-            continue
-        found += _by_matrices(own, left @ B, left @ offset, u, h, np.zeros(len(own)),
-                              bool(backwards)) @ right.T
+        found += by_matrices(own, left, force, h, np.zeros((len(own), 1)),
+                             bool(backwards))[..., 0] @ right.T
     return found
 
 
-def _by_matrices(A: Array, B: Array, offset: Array, u: Array, h: Array, x0: Array,
-                 backwards: bool = False) -> Array:
-    """Return the solution from x0 at the first time, or backwards to x0 at the last one."""
-    x = np.empty((len(h) + 1, len(A)))
+def by_matrices(A: Array, B: Array, inputs: Array, h: Array, x0: Array,
+                backwards: bool = False) -> Array:
+    """
+    Return x of dx/dt = A x + B v, (K + 1, n, m), from x0 (n, m), or backwards to x0 at the end.
+
+    Intervals are h (K,) [s]; `inputs`, (degree + 1, K or more, r, m), are v and its derivatives
+    just after the start of each, where v is a polynomial. With none of them v is zero.
+    """
+    x = np.empty((len(h) + 1, *x0.shape))
     x[-1 if backwards else 0] = x0
-    force = u @ B.T
-    force[0] += offset
-    for first in range(0, len(h), CHUNK)[::-1 if backwards else 1]:
-        rows = slice(first, min(first + CHUNK, len(h)))
-        step, *integrals = exponentials(A, h[rows], len(u))
-        drive = sum((np.einsum('kij,kj->ki', f, force[j, rows]) for j, f in enumerate(integrals)),
-                    np.zeros(()))
+    for first in range(0, len(h), _CHUNK)[::-1 if backwards else 1]:
+        rows = slice(first, min(first + _CHUNK, len(h)))
+        lengths, which = np.unique(h[rows], return_inverse=True)
+        step, *integrals = exponentials(A, lengths, len(inputs))
+        drive = sum(((f @ B)[which] @ inputs[j, rows] for j, f in enumerate(integrals)),
+                    np.zeros((len(which), 1, 1)))
         if backwards:
-            back = exponentials(A, -h[rows], 0)[0]
+            back = exponentials(A, -lengths, 0)[0]
             for k in reversed(range(rows.start, rows.stop)):
-                x[k] = back[k - first] @ (x[k + 1] - drive[k - first])
+                x[k] = back[which[k - first]] @ (x[k + 1] - drive[k - first])
             continue
         for k in range(rows.start, rows.stop):
-            x[k + 1] = step[k - first] @ x[k] + drive[k - first]
+            x[k + 1] = step[which[k - first]] @ x[k] + drive[k - first]
     return x
 
 
@@ -218,12 +222,10 @@ def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
     if found is None:
         bases, states = [], []
         for backwards, (own, right, _) in enumerate(_parts(A, last - first)):
-            if not len(own):
-                continue
-            bases.append(_free_by_matrices(-own, C @ right, -times[::-1])[::-1] if backwards else
-                         _free_by_matrices(own, C @ right, times))
-            states.append(right @ exponentials(own, np.array([first - last]), 0)[0][0]
-                          if backwards else right)
+            one = np.eye(len(own))
+            path = by_matrices(own, one, np.empty((0, 0)), np.diff(times), one, bool(backwards))
+            bases.append((C @ right @ path)[:len(times)])
+            states.append(right @ path[0])
         return np.concatenate(bases, axis=2), np.hstack(states)
     reference = np.where(found.values.real > 0, last, first)
     growth = np.exp((times[:, np.newaxis] - reference) * found.values)
@@ -232,14 +234,3 @@ def free_response(A: Array, C: Array, times: Array) -> tuple[Array, Array]:
     pairs = found.values.imag > 0
     return (np.concatenate([response.real, -response.imag[..., pairs]], axis=-1),
             np.concatenate([state.real, -state.imag[:, pairs]], axis=-1))
-
-
-def _free_by_matrices(A: Array, C: Array, times: Array) -> Array:
-    basis = np.empty((len(times), len(C), len(A)))
-    state, h = np.eye(len(A)), np.diff(times, prepend=times[:1])
-    for first in range(0, len(times), CHUNK):
-        steps = exponentials(A, h[first:first + CHUNK], 0)[0]
-        for k, step in enumerate(steps, start=first):
-            state = step @ state
-            basis[k] = C @ state
-    return basis

@@ -14,8 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
-import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,9 +25,6 @@ from ctsid_core.model.checks import delays, numbers, shaped, words
 from ctsid_core.model.frequency_response import transfer
 from ctsid_core.model.simulation import respond
 from ctsid_core.signals.record import Signal
-
-if TYPE_CHECKING:
-    import scipy.signal
 
 
 def _unset() -> Array:
@@ -265,47 +260,6 @@ class StateSpace:
             C=np.linalg.solve(matrix.T, self.C.T).T, K=matrix @ self.K,
             x_trim=matrix @ self.x_trim)
 
-    def modal(self) -> StateSpace:
-        """
-        Return the same system in real modal form, the modes in the order of `poles`.
-
-        A real pole s gives the block [s], a pair s +- j w the block [[s, w], [-w, s]]; what is
-        outside of the blocks is exactly 0. Each block is scaled such that its columns of C have
-        norm 1 (Frobenius), and signed (pairs: turned) such that c1 + c2/sqrt(2) + c3/sqrt(3) +
-        ... is positive, with c its column of C (pairs: the first one, and the second's sum is
-        0). So the matrices of neighbouring windows can be compared: they change continuously
-        with the system, except where two modes swap places, where a mode turns from real to
-        oscillating, or where that sum passes through 0.
-
-        Raises
-        ------
-        DataError
-            If poles coincide so closely that there is no usable modal form.
-        """
-        T, A = realisation.modal(self.A, self.C)
-        return replace(self.transform(T), A=A)
-
-    def balanced(self) -> StateSpace:
-        """
-        Return the same system with its stable part balanced.
-
-        Both Gramians of the stable part equal diag(`hankel_singular_values`), largest first, so
-        that the last states are those that matter least from u to y (K plays no role). Unstable
-        and undamped poles (real part above -1e-8 norm(A)) have no Gramians: their states come
-        first, decoupled from the others, in real Schur form. Signs: as in `modal`.
-
-        Raises
-        ------
-        DataError
-            If a stable state is not controllable or not observable (to rounding).
-        """
-        return self.transform(realisation.balancing(self.A, self.B, self.C))
-
-    @property
-    def hankel_singular_values(self) -> Array:
-        """Hankel singular values of the stable part from u to y, largest first."""
-        return realisation.hankel(self.A, self.B, self.C)
-
     def pade(self, order: int) -> StateSpace:
         """
         Return a model without dead time, each one replaced by its Pade approximation.
@@ -328,68 +282,3 @@ class StateSpace:
         return replace(self, A=A, B=B, C=C, D=D, delay=(0.0,) * self.nu,
                        K=np.vstack([self.K, np.zeros((extra, self.ny))]),
                        x_trim=np.concatenate([self.x_trim, np.zeros(extra)]))
-
-    def to_control(self, pade: int | None = None) -> Any:
-        """
-        Return the deviation model from u to y as `control.StateSpace` (without K and trim).
-
-        Parameters
-        ----------
-        pade : int, optional
-            Replace dead times by Pade approximations of this order, see `pade`.
-
-        Returns
-        -------
-        control.StateSpace
-            Its attribute `delay` holds the dead times [s] that are not in its matrices:
-            python-control does nothing with them.
-
-        Raises
-        ------
-        ImportError
-            If python-control is not installed.
-
-        Warns
-        -----
-        UserWarning
-            If there is dead time and no approximation of it was asked for.
-        """
-        if pade is not None:
-            return self.pade(pade).to_control()
-        try:
-            import control
-        except ImportError as error:
-            raise ImportError('to_control() needs python-control; install it with: '
-                              'python3 -m pip install control') from error
-        if any(self.delay):
-            warnings.warn(f'python-control does not know dead time: {self.delay} s are in the '
-                          'attribute `delay` only; to_control(pade=3) puts them into the matrices',
-                          stacklevel=2)
-        labels = {'inputs': control_labels(self.input_names),
-                  'outputs': control_labels(self.output_names)}
-        system = control.ss(self.A, self.B, self.C, self.D,
-                            **{key: names for key, names in labels.items() if names})
-        system.delay = self.delay
-        return system
-
-    def to_scipy(self) -> scipy.signal.StateSpace:
-        """
-        Return the deviation model from u to y for scipy.signal (without K and trim).
-
-        Raises
-        ------
-        DataError
-            If there is dead time, which scipy.signal does not know.
-        """
-        if any(self.delay):
-            raise DataError(f'the model has dead times {self.delay} s, which scipy.signal cannot '
-                            'carry; use model.pade(3).to_scipy() for an approximation, or '
-                            'model.pade(0).to_scipy() to leave them out')
-        from scipy.signal import StateSpace as ScipyStateSpace  # heavy: only when wanted
-        return ScipyStateSpace(self.A, self.B, self.C, self.D)
-
-
-def control_labels(names: Sequence[str]) -> list[str]:
-    """Return names of channels as python-control takes them; none unless all differ."""
-    labels = [name.replace('.', '_') for name in names]  # '.' is its own
-    return labels if all(labels) and len(set(labels)) == len(labels) else []

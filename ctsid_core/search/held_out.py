@@ -20,6 +20,8 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.state_space import GAUGE
+from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.types import Array, Mask
 
 _MANY = 4             # records from which on whole ones are held out
@@ -29,7 +31,6 @@ _MORE = 3.0           # times its own error, that a model may err on data held o
 _LEAST = 0.05         # ... or this part of the motion; no test if ...
 _EXPECTED = 2.0       # ... so many deviations that the rest of the data leaves are more
 _GAP = 5.0            # sample intervals, from which on samples are not neighbours
-_GAUGE = 1e-7         # relative singular value below which a direction changes nothing
 
 
 @dataclass(frozen=True)
@@ -128,11 +129,7 @@ def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
     there = replace(own, columns=columns_of(late, own.model.poles, own.model.delay,
                                             direct=free.feedthrough))
     seen, _, _ = jacobian(late, there, free)
-    size = np.linalg.norm(rows, axis=0)
-    size[size == 0.0] = np.inf
-    _, s, right = np.linalg.svd(rows / size, full_matrices=False)
-    kept = s > _GAUGE * s[0]
-    moved = np.sum(((seen / size) @ (right[kept] / s[kept, np.newaxis]).T) ** 2, axis=1)
+    moved = np.sum((seen @ orthonormal(rows, GAUGE)) ** 2, axis=1)
     squares, at = np.zeros(late.ny), 0
     for r, triangles in enumerate(there.columns.triangles):
         for t in triangles:

@@ -4,7 +4,7 @@ The estimate by a subspace method as it is, without maximum likelihood.
 
 A method offers models of several orders and tunings. They are compared on the samples: with the
 initial states and the trim that suit each best, the likeliest is taken by Schwarz's criterion of
-simulations. A, B, C and D stay as the method made them.
+simulations. A, B, C and D stay as the method made them; of `gobf` A does.
 """
 
 from __future__ import annotations
@@ -113,15 +113,18 @@ def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
 
 
 def _fitted(one: MethodModel, samples: Samples, own: Settings, free: Free) -> Fit | None:
-    m = one.matrices
+    m, delay = one.matrices, np.array(own.delays(samples.nu))
     if not all(np.isfinite(x).all() for x in (m.A, m.B, m.C, m.D)):
         return None
-    model = modal_of(m if own.feedthrough else replace(m, D=np.zeros_like(m.D)), samples,
-                     np.array(own.delays(samples.nu)), _WORST)
+    model = modal_of(m if own.feedthrough else replace(m, D=np.zeros_like(m.D)), samples, delay,
+                     _WORST)
     if model is None or np.max(model.poles.real, initial=0.0) * samples.length > 20.0:
         return None
     with np.errstate(over='ignore', invalid='ignore'):
         try:
-            return fit_states(samples, model, free)
+            if not one.poles_only:
+                return fit_states(samples, model, free)
+            return fit_at(samples, model.poles, delay, free,
+                          fit_at(samples, model.poles, delay, free))
         except np.linalg.LinAlgError:
             return None

@@ -84,8 +84,8 @@ def referring(model: StateSpace) -> tuple[StateSpace, Array]:
     Return the same system in well-conditioned states z = T x, to align others with, and T.
 
     Balanced in units in which all inputs and all outputs count alike, with time weighted by
-    exp(-s t) for plants that are not stable. If a state is not driven or not seen, the modal form;
-    the states as they are, if poles coincide too closely for that as well.
+    exp(-s t) for plants that are not stable. The states as they are, if one is not driven or not
+    seen.
     """
     T = np.eye(model.n)
     if not model.n:
@@ -98,10 +98,6 @@ def referring(model: StateSpace) -> tuple[StateSpace, Array]:
             found, T = found.transform(step), step @ T
         return found, T
     except (DataError, np.linalg.LinAlgError):
-        pass
-    try:
-        return model.modal(), realisation.modal(model.A, model.C)[0]
-    except DataError:
         return model, np.eye(model.n)
 
 

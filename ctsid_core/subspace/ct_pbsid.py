@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Continuous-time PBSID in the Laguerre domain (CT-PBSID), by projections or by filters.
+Continuous-time PBSID in the Laguerre domain (CT-PBSID), by projections.
 
 What follows an instant t of the record is projected on a few Laguerre functions of pole a. With
 c = sqrt(2 a), M = (A - a I)^-1 and xi_0 = x(t) the coefficients obey, whatever x(t) is,
@@ -13,18 +13,12 @@ discrete system from its own state, k = 0 .. p + 1: PBSID with one column for ea
 are the stamps of the slowest output, but for the last ones, from which the functions reach beyond
 the end of the record. The model is then mapped back ([HD] eq. 4).
 
-By filters: what precedes an instant is filtered by the same functions. The equations are those
-above with -a for a, and C_o = c C M; it is the first stamps that are left out. There the system
-runs against time, from coefficients that weigh old data more to those of the present: noise of the
-past is not what a predictor leaves, and estimates are biased.
-
 Trim is a constant, whose coefficients are the same seen from any instant but for their sign:
 columns are centred instead of another input being added. D_o is free even if D is zero.
 
 References
 ----------
 Bergamasco and Lovera 2011, IET Control Theory & Applications 5; [HD] sections 1, 2 and 5.2.
-Haverkamp, Verhaegen, Chou and Johansson 1997, for the filters.
 """
 
 from __future__ import annotations
@@ -33,19 +27,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from math import factorial
-from typing import Literal
 
 import numpy as np
 from scipy.special import eval_laguerre
 
 from ctsid_core.bases.bandwidth import output_band
-from ctsid_core.bases.hermite import by_delay
-from ctsid_core.bases.quadrature import SPLINED, smooth_values, spline_degree
 from ctsid_core.bases.records import Joint
-from ctsid_core.bases.takenaka_malmquist import chain, of_one_degree, respond
+from ctsid_core.bases.takenaka_malmquist import chain, respond
 from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
+from ctsid_core.model.simulation import input_polynomials, knots_between
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
@@ -57,16 +49,10 @@ _LONGEST = 0.4            # of the record that functions may reach at most, if t
 _MOST = 20000             # instants of a record
 _DECAYED = 1e-10          # of a Laguerre function: what counts as zero
 
-Direction = Literal['ahead', 'back']
 
-
-def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
-                  direction: Direction = 'ahead') -> list[MethodModel]:
-    """
-    Return the models of every order, pole and past left open.
-
-    'ahead': what follows an instant is projected; 'back': what precedes it, by Laguerre filters.
-    """
+def by_projection(part: Joint, settings: Settings,
+                  orders: Sequence[int]) -> list[MethodModel]:
+    """Return the models of every order, pole and past left open."""
     records, found = [p.record for p in part.parts], []
     pasts = [settings.past] if settings.past else _PASTS
     longest = max(r.duration for r in records)
@@ -75,17 +61,17 @@ def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
         fitting = [p for p in pasts if longest > 2.0 * reach(p + 2) / a]
         if not fitting:
             continue
-        levels = laguerre_levels(records, settings, a, max(fitting) + 2, direction)
+        levels = laguerre_levels(records, settings, a, max(fitting) + 2)
         nz = len(levels.scale)
         for p in fitting:
             first = replace(levels, rows=levels.rows[-(p + 2):, :, :(p + 2) * nz])
             found += _realised(first, settings.replace(
-                laguerre_pole=a, past=p, future=settings.future or p), orders, direction)
+                laguerre_pole=a, past=p, future=settings.future or p), orders)
     return found
 
 
-def _realised(levels: Levels, settings: Settings, orders: Sequence[int],
-              direction: Direction) -> list[MethodModel]:
+def _realised(levels: Levels, settings: Settings,
+              orders: Sequence[int]) -> list[MethodModel]:
     """Return the models of one pole and one p; none if there are too few instants."""
     p, a = settings.past, settings.laguerre_pole
     nz, ny = len(levels.scale), levels.counts[3]
@@ -93,9 +79,8 @@ def _realised(levels: Levels, settings: Settings, orders: Sequence[int],
         return []
     subspace = regress(levels, Tuning(0.0, 1.0, p, settings.future), feedthrough=True,
                        rank_tolerance=settings.rank_tolerance)
-    return [MethodModel(to_continuous(realise(subspace, n), a, direction),
-                        settings.replace(order=n), subspace.singular_values,
-                        subspace.condition)
+    return [MethodModel(to_continuous(realise(subspace, n), a), settings.replace(order=n),
+                        subspace.singular_values, subspace.condition)
             for n in orders if n < min(p * ny, settings.future * ny + 1)]
 
 
@@ -109,8 +94,8 @@ def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[flo
     return [float(a) for a in np.geomspace(low, high, _POLES)]
 
 
-def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, count: int,
-                    direction: Direction) -> Levels:
+def laguerre_levels(records: Sequence[Record], settings: Settings, a: float,
+                    count: int) -> Levels:
     """
     Return the Laguerre coefficients of records, compressed by one QR factorisation.
 
@@ -118,7 +103,7 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     row for each input and output. Too short records are left out.
     """
     blocks = [block for record in records
-              if (block := _block(record, settings, a, count, direction)).shape[2]]
+              if (block := _block(record, settings, a, count)).shape[2]]
     z = np.concatenate(blocks, axis=2)                        # (count, nz, instants)
     scale = np.sqrt(np.mean(z ** 2, axis=(0, 2)))
     scale[scale == 0.0] = 1.0
@@ -128,58 +113,32 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, cou
     return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
 
 
-def _block(record: Record, settings: Settings, a: float, count: int,
-           direction: Direction) -> Array:
+def _block(record: Record, settings: Settings, a: float, count: int) -> Array:
     """Return the coefficients of one record seen from its instants, (count, nz, instants)."""
-    inputs, delays = by_delay(record, settings.delays(record.nu))
-    at = instants(record, reach(count) / a, direction)
+    at = instants(record, reach(count) / a)
     if len(at) == 0:
         return np.empty((count, record.nu + record.ny, 0))
-    z = coefficients((*inputs, *record.outputs), at, (record.start, record.end), a, count,
-                     (*delays, *(0.0,) * len(record.outputs)), direction)
+    z = coefficients((*record.inputs, *record.outputs), at, (record.start, record.end), a, count,
+                     (*settings.delays(record.nu), *(0.0,) * record.ny))
     return z - z.mean(axis=2, keepdims=True) if settings.trim else z
 
 
 def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
-                 count: int, delays: Sequence[float], direction: Direction) -> Array:
+                 count: int, delays: Sequence[float]) -> Array:
     """
     Return `count` Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
 
-    Of pole a [rad/s], signals later by their delays [s] and zero outside of the span [s]. They are
-    the responses of a chain of equal Takenaka-Malmquist filters; ahead, in reversed time.
+    Of pole a [rad/s], channels later by their delays [s] and zero outside of the span [s]. They
+    are the responses of a chain of equal Takenaka-Malmquist filters in reversed time.
     """
-    late = [s.time + delay for s, delay in zip(signals, delays, strict=True)]
-    knots = np.unique(np.concatenate([span, at, *(
-        t[(t > span[0]) & (t < span[1])] for t in late)]))
-    pieces = [_pieces(t, s, knots) for t, s in zip(late, signals, strict=True)]
-    if direction == 'ahead':
-        pieces = [values[::-1, ::-1] for values in pieces]
-    way = -1 if direction == 'ahead' else 1
-    h = np.diff(knots)[::way, np.newaxis]
-    derivatives = np.concatenate(of_one_degree([_derivatives(p, h) for p in pieces]), axis=2)
-    seen = respond(chain([a] * count), derivatives, (way * knots)[::way])
-    return seen[::way][np.searchsorted(knots, at)].transpose(1, 2, 0)
-
-
-def _pieces(t: Array, signal: Signal, knots: Array) -> Array:
-    """Return a signal at the equidistant points of each interval that tell a polynomial there."""
-    if signal.hold == 'zoh':
-        row = np.clip(np.searchsorted(t, knots[:-1], side='right') - 1, 0, None)
-        return signal.values[np.newaxis, row]
-    values, degree = signal.values.T, 1
-    if signal.hold == 'smooth' and len(t) >= SPLINED:
-        degree = max(spline_degree(t, values), 3)
-    points = knots[:-1, np.newaxis] + np.diff(knots)[:, np.newaxis] * np.linspace(0, 1, degree + 1)
-    level = smooth_values(t, values, points.ravel(), degree).T
-    return level.reshape(len(points), degree + 1, -1).transpose(1, 0, 2)
-
-
-def _derivatives(values: Array, h: Array) -> Array:
-    """Return the derivatives at the start of intervals h of values at points within them."""
-    q = len(values)
-    powers = np.linalg.inv(np.vander(np.arange(q) / max(q - 1, 1), increasing=True))
-    found = np.tensordot(powers, values, axes=1)
-    return np.array([factorial(j) * part / h ** j for j, part in enumerate(found)])
+    knots = knots_between(signals, delays, np.unique(np.concatenate((span, at))))
+    ahead = input_polynomials(signals, delays, knots)[:, :-1]
+    h = np.diff(knots)[:, np.newaxis]
+    # The derivatives at the ends of intervals, where they begin in reversed time
+    ends = [(-1) ** j * sum(v * h ** i / factorial(i) for i, v in enumerate(ahead[j:]))
+            for j in range(len(ahead))]
+    seen = respond(chain([a] * count), np.array(ends)[:, ::-1], -knots[::-1])
+    return seen[::-1][np.searchsorted(knots, at)].transpose(1, 2, 0)
 
 
 @lru_cache(maxsize=64)
@@ -191,25 +150,19 @@ def reach(count: int) -> float:
     return 0.5 * float(x[np.flatnonzero(alive)[-1] + 1])
 
 
-def instants(record: Record, length: float, direction: Direction) -> Array:
+def instants(record: Record, length: float) -> Array:
     """Return the instants [s] from which a record is seen by functions that reach `length` [s]."""
-    def inside(t: Array) -> Array:
-        low = record.start + (length if direction == 'back' else 0.0)
-        high = record.end - (length if direction == 'ahead' else 0.0)
-        return t[(t >= low) & (t <= high)]
-
-    at = min((inside(signal.time) for signal in record.outputs), key=len)
+    at = min((s.time[s.rows(record.start, record.end - length)] for s in record.outputs), key=len)
     return at[::-(-len(at) // _MOST) or 1]
 
 
-def to_continuous(m: Matrices, a: float, direction: Direction) -> Matrices:
+def to_continuous(m: Matrices, a: float) -> Matrices:
     """Map A_o, B_o, C_o, D_o, K_o of Laguerre pole a [rad/s] back to a model ([HD] eq. 4)."""
     c, ones = np.sqrt(2.0 * a), np.eye(len(m.A))
-    b, sign = (a, -1.0) if direction == 'ahead' else (-a, 1.0)
     try:
-        A = b * np.linalg.solve(m.A - ones, m.A + ones)
-        less = A - b * ones
-        C = sign * m.C @ less / c
+        A = a * np.linalg.solve(m.A - ones, m.A + ones)
+        less = A - a * ones
+        C = -m.C @ less / c
         D = m.D + C @ np.linalg.solve(less, less @ m.B) / c
         K = less @ np.linalg.solve(c * ones + m.K @ C, m.K)
     except np.linalg.LinAlgError:                  # a pole at infinity: not a model

@@ -5,6 +5,10 @@ The method `gobf`: models of the Takenaka-Malmquist subspace method, for every o
 Pole sequences from the data: `functions` poles, evenly spread up to a frequency (the Legendre
 spacing of [TM] section III), which is one of a few fractions of the band in which the outputs
 rise above their noise. The caller takes the model that simulates best.
+
+Only its poles are used. [TM] takes C from the first filter alone (eq. 14), and B from the
+equations of filtered outputs with free states (eq. 15). There an error of the observability matrix
+goes straight to B, multiplied with the states: poles can be right to four digits and B to none.
 """
 
 from __future__ import annotations
@@ -17,8 +21,8 @@ from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.records import Joint
 from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre
 from ctsid_core.errors import SettingsError
+from ctsid_core.linear.matrices import plain_matrices
 from ctsid_core.linear.types import ComplexArray
-from ctsid_core.model.residue_fit import simulated
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.gobf_equations import (
     dynamics,
@@ -40,24 +44,23 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
     Raises `SettingsError` if the pole sequence of the settings is none.
     """
     records = [p.record for p in part.parts]
-    delay = settings.delays(records[0].nu)
+    nu, ny = records[0].nu, records[0].ny
+    delay = settings.delays(nu)
     samples = sum(len(sample_times(record)) for record in records)
     found = []
     for own in _chains(part, settings, max(orders)):
-        signals = records[0].nu + 2 * len(records) + records[0].ny
-        if own.size * signals > _SHARE * samples:
+        if own.size * (nu + 2 * len(records) + ny) > _SHARE * samples:
             continue
         filtered = filter_records(records, own, delay, trim=settings.trim,
                                   feedthrough=settings.feedthrough)
         seen = observe(filtered, settings.rank_tolerance)
         for n in orders:
-            if n >= min(own.size * records[0].ny - 1, len(seen.singular_values)):
+            if n >= min(own.size * ny - 1, len(seen.singular_values)):
                 continue
-            A, _ = dynamics(own, seen.left[:, :n])
-            fitted = simulated(records, A, delay, trim=settings.trim,
-                               feedthrough=settings.feedthrough, tolerance=settings.rank_tolerance)
-            found.append(MethodModel(fitted, _used(settings, own, n), seen.singular_values,
-                                     seen.condition))
+            A, C = dynamics(own, seen.left[:, :n])
+            found.append(MethodModel(
+                plain_matrices(A, np.zeros((n, nu)), C, np.zeros((ny, nu))),
+                _used(settings, own, n), seen.singular_values, seen.condition, poles_only=True))
     return found
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from ctsid_core.bases.projection import Projection
 from ctsid_core.bases.records import Joint
-from ctsid_core.linear.matrices import plain_matrices
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
 from ctsid_core.subspace.pbsid_equations import Subspace, Tuning, realise, regress, stack_levels
@@ -83,9 +82,8 @@ def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
         for tuning in subspaces.tunings(n):
             subspace = subspaces.of(tuning)
             if n < len(subspace.singular_values):
-                m = realise(subspace, n)
                 found.append(MethodModel(
-                    plain_matrices(m.A, m.B, m.C, m.D, m.K), settings.replace(
+                    realise(subspace, n), settings.replace(
                         order=n, beta=tuning.beta, gamma=tuning.gamma, past=tuning.past,
                         future=tuning.future),
                     subspace.singular_values, subspace.condition))

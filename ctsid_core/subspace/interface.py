@@ -18,11 +18,13 @@ SLOWEST = 10.0      # least pole to look for, times the length of the record
 class MethodModel:
     """A continuous-time model of the moving channels, one of those that a method offers."""
 
-    matrices: Matrices      # by `plain_matrices`: K is zero if the method has none
+    matrices: Matrices      # what belongs to single records does not count
     # with the order and whatever the method chose filled in: they give this model
     settings: Settings
     singular_values: Array  # whose drop shows the order
     condition: float        # condition number of the regression
+    # B, C and D are then those of the best simulation with its poles
+    poles_only: bool = False
 
 
 @dataclass(frozen=True)

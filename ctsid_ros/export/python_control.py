@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.model.discrete import discretise
-from ctsid_core.model.statespace import control_labels
 from ctsid_ros.export.content import Content
 
 
@@ -38,8 +39,8 @@ def control_program(content: Content, *, pade: int, rate: float | None = None) -
         matrices, dt = found.expanded(), found.period
         how = f'exact at {rate:g} Hz, past inputs are the last states'
     labels = ''.join(f', {key}={ascii(list(names))}' for key, names in (
-        ('inputs', control_labels(model.input_names)),
-        ('outputs', control_labels(model.output_names))) if names)
+        ('inputs', _labels(model.input_names)),
+        ('outputs', _labels(model.output_names))) if names)
     # The first line: else a name in the second could declare another encoding (PEP 263).
     lines = ['# -*- coding: utf-8 -*-', *(f'# {line}' for line in content.comments()),
              f'# dead times: {how}',
@@ -51,6 +52,12 @@ def control_program(content: Content, *, pade: int, rate: float | None = None) -
              f'x_trim = {model.x_trim.tolist()!r}', f'y_trim = {model.y_trim.tolist()!r}',
              f'sys = control.ss(A, B, C, D, {dt!r}{labels})']
     return '\n'.join(lines) + '\n'
+
+
+def _labels(names: Sequence[str]) -> list[str]:
+    """Return names of channels as python-control takes them; none unless all differ."""
+    labels = [name.replace('.', '_') for name in names]  # '.' is its own
+    return labels if all(labels) and len(set(labels)) == len(labels) else []
 
 
 def _matrix(matrix: Array) -> str:

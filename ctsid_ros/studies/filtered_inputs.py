@@ -2,8 +2,8 @@
 """
 B and D from filtered signals, [TM] eq. 15, as the paper has them.
 
-`identify` fits them to simulations instead (`model/residue_fit.py`): by eq. 15 an error of the
-observability matrix goes straight to B, multiplied with the states.
+`identify` fits them to simulations instead: by eq. 15 an error of the observability matrix goes
+straight to B, multiplied with the states.
 """
 
 from __future__ import annotations
