@@ -26,11 +26,18 @@ import warnings
 import numpy as np
 from scipy.linalg import logm
 
-from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import columns_of, least_cost
+from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
-from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, Guess, climb, fit_at
-from ctsid_core.likelihood.pole_steps import canonical
+from ctsid_core.likelihood.output_error import (
+    FEWER,
+    ROUGHLY,
+    Fit,
+    Free,
+    Guess,
+    climb,
+    fit_at,
+    fit_states,
+)
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -47,8 +54,6 @@ from ctsid_core.signals.record import Record, Signal
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _SEARCHED = 1000            # samples of a stream that they are first climbed with
-_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
-_HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
 _FINAL = 2                  # orders that are climbed with all samples
 _JITTER = 0.1               # of a sample interval: of stamps
@@ -93,20 +98,24 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
         return None
     joint = joint.thinned(affordable(joint))
     thin = joint.thinned(_SEARCHED)
-    found = _orders(thin, starts, own, last, order)
+    begun, regression = _begun(thin, {order: starts[order]} if order else starts, own)
+    found = _orders(thin, begun, own, last)
+    orders = {n: one.found for n, one in found.items()}
+    straight = None if regression is None else _as_it_is(joint, regression, own, last)
+    known = [] if straight is None else [straight]
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
-    known: list[PredictionFit] = []
     for fit in (one.found.fit for one in likely):
         if known and joint.effort.over:
             break
-        best = _climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own,
-                        last)
-        if best is not None:
-            known.append(best)
+        climbed = _climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own,
+                           last)
+        known += [] if climbed is None else [climbed]
     if not known:
         return None
     # As they are used: the filter starts from the first samples, not from the best states.
     best = min(known, key=lambda one: _as_used(one, joint))
+    if best is straight:                    # its dead times were compared with none
+        return replace(best, orders={**orders, best.found.fit.model.n: best.found})
     # One sample ahead any error is small where samples are dense.
     needed, fewer = without_needless(joint, best.found, own, 0.0, each=False)
     other = replace(best, free=fewer) if needed is best.found else \
@@ -114,24 +123,49 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     # Far ahead a dead time may show that hardly does one sample ahead.
     if other is not None and _as_used(other, joint) <= _as_used(best, joint):
         best = other
-    return replace(best, orders={n: one.found for n, one in found.items()})
+    return replace(best, orders=orders)
 
 
 def _as_used(one: PredictionFit, joint: Samples) -> float:
     return information(one.errors, joint, one.found.parameters)
 
 
-def _orders(joint: Samples, starts: dict[int, Start], free: Free, last: Last,
-            order: int) -> dict[int, PredictionFit]:
-    """Return predictors of the orders next to that whose start predicts best, or of one order."""
+def _begun(joint: Samples, starts: dict[int, Start],
+           free: Free) -> tuple[dict[int, Fit], Start | None]:
+    """Return where climbs begin, of every order, and the likeliest start as it is."""
     begun: dict[int, Fit] = {}
+    score: dict[int, float] = {}
+    power = np.ones((len(joint.records), joint.ny))
     for n, start in starts.items():
+        poles, delay = start.model.poles, start.model.delay
+        columns = columns_of(joint, poles, delay, direct=False, slopes=False)
         with suppress(np.linalg.LinAlgError):
-            if order in (0, n):
-                begun[n] = fit_at(joint, start.poles, start.delay, free, _near(start, joint))
-    price = float(np.log(np.max(joint.counts)))
-    best = min(begun, key=lambda n: begun[n].cost + price * parameters(joint, begun[n], free),
-               default=0)
+            begun[n] = fit_at(joint, poles, delay, free, Guess(start.model, power), columns)
+            score[n] = fit_states(joint, start.model, free, columns).cost + _price(joint) * (
+                start.parameters + n * len(power))
+    return begun, starts[min(score, key=lambda n: score[n])] if score else None
+
+
+def _price(joint: Samples) -> float:
+    """Return what a number costs by Schwarz's criterion, in -2 log likelihood."""
+    return float(np.log(np.max(joint.counts)))
+
+
+def _as_it_is(joint: Samples, start: Start, free: Free, last: Last) -> PredictionFit | None:
+    """Return the predictor of the regression as it is, or None."""
+    with suppress(np.linalg.LinAlgError):
+        fit = fit_states(joint, start.model, free)
+        free = replace(free, delays=tuple((start.model.delay > 0.0) & free.delays))
+        weights = fit.model.n * (joint.nu + joint.ny)
+        return _judged(joint, fit, free, last, round(start.parameters) - weights)
+    return None
+
+
+def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
+            last: Last) -> dict[int, PredictionFit]:
+    """Return predictors of the orders next to that whose start predicts best."""
+    best = min(begun, key=lambda n: begun[n].cost + _price(joint) * parameters(
+        joint, begun[n], free), default=0)
     found: dict[int, PredictionFit] = {}
     looked: set[int] = set()
     while not found or not joint.effort.beyond(SEARCH):
@@ -147,15 +181,6 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free, last: Last,
 
 
 def _climbed(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
-    """Return the best predictor near a start or near a filter of its plant; None: no plant."""
-    best = _nearby(joint, start, free, last)
-    filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
-    other = _nearby(joint, filtered, free, last) if filtered is not None else None
-    return min((one for one in (best, other) if one is not None),
-               key=lambda one: one.information, default=None)
-
-
-def _nearby(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
     try:
         top = climb(joint, start, free, steps=FEWER, least=ROUGHLY)
@@ -165,54 +190,15 @@ def _nearby(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit
         or (None if top is start else _judged(joint, start, free, last))
 
 
-def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
+def _judged(joint: Samples, fit: Fit, free: Free, last: Last,
+            more: int = 0) -> PredictionFit | None:
     """
-    Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
+    Return a predictor and how its plant predicts; None: there is no plant that does.
 
-    The noise at each input has the same effect on the outputs, over the frequencies looked at.
-    Predictors may be slower than the past of the regression, and climbs end before they are
-    there. With no noise in the plant poles are its own, those that grow mirrored.
+    So many `more` numbers than are free were determined.
     """
-    m, n = one.matrices, len(one.matrices.A)
-    C = m.C / joint.size[:, np.newaxis]
-    omega = np.geomspace(1.0 / joint.length, 1.0 / _held_interval(joint), _NOISES)
-    try:
-        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
-                                        m.B[np.newaxis])
-    except np.linalg.LinAlgError:
-        return None
-    size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
-    moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
-    known: dict[float, tuple[float, ComplexArray]] = {}
-    delay = one.found.fit.model.delay
-
-    def at(noise: float) -> float:
-        if noise not in known:
-            both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
-            poles = np.sort_complex(both)[:n]
-            stable = bool(np.all(poles.real < free.limit))          # not if any is no number
-            known[noise] = least_cost(columns_of(
-                joint, canonical(poles), delay, direct=False, slopes=False), free.trim) \
-                if stable else np.inf, poles
-        return known[noise][0]
-
-    noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
-    step = np.sqrt(noises[1:] / noises[:-1]).mean()
-    best = min((0.0, *noises.tolist()), key=at)
-    for _ in range(_HALVINGS):
-        best = min((best / step, best, best * step), key=at)
-        step = np.sqrt(step)
-    if not np.isfinite(at(best)):
-        return None
-    with suppress(np.linalg.LinAlgError):
-        fit = fit_at(joint, known[best][1], delay, free)
-        return fit if fit.cost < one.found.fit.cost else None
-    return None
-
-
-def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit | None:
-    """Return a predictor and how its plant predicts; None: there is no plant that does."""
     one = tried(joint, fit, free)
+    one = replace(one, parameters=one.parameters + more)
     delay, nu = fit.model.delay, joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
     likely = np.sqrt(fit.power.mean(axis=0))
@@ -233,14 +219,6 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Last) -> PredictionFit |
             break
     # Far ahead shows whether a mode really grows.
     return min(known, key=lambda fit: fit.information, default=None)
-
-
-def _near(start: Start, joint: Samples) -> Guess:
-    """Return a start of the regression as what `fit_at` starts from."""
-    m, ny, records = len(start.poles), joint.ny, len(joint.records)
-    return Guess(ModalModel(start.poles, start.b, np.ones((ny, m), dtype=complex),
-                            np.zeros((records, m), dtype=complex), np.zeros((ny, joint.nu)),
-                            np.zeros((records, ny)), start.delay), np.ones((records, ny)))
 
 
 def information(errors: Array, samples: Samples, parameters: int) -> float:

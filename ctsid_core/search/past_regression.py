@@ -3,16 +3,23 @@
 Predictors from a regression of the outputs on what was just before: where predictions start.
 
 What was before is summed up by a few real modes of fixed poles, driven by the inputs and by the
-outputs' own past: least squares finds what they tell of the next samples, in closed loop, too.
-That predictor has many states, and balancing it leaves those that matter: predictors of every
-order at once. Inputs are shifted by dead times from a grid, so that few states are left to stand
-in for what is not on it.
+outputs' own past; their weights are what the next samples tell of them, in closed loop, too.
+Impulse responses of a predictor are continuous and decay: of all that the samples allow for,
+those are likelier, with a covariance of
+
+    lambda e^(-beta max(s, t))                                                               (1)
+
+between s and t. How large they are, lambda of the outputs' own past, of the other outputs' and of
+the inputs, is what makes the samples likeliest (empirical Bayes), and so are dead times from a
+grid. That predictor has many states, and balancing it leaves those that matter: predictors of
+every order at once.
 
 References
 ----------
-Chiuso 2007, Automatica 43 (a regression on the past, reduced); Moore 1981, IEEE Trans. Automatic
-Control 26 (balancing, here with the states' products as measured); van den Hof, Heuberger and
-Bokor 1995, Automatica 31 (modes of fixed poles).
+Pillonetto and De Nicolao 2010, Automatica 46; Chen, Ohlsson and Ljung 2012, Automatica 48, (1);
+MacKay 1992, Neural Computation 4 (lambda); Chiuso 2007, Automatica 43 (a regression on the past,
+reduced); Moore 1981, IEEE Trans. Automatic Control 26 (balancing, here with the states' products
+as measured); van den Hof, Heuberger and Bokor 1995, Automatica 31 (modes of fixed poles).
 """
 
 from __future__ import annotations
@@ -22,8 +29,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
-from ctsid_core.likelihood.mode_columns import columns_of, cost_of
+from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of, cost_of
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
@@ -31,41 +40,40 @@ from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import POINT
 
-_MODES = 5            # that sum up the past: few, for their weights are fitted to the noise, ...
-_MORE = 2             # ... but so many more than an order needs of each output, ...
+_MODES = 8            # that sum up the past, ...
 _SLOWEST, _FASTEST = 0.1, 2.0               # ... of so many radians in a sample interval
-_ROWS = 4             # equations for each weight, at least
+_DECAY = 0.1          # beta in a sample interval
+_FIRST = 10.0         # lambda over the noise, of what is over its size: where it starts
+_STEPS = 15           # of its fixed point, ...
+_SETTLED = 0.1        # ... and the change of its logarithm that ends it
+_ROWS = 4             # samples for each mode, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
-_RIDGE = 1e-8         # of the power of the modes
 _LEAST = 1e-12        # of a state's size over the largest one's
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
     """
-    A predictor of the regression, as modes in continuous time.
+    A predictor of the regression.
 
     Parameters
     ----------
+    model : ModalModel
+        Initial states and trims are zero.
     score : float
-        -2 log likelihood: of one order the least is most likely.
-    poles : ndarray, shape (m,)
-        Real ones, and one of each pair [rad/s].
-    b : ndarray, shape (m, nu + ny)
-        By inputs and by the outputs' own past.
-    delay : ndarray, shape (nu + ny,)
-        [s]
+        Schwarz's criterion, one sample ahead: the least is most likely.
+    parameters : float
+        How many free numbers it is worth: fewer than it has, for what was expected of them.
     """
 
+    model: ModalModel
     score: float
-    poles: ComplexArray
-    b: ComplexArray
-    delay: Array
+    parameters: float
 
 
 def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[int, Start]:
     """
-    Return the best predictor of every order that the samples can tell; few samples: none.
+    Return the likeliest predictor of every order that the samples can tell; few samples: none.
 
     Parameters
     ----------
@@ -79,60 +87,119 @@ def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[in
         Of the predictors.
     """
     found: dict[int, Start] = {}
+    if np.min(joint.counts.sum(axis=0)) < _ROWS * _MODES:
+        return found
     known, step = np.concatenate((known, np.zeros(joint.ny))), joint.interval
-    late, few = np.array(free.delays), joint.ny * (_MODES - _MORE)
-    shifts = [k * step for k in _SHIFTS if k * step <= free.longest] if late.any() else [0.0]
-    for shift in shifts:
-        if found and joint.effort.beyond(POINT):
+    late, poles = np.array(free.delays), np.geomspace(_SLOWEST, _FASTEST, _MODES) / step
+    for shift in _SHIFTS if late.any() else _SHIFTS[:1]:
+        if shift * step > free.longest or found and joint.effort.beyond(POINT):
             break
-        delay = np.where(late, shift, known)
-        for modes, lowest, top in ((_MODES, 1, min(few, highest)),
-                                   (-(-highest // joint.ny) + _MORE, few + 1, highest)):
-            with suppress(np.linalg.LinAlgError):
-                for n, one in _at(joint, modes, range(lowest, top + 1), delay, free):
-                    if n not in found or one.score < found[n].score:
-                        found[n] = one
+        with suppress(np.linalg.LinAlgError):
+            for n, one in _at(joint, poles, np.where(late, shift * step, known), highest, free):
+                if n not in found or one.score < found[n].score:
+                    found[n] = one
     return found
 
 
-def _at(joint: Samples, modes: int, orders: range, delay: Array,
+def _at(joint: Samples, poles: Array, delay: Array, highest: int,
         free: Free) -> Iterator[tuple[int, Start]]:
-    """Yield predictors of some orders with given dead times."""
-    m = min(modes, int(np.min(joint.counts.sum(axis=0))) // (_ROWS * joint.nu))
-    if m < 2 or not orders:
-        return
-    poles = np.geomspace(_SLOWEST, _FASTEST, m) / -joint.interval
-    tables = _tables(joint, poles, delay)
-    weights = np.zeros((joint.ny, m * joint.nu))
-    for states, y, channels in tables:
-        size = np.linalg.norm(states, axis=0) + 1e-300
-        ridge = np.sqrt(_RIDGE) * np.eye(len(size))
-        weights[channels] = (np.linalg.lstsq(
-            np.vstack((states / size, ridge)), np.vstack((y, np.zeros((len(size), y.shape[1])))),
-            rcond=None)[0] / size[:, np.newaxis]).T
+    """Yield predictors of all orders with given dead times."""
+    m, nu, ny, records = len(poles), joint.nu, joint.ny, len(joint.records)
+    tables, counts = _tables(joint, poles, delay), joint.counts.sum(axis=0)
+    weights, noise, worth = _weights(joint, poles, tables)
     moved = np.vstack([states for states, _, _ in tables])
-    # What a state does to the outputs from now on: the integral of squares, as a root.
-    power, turn = np.linalg.eigh(-1.0 / np.add.outer(poles, poles))
+    # What a state does to the outputs from now on, over their noise: the integral of squares.
+    power, turn = np.linalg.eigh(1.0 / np.add.outer(poles, poles))
     root = np.sqrt(np.maximum(power, 0.0))[:, np.newaxis] * turn.T
-    seen = np.einsum('ki,oij->okij', root, weights.reshape(joint.ny, m, joint.nu)).reshape(
-        joint.ny * m, -1)
+    seen = np.einsum('ki,oij->okij', root, weights / np.sqrt(noise)[:, np.newaxis, np.newaxis])
+    seen, weights = seen.reshape(ny * m, -1), weights.reshape(ny, -1)
+    # States that are moved much, and seen much.
     left, s, right = np.linalg.svd(seen @ moved.T, full_matrices=False)
-    A, B = np.repeat(poles, joint.nu)[:, np.newaxis], np.tile(np.eye(joint.nu), (m, 1))
-    for n in orders[:max(int(np.sum(s > _LEAST * np.max(s, initial=0.0))) + 1 - orders.start, 0)]:
+    A, B = -np.repeat(poles, nu)[:, np.newaxis], np.tile(np.eye(nu), (m, 1))
+    for n in range(1, min(highest, int(np.sum(s > _LEAST * np.max(s, initial=0.0)))) + 1):
         to_state = (left[:, :n] / np.sqrt(s[:n])).T @ seen
         back = moved.T @ (right[:n].T / np.sqrt(s[:n]))
-        squares = np.zeros(joint.ny)
+        C, squares = weights @ back, np.zeros(ny)
         for states, y, channels in tables:
-            x = states @ to_state.T
-            squares[channels] = np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2, axis=0)
-        score = float(cost_of(squares, joint.counts.sum(axis=0)))
-        yield n, Start(score, *_modes(to_state @ (A * back), to_state @ B, free), delay)
+            squares[channels] = np.sum((y - states @ to_state.T @ C[channels].T) ** 2, axis=0)
+        b, c, p = _modes(to_state @ (A * back), to_state @ B, C, free)
+        model = ModalModel(p, b, c, np.zeros((records, len(p)), dtype=complex),
+                           np.zeros((ny, nu)), np.zeros((records, ny)), delay)
+        number = min(worth, n * (nu + ny))
+        yield n, Start(model, float(cost_of(squares, counts) + np.log(counts.max()) * number),
+                       number)
+
+
+def _weights(joint: Samples, poles: Array,
+             tables: list[tuple[Array, Array, slice]]) -> tuple[Array, Array, float]:
+    """
+    Return the likeliest weights of the modes, the noise, and how many free numbers they are worth.
+
+    Of shapes (ny, m, nu) and (ny,).
+    """
+    m, nu, ny = len(poles), joint.nu, joint.ny
+    weights, noise, worth = np.zeros((ny, m, nu)), np.ones(ny), 0.0
+    root = _root(poles, _DECAY / joint.interval)
+    for states, y, channels in tables:
+        count = float(joint.counts[:, channels.start].sum())
+        driven = states.reshape(len(states), m, nu)
+        size = np.linalg.norm(driven[:, -1], axis=0) * poles[-1] / np.sqrt(count) + 1e-300
+        turned = np.einsum('rkj,ka->rja', driven / size, root).reshape(len(states), -1)
+        gram = turned.T @ turned
+        for i, target in zip(range(channels.start, channels.stop), y.T, strict=True):
+            group = np.full(nu, 2)
+            group[nu - ny:], group[nu - ny + i] = 1, 0
+            found, number, noise[i] = _likeliest(gram, turned.T @ target, float(target @ target),
+                                                 count, np.repeat(group, m))
+            weights[i] = root @ (found.reshape(nu, m) / size[:, np.newaxis]).T
+            worth += number
+    return weights, noise, worth
+
+
+def _root(poles: Array, decay: float) -> Array:
+    """Return R such that R R' is the covariance of weights of modes whose sum has (1)."""
+    p, q = poles[:, np.newaxis], poles
+    products = (p + q + 2.0 * decay) / ((p + decay) * (q + decay) * (p + q + decay))
+    inverse = np.linalg.pinv(1.0 / (p + q), rcond=1e-13, hermitian=True)
+    values, turn = np.linalg.eigh(inverse @ products @ inverse)
+    found: Array = turn * np.sqrt(np.maximum(values, 0.0))
+    return found
+
+
+def _likeliest(gram: Array, right: Array, power: float, count: float,
+               group: Array) -> tuple[Array, float, float]:
+    """
+    Return weights, how many numbers they are worth, and the power of the noise.
+
+    Their prior covariance is 1 but for lambda of each group; the noise is what is left. What the
+    weights cost in -2 log likelihood, log det of what the samples add, is log(count) for each
+    number, as in Schwarz's criterion.
+    """
+    share, best = np.full(int(group.max()) + 1, _FIRST), np.inf
+    found = np.zeros(len(gram)), 0.0, power / count
+    for _ in range(_STEPS):
+        size = np.sqrt(share)[group]
+        factor = cho_factor(gram * size * size[:, np.newaxis] + np.eye(len(gram)))
+        w = cho_solve(factor, right * size)
+        noise = max(power - float(right * size @ w), ROUNDING * power) / count
+        volume = 2.0 * float(np.sum(np.log(factor[0].diagonal())))
+        score = volume + count * float(np.log(noise))
+        known = 1.0 - cho_solve(factor, np.eye(len(gram))).diagonal()
+        if score < best:
+            best, found = score, (size * w, volume / float(np.log(count)), noise)
+        before = share
+        share = share * np.bincount(group, w ** 2) / (
+            noise * np.maximum(np.bincount(group, known), 1e-9))
+        share = np.clip(share, 1e-12, 1e12)
+        if np.all(np.abs(np.log(share / before)) < _SETTLED):
+            break
+    return found
 
 
 def _tables(joint: Samples, poles: Array, delay: Array) -> list[tuple[Array, Array, slice]]:
     """Return states, outputs and their places; what starts and trims explain is left out."""
     columns, found = columns_of(
-        joint, poles.astype(complex), delay, direct=False, slopes=False), []
+        joint, -poles.astype(complex), delay, direct=False, slopes=False), []
     for i, stream in enumerate(joint.records[0].streams):
         parts = []
         for own in columns.triangles:
@@ -145,10 +212,15 @@ def _tables(joint: Samples, poles: Array, delay: Array) -> list[tuple[Array, Arr
     return found
 
 
-def _modes(A: Array, B: Array, free: Free) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles, within their bounds, and b of modes, in the order of `canonical`."""
+def _modes(A: Array, B: Array, C: Array,
+           free: Free) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return b, c and poles, within their bounds, of modes in the order of `canonical`."""
     values, right = np.linalg.eig(A)
-    kept = values.imag >= 0.0
+    kept = np.flatnonzero(values.imag >= 0.0)
     poles = bounded(values[kept].astype(complex), free.limit, free.fastest)
     order = np.lexsort((poles.real, np.abs(poles), poles.imag > 0.0))
-    return poles[order], np.linalg.solve(right, B.astype(complex))[kept][order]
+    b = np.linalg.solve(right, B.astype(complex))[kept]
+    c = (C @ right)[:, kept] * (1.0 + (poles.imag > 0.0))
+    real = poles.imag == 0.0
+    b[real], c[:, real] = b[real].real, c[:, real].real
+    return b[order], c[:, order].astype(complex), poles[order]
