@@ -245,7 +245,10 @@ def _before_inputs(samples: Samples) -> Samples:
     def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
         stamps = np.unique(np.concatenate([s.time for s in inputs]))
         last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
-        return np.where((times >= last) & (times - last < near), np.maximum(last, start), times)
+        moved = np.maximum(last, start)
+        # Of two samples as near to it only the first one is put there.
+        apart = moved > np.concatenate(([-np.inf], times[:-1]))
+        return np.where((times >= last) & (times - last < near) & apart, moved, times)
 
     return replace(samples, records=tuple(replace(r, streams=tuple(
         replace(s, times=earlier(s.times, r.inputs, r.start)) for s in r.streams))

@@ -37,7 +37,7 @@ from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.search.by_order import POINT
 
 _MODES = 8            # that sum up the past, ...
@@ -167,7 +167,7 @@ def _root(poles: Array, decay: float) -> Array:
 
 
 def _likeliest(gram: Array, right: Array, power: float, count: float,
-               group: Array) -> tuple[Array, float, float]:
+               group: Places) -> tuple[Array, float, float]:
     """
     Return weights, how many numbers they are worth, and the power of the noise.
 
