@@ -52,7 +52,7 @@ def conclude(solution: Solution) -> Estimate:
     simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
     change = Change() if solution.refit or simulating is None else \
         most_likely_change(*simulating, solution.smaller,
-                           (samples, fit, solution.free) if solution.by_prediction else None)
+                           None if solution.plant is None else solution.source)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
@@ -121,17 +121,20 @@ def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
     samples, last = solution.samples, solution.part.last
     if solution.plant is None:
         return with_noise(samples, solution.fit, errors, last)
+    samples, fit, _ = solution.source
+    if solution.predictor is not None:
+        errors = residuals(samples, fit)
     return solution.plant, uniform(samples, errors)[0] * np.diag(
-        solution.fit.power[last] * samples.size ** 2)
+        fit.power[last] * samples.size ** 2)
 
 
 def _covariances(solution: Solution, model: StateSpace,
                  moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
     """Return the covariance of the model of all channels, and of the moving ones."""
     try:
-        changes = entry_changes(solution.samples, solution.fit, solution.free)
+        changes = entry_changes(*solution.source)
         if solution.plant is not None:
-            changes = changes_of_plant(solution.samples, solution.fit, changes)
+            changes = changes_of_plant(*solution.source[:2], changes)
     except np.linalg.LinAlgError:
         return None, None
     if not all(np.isfinite(block).all() for block in changes):
@@ -260,7 +263,8 @@ def _shares(solution: Solution) -> tuple[RecordShare, ...]:
     for r, usable in enumerate(part.parts):
         whole, epoch = usable.whole, usable.whole.epoch_ns
         own = matrices_of(fit.model, size, r) if solution.plant is None else \
-            plant_of(fit, solution.samples, r, not is_stable(solution.plant)) or solution.plant
+            plant_of(solution.source[1], solution.source[0], r,
+                     not is_stable(solution.plant)) or solution.plant
         x_trim, y_trim = _whole_trim(usable, own)
         weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
         shares.append(RecordShare(

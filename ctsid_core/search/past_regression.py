@@ -126,7 +126,7 @@ def _at(joint: Samples, poles: Array, delay: Array, highest: int,
         model = ModalModel(p, b, c, np.zeros((records, len(p)), dtype=complex),
                            np.zeros((ny, nu)), np.zeros((records, ny)), delay)
         number = min(worth, n * (nu + ny))
-        yield n, Start(model, float(cost_of(squares, counts) + np.log(counts.max()) * number),
+        yield n, Start(model, float(cost_of(squares, counts) + np.log(np.max(counts)) * number),
                        number)
 
 
@@ -175,7 +175,7 @@ def _likeliest(gram: Array, right: Array, power: float, count: float,
     weights cost in -2 log likelihood, log det of what the samples add, is log(count) for each
     number, as in Schwarz's criterion.
     """
-    share, best = np.full(int(group.max()) + 1, _FIRST), np.inf
+    share, best = np.full(int(np.max(group)) + 1, _FIRST), np.inf
     found = np.zeros(len(gram)), 0.0, power / count
     for _ in range(_STEPS):
         size = np.sqrt(share)[group]

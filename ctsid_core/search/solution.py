@@ -38,6 +38,8 @@ class Solution:
     # Of a model that was found by its predictions: `samples`, `fit` and `free` are those of its
     # predictor, with the outputs' own past among the inputs. None: the model is that of `fit`
     plant: Matrices | None = None
+    # Of a plant that predictions found and simulations are judged by: its predictor
+    predictor: tuple[Samples, Fit, Free] | None = None
     whole: Samples | None = None  # with those left out because a delayed input is not known yet
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -55,8 +57,13 @@ class Solution:
 
     @property
     def by_prediction(self) -> bool:
-        """Whether the model was found by its predictions."""
-        return self.plant is not None
+        """Whether the model was found by its predictions, and is judged by them."""
+        return self.plant is not None and self.predictor is None
+
+    @property
+    def source(self) -> tuple[Samples, Fit, Free]:
+        """What the likelihood was of: a simulation, or a predictor."""
+        return self.predictor or (self.samples, self.fit, self.free)
 
     @property
     def delay(self) -> Array:

@@ -62,7 +62,7 @@ _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody
                       # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 10.0        # times that: a mode neither grows nor decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_OPEN_LOOP = 0.5      # error that is not noise, over the motion, with which a plant in open loop
+_OPEN_LOOP = 0.05     # error that is not noise, over the motion, with which a plant in open loop
                       # may need its outputs' own past
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
@@ -111,11 +111,15 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     if own.feedthrough and not effort.beyond(SEARCH) and _unexplained(samples, best.fit):
         predicted = _predicted(part, settings, corrupt, samples, free)
-    if predicted is not None and (solved := _likelier(
+    steady = own.feedthrough and predicted is not None and is_stable(predicted.matrices)
+    if predicted is not None and not steady and (solved := _likelier(
             part, settings, corrupt, samples, best, free, predicted)):
         return solved
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
+    if steady and predicted is not None and (solved := _disturbed(
+            part, settings, seen, samples, best, predicted, free, found, hidden)):
+        return solved
     others = _with(others, climbed, best)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
@@ -132,6 +136,40 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_longest(part, best, free), *_growing(best.fit.model, free, own)),
                     whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
                     singular_values=values, condition=condition)
+
+
+def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
+               found: PredictionFit, free: Free, orders: dict[int, Tried],
+               hidden: int) -> Solution | None:
+    """
+    Return the plant that predictions found, as it simulates, if likelier in errors of any colour.
+
+    What disturbs a plant for longer than it remembers is like an input that is not known. Output
+    error then trusts most the frequencies that are disturbed most; predictions trust those that
+    are known best.
+    """
+    delay = found.found.fit.model.delay[:samples.nu]
+    free = replace(free, feedthrough=False, delays=found.free.delays[:samples.nu])
+    plant = modal_of(found.matrices, samples, delay)
+    if plant is None:
+        return None
+    price = float(np.log(np.max(samples.counts.sum(axis=0))))
+    other = tried(samples, fit_states(samples, plant, free), free)
+    costs = [float(coloured_costs(residuals(samples, one.fit)).sum()) + price * number
+             for one, number in ((best, best.parameters), (other, found.found.parameters))]
+    if costs[1] >= costs[0]:
+        return None
+    whole = samples
+    if np.max(delay) > 0.0:
+        samples = seen(float(np.max(delay)))
+        other = tried(samples, fit_states(samples, plant, free), free)
+    return Solution(
+        _used(part, settings, other.fit.model.n, delay), part, samples, other.fit, free,
+        other.independent, _table(settings, {**orders, other.fit.model.n: other}, other),
+        (Choice('domain', 'disturbed', 'errors in their own colour are likelier with the plant '
+                "that predictions from the outputs' own past found"),),
+        _left_out(orders, other.fit.model.n, settings, samples.effort), plant=found.matrices,
+        predictor=(found.samples, found.found.fit, found.free), whole=whole, hidden=hidden)
 
 
 def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
@@ -311,7 +349,7 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
                                 known_delay=np.array(own.delays(samples.nu)),
                                 last=_last(part, corrupt))
     # In open loop a stable plant is what simulates best.
-    return None if found is None or own.feedthrough and is_stable(found.matrices) else found
+    return found
 
 
 def _last(part: Joint, corrupt: Corrupt) -> Last:
