@@ -3,7 +3,9 @@
 
 import numpy as np
 
+from ctsid_core import Settings, identify
 from ctsid_core.search.by_prediction import carried_on
+from ctsid_ros.studies.robots.families import experiment
 
 
 def test_lost_samples_are_carried_on_by_those_before():
@@ -46,3 +48,9 @@ def test_a_pause_is_not_filled():
     found, values = carried_on(times, np.sin(times)[:, np.newaxis])
     assert len(found) == len(values) == 250
     assert np.max(found[found < 1e5]) < 1.6
+
+
+def test_two_samples_that_came_just_after_an_input_stay_two():
+    """Stamps of receipt: put to that input's instant, both had one stamp, and nothing was found."""
+    found = identify(experiment('receipt-stamps', 1, 0).record, Settings(feedthrough=False))
+    assert found.model is not None

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag, expm
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.model import validation
 from ctsid_core.search.solve import free_of
 from ctsid_core.settings import LONGEST_DELAY
 from ctsid_ros.studies.robots.families import experiment
@@ -243,3 +244,26 @@ def test_two_small_models_are_no_change_of_a_plant_that_many_states_explain():
     found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
     assert found.verdict.change_cost < 1.0
     assert found.fit[0] > 98.0
+
+
+@pytest.mark.parametrize(('family', 'seed', 'number', 'least'), [
+    ('second-input', 3, 5, 94.0), ('turbulence-strong', 4, 3, 86.0),
+    *slow(('second-input', 3, 3, 96.0), ('turbulence-weak', 4, 1, 95.0))])
+def test_what_disturbs_a_plant_for_long_is_told_by_its_own_past(family, seed, number, least):
+    """Output error alone simulates a second experiment to 85, 78, 67 and 95 %."""
+    given = experiment(family, seed, number)
+    found = identify(given.record)
+    assert any(c.name == 'domain' and c.value == 'disturbed' for c in found.choices)
+    fit = float(np.mean(simulated(found.model, given.test)))
+    print(f'{family}: {fit:.1f} %')
+    assert fit > least
+    assert not response_off(given, found.model, found)[1]
+    # Judged by how it simulates, on all samples, as a model of output error is.
+    assert found.fit[0] == pytest.approx(100.0 - 100.0 * rms_error(found, given.record), abs=0.1)
+
+
+def rms_error(found, record):
+    """Return the error of a simulation over the motion, by a way of its own."""
+    y = record.outputs[0].values[:, 0]
+    e = validation.simulation(found.model, record).y_hat[:, 0] - y
+    return np.sqrt(np.mean(e ** 2)) / np.std(y)

@@ -121,11 +121,19 @@ def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
     samples, last = solution.samples, solution.part.last
     if solution.plant is None:
         return with_noise(samples, solution.fit, errors, last)
-    samples, fit, _ = solution.source
+    m = solution.plant
     if solution.predictor is not None:
+        m, (samples, fit, _) = _with_trim(solution, last), solution.predictor
         errors = residuals(samples, fit)
-    return solution.plant, uniform(samples, errors)[0] * np.diag(
-        fit.power[last] * samples.size ** 2)
+    return m, uniform(samples, errors)[0] * np.diag(
+        solution.source[1].power[last] * samples.size ** 2)
+
+
+def _with_trim(solution: Solution, record: int) -> Matrices:
+    """Return a plant that predictions found with the trim of its simulation of a record."""
+    assert solution.plant is not None
+    own = matrices_of(solution.fit.model, solution.samples.size, record)
+    return replace(solution.plant, x_trim=np.zeros_like(own.x_trim), y_trim=own.y_trim)
 
 
 def _covariances(solution: Solution, model: StateSpace,
@@ -263,8 +271,8 @@ def _shares(solution: Solution) -> tuple[RecordShare, ...]:
     for r, usable in enumerate(part.parts):
         whole, epoch = usable.whole, usable.whole.epoch_ns
         own = matrices_of(fit.model, size, r) if solution.plant is None else \
-            plant_of(solution.source[1], solution.source[0], r,
-                     not is_stable(solution.plant)) or solution.plant
+            _with_trim(solution, r) if solution.predictor is not None else \
+            plant_of(fit, solution.samples, r, not is_stable(solution.plant)) or solution.plant
         x_trim, y_trim = _whole_trim(usable, own)
         weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
         shares.append(RecordShare(

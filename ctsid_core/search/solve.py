@@ -46,6 +46,7 @@ from ctsid_core.search.by_prediction import (
     PredictionFit,
     information,
     is_stable,
+    plant_of,
     prediction_errors,
     solve_by_prediction,
 )
@@ -62,8 +63,9 @@ _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody
                       # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 10.0        # times that: a mode neither grows nor decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_OPEN_LOOP = 0.05     # error that is not noise, over the motion, with which a plant in open loop
-                      # may need its outputs' own past
+_DISTURBED = 0.05     # error that is not noise, over the motion, with which the outputs' own past
+                      # may tell more of a plant in open loop
+_GROWS = 1.0          # times e within the record: less does not tell a plant that grows
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _FEWEST = 3           # states: fewer are found by a grid of poles
@@ -111,14 +113,16 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     if own.feedthrough and not effort.beyond(SEARCH) and _unexplained(samples, best.fit):
         predicted = _predicted(part, settings, corrupt, samples, free)
-    steady = own.feedthrough and predicted is not None and is_stable(predicted.matrices)
-    if predicted is not None and not steady and (solved := _likelier(
+    # In open loop a plant is to simulate, unless it grows.
+    disturbed = None if predicted is None or not own.feedthrough or np.max(np.linalg.eigvals(
+        predicted.matrices.A).real) * samples.length > _GROWS else predicted
+    if predicted is not None and disturbed is None and (solved := _likelier(
             part, settings, corrupt, samples, best, free, predicted)):
         return solved
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
-    if steady and predicted is not None and (solved := _disturbed(
-            part, settings, seen, samples, best, predicted, free, found, hidden)):
+    if disturbed is not None and not settings.order and (solved := _disturbed(
+            part, settings, seen, samples, best, disturbed, free, found, hidden)):
         return solved
     others = _with(others, climbed, best)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
@@ -150,7 +154,8 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     """
     delay = found.found.fit.model.delay[:samples.nu]
     free = replace(free, feedthrough=False, delays=found.free.delays[:samples.nu])
-    plant = modal_of(found.matrices, samples, delay)
+    m = plant_of(found.found.fit, found.samples, part.last, False)
+    plant = None if m is None else modal_of(m, samples, delay)
     if plant is None:
         return None
     price = float(np.log(np.max(samples.counts.sum(axis=0))))
@@ -168,7 +173,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
         other.independent, _table(settings, {**orders, other.fit.model.n: other}, other),
         (Choice('domain', 'disturbed', 'errors in their own colour are likelier with the plant '
                 "that predictions from the outputs' own past found"),),
-        _left_out(orders, other.fit.model.n, settings, samples.effort), plant=found.matrices,
+        _left_out(orders, other.fit.model.n, settings, samples.effort), plant=m,
         predictor=(found.samples, found.found.fit, found.free), whole=whole, hidden=hidden)
 
 
@@ -336,20 +341,17 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
 def _unexplained(samples: Samples, fit: Fit) -> bool:
     """Return whether errors that are not noise are so large that the outputs' past may tell."""
     coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return bool(np.max(coloured) > _OPEN_LOOP ** 2)
+    return bool(np.max(coloured) > _DISTURBED ** 2)
 
 
 def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
                free: Free) -> PredictionFit | None:
-    """Return the model that predicts best, if it is to be looked at: in open loop an unstable."""
+    """Return the model that predicts best."""
     own = own_delays(part, settings)
-    start = replace(free, delays=own.unknown_delays(samples.nu))
-    found = solve_by_prediction(samples, start, order=settings.order,
-                                max_order=settings.max_order,
-                                known_delay=np.array(own.delays(samples.nu)),
-                                last=_last(part, corrupt))
-    # In open loop a stable plant is what simulates best.
-    return found
+    return solve_by_prediction(
+        samples, replace(free, delays=own.unknown_delays(samples.nu)), order=settings.order,
+        max_order=settings.max_order, known_delay=np.array(own.delays(samples.nu)),
+        last=_last(part, corrupt))
 
 
 def _last(part: Joint, corrupt: Corrupt) -> Last:
