@@ -49,10 +49,11 @@ def conclude(solution: Solution) -> Estimate:
         pole_deviation(covariance, model)
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
                       solution.refit)
-    simulating = solution.simulating if solution.by_prediction else (samples, fit, solution.free)
+    simulating = solution.simulating or (
+        None if solution.by_prediction else (samples, fit, solution.free))
     change = Change() if solution.refit or simulating is None else \
         most_likely_change(*simulating, solution.smaller,
-                           None if solution.plant is None else solution.source)
+                           (samples, fit, solution.free) if solution.by_prediction else None)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names)

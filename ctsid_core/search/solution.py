@@ -43,8 +43,8 @@ class Solution:
     whole: Samples | None = None  # with those left out because a delayed input is not known yet
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
-    # A stable plant that was found by its predictions, as it simulates: there shows what a change
-    # costs
+    # What tells whether the plant changes or is curved: of a stable plant that was found by its
+    # predictions, and is judged by them, how it simulates; of a disturbed one the best simulation
     simulating: tuple[Samples, Fit, Free] | None = None
     # The best ones of smaller orders that simulate, and what was free in them
     smaller: tuple[tuple[ModalModel, Free], ...] = ()

@@ -153,6 +153,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best.
     """
     delay = found.found.fit.model.delay[:samples.nu]
+    simulated, whole = free, samples
     free = replace(free, feedthrough=False, delays=found.free.delays[:samples.nu])
     m = plant_of(found.found.fit, found.samples, part.last, False)
     plant = None if m is None else modal_of(m, samples, delay)
@@ -164,7 +165,6 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
              for one, number in ((best, best.parameters), (other, found.found.parameters))]
     if costs[1] >= costs[0]:
         return None
-    whole = samples
     if np.max(delay) > 0.0:
         samples = seen(float(np.max(delay)))
         other = tried(samples, fit_states(samples, plant, free), free)
@@ -174,7 +174,8 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
         (Choice('domain', 'disturbed', 'errors in their own colour are likelier with the plant '
                 "that predictions from the outputs' own past found"),),
         _left_out(orders, other.fit.model.n, settings, samples.effort), plant=m,
-        predictor=(found.samples, found.found.fit, found.free), whole=whole, hidden=hidden)
+        predictor=(found.samples, found.found.fit, found.free), whole=whole, hidden=hidden,
+        simulating=(whole, best.fit, simulated), smaller=_smaller(whole, orders, best, free))
 
 
 def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
