@@ -51,6 +51,6 @@ def test_a_pause_is_not_filled():
 
 
 def test_two_samples_that_came_just_after_an_input_stay_two():
-    """Stamps of receipt: put to that input's instant, both had one stamp, and nothing was found."""
+    """Stamps of receipt: put to that input's instant, both had one stamp, which is an error."""
     found = identify(experiment('receipt-stamps', 1, 0).record, Settings(feedthrough=False))
     assert found.model is not None
