@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gusts, and what is claimed of the poles in them."""
 
+from dataclasses import replace
+
 from marks import slow
 import numpy as np
 from plants import PLANTS, asynchronous, match
@@ -191,3 +193,18 @@ def test_one_sample_of_an_output_has_no_interval():
     thin = samples_of(records, [[None]] * 2).thinned(8)
     assert len(thin.records[1].streams[0].times) == 1
     assert thin.interval == 6.0
+
+
+@pytest.mark.parametrize('feedthrough', [True, False])
+def test_an_output_that_rests_but_for_spikes_is_an_output_that_rests(feedthrough):
+    """An event flag beside a plant in gusts: its spikes are hidden, and nothing is left."""
+    record = experiment('turbulence-strong', 4, 3).record
+    y = record.outputs[0]
+    flag = np.zeros(len(y.time))
+    flag[[len(flag) // 2, 2 * len(flag) // 3]] = 5.0, -5.0
+    both = replace(y, values=np.column_stack((y.values, flag)))
+    found = identify(replace(record, outputs=(both,)), Settings(feedthrough=feedthrough))
+    assert found.verdict.grade is Grade.REJECT
+    alone = replace(y, values=flag[:, np.newaxis])
+    assert identify(replace(record, outputs=(alone,)),
+                    Settings(feedthrough=feedthrough)).verdict.grade is Grade.REJECT

@@ -17,7 +17,7 @@ from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
-from ctsid_core.likelihood.noise_gain import uniform, with_noise
+from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals, fit_states
 from ctsid_core.likelihood.residuals import driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
@@ -28,7 +28,14 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
-from ctsid_core.search.by_prediction import AHEAD, HORIZONS, changes_of_plant, is_stable, plant_of
+from ctsid_core.search.by_prediction import (
+    AHEAD,
+    HORIZONS,
+    changes_of_plant,
+    held_interval,
+    is_stable,
+    plant_of,
+)
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.stuck import stuck_outputs
@@ -48,7 +55,7 @@ def conclude(solution: Solution) -> Estimate:
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
-                      solution.refit)
+                      solution.refit, solution.predictor)
     simulating = solution.simulating or (
         None if solution.by_prediction else (samples, fit, solution.free))
     change = Change() if solution.refit or simulating is None else \
@@ -119,15 +126,11 @@ def _spent(effort: Effort) -> tuple[str, ...]:
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
     """Return the matrices with K, and the intensity of the innovations."""
-    samples, last = solution.samples, solution.part.last
+    last, (samples, fit, _) = solution.part.last, solution.source
     if solution.plant is None:
-        return with_noise(samples, solution.fit, errors, last)
-    m = solution.plant
-    if solution.predictor is not None:
-        m, (samples, fit, _) = _with_trim(solution, last), solution.predictor
-        errors = residuals(samples, fit)
-    return m, uniform(samples, errors)[0] * np.diag(
-        solution.source[1].power[last] * samples.size ** 2)
+        return with_noise(samples, fit, errors, last)
+    m = solution.plant if solution.by_prediction else _with_trim(solution, last)
+    return m, held_interval(samples) * np.diag(fit.power[last] * samples.size ** 2)
 
 
 def _with_trim(solution: Solution, record: int) -> Matrices:

@@ -72,7 +72,7 @@ def _uncertain(samples: Samples, covariance: Covariance | None, moving: StateSpa
         return variance, moved
     found, total = np.empty_like(variance), np.zeros(samples.ny)
     # Of many inputs and outputs all at once do not fit into the cache.
-    few = max(_AT_ONCE // (len(covariance.entries.A) * variance[0].size), 1)
+    few = max(_AT_ONCE // max(len(covariance.entries.A) * variance[0].size, 1), 1)
     for start in range(0, len(omega), few):
         samples.effort.check()
         part = slice(start, start + few)

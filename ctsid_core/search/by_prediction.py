@@ -151,7 +151,7 @@ def _begun(joint: Samples, starts: dict[int, Start],
 
 def _price(joint: Samples) -> float:
     """Return what a number costs by Schwarz's criterion, in -2 log likelihood."""
-    return float(np.log(np.max(joint.counts)))
+    return float(np.log(np.max(joint.counts.sum(axis=0))))
 
 
 def _as_it_is(joint: Samples, start: Start, free: Free, last: Last) -> PredictionFit | None:
@@ -212,7 +212,7 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     """
     m, n = one.matrices, len(one.matrices.A)
     C = m.C / joint.size[:, np.newaxis]
-    omega = np.geomspace(1.0 / joint.length, 1.0 / _held_interval(joint), _NOISES)
+    omega = np.geomspace(1.0 / joint.length, 1.0 / held_interval(joint), _NOISES)
     try:
         responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
                                         m.B[np.newaxis])
@@ -357,7 +357,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
     """
     m, ny = matrices_of(fit.model, samples.size, record), samples.ny
     nu = samples.nu - ny
-    step = _held_interval(samples)
+    step = held_interval(samples)
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
         A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, unstable)
@@ -402,7 +402,7 @@ def _logarithm(transition: Array) -> ComplexArray:
             raise np.linalg.LinAlgError(f'a transition has no logarithm: {error}') from error
 
 
-def _held_interval(joint: Samples) -> float:
+def held_interval(joint: Samples) -> float:
     """Return the median interval of the slowest output, however thin the samples are [s]."""
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
@@ -460,7 +460,7 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
     Those of modes as they are found: on the axis they would not move, and seem to be known.
     """
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
-        _held_interval(samples)
+        held_interval(samples)
     K = m.B[:, nu:] / samples.size
     found = []
     for k in range(len(changes.A)):

@@ -20,9 +20,10 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.likelihood.state_space import GAUGE
+from ctsid_core.likelihood.state_space import GAUGE, modal_of
 from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.types import Array, Mask
+from ctsid_core.search.by_prediction import plant_of
 
 _MANY = 4             # records from which on whole ones are held out
 _PARTS = 3            # of each record are held out
@@ -31,6 +32,8 @@ _MORE = 3.0           # times its own error, that a model may err on data held o
 _LEAST = 0.05         # ... or this part of the motion; no test if ...
 _EXPECTED = 2.0       # ... so many deviations that the rest of the data leaves are more
 _GAP = 5.0            # sample intervals, from which on samples are not neighbours
+
+Part = Callable[[Samples], Samples]     # what takes some of the samples
 
 
 @dataclass(frozen=True)
@@ -45,29 +48,44 @@ class HeldOut:
 
 
 def held_out(samples: Samples, fit: Fit, free: Free, share: float,
-             refit: Callable[[Samples], Fit | None] | None = None) -> HeldOut:
+             refit: Callable[[Samples], Fit | None] | None = None,
+             predictor: tuple[Samples, Fit, Free] | None = None) -> HeldOut:
     """
     Return the errors on the share of the samples that is held out.
 
     Of a few records, the ends of the thirds of each, so that sweeps and steps are in both: the
     model of the rest, with the poles of the whole refined there, runs through them, with its
     states and its trim. Of many, whole records. Of a model that only predictions tell: one-step
-    predictions. `refit` makes the model of the first part, by default output error does.
+    predictions. `refit` makes the model of the first part, by default output error does, or
+    predictions by which the plant was found: their `predictor`.
     """
-    none = np.full(samples.ny, np.nan)
-    nothing = HeldOut(none, none, np.zeros(samples.ny, dtype=bool))
+    nothing = _nothing(samples)
     if share == 0.0 or not len(fit.model.poles):
         return nothing
     samples = samples.thinned(_SEARCHED)
+
+    def of(part: Part) -> Fit | None:
+        early = part(samples)
+        if predictor is None:
+            return climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
+                         least=ROUGHLY)
+        joint, top, own = predictor
+        rest = part(joint.thinned(_SEARCHED))
+        top = climb(rest, fit_at(rest, top.model.poles, top.model.delay, own, top), own,
+                    least=ROUGHLY)
+        m = plant_of(top, rest, 0, False)
+        plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu])
+        return None if plant is None else fit_states(early, plant, free)
+
     try:
         if len(samples.records) >= _MANY:
-            return _by_records(samples, fit, free, share)
+            return _by_records(samples, of, free, share)
         early, late = (_parts(samples, share, held, _PARTS if refit is None else 1)
                        for held in (False, True))
         if np.min(early.counts) < 4 * fit.model.n + 4:
             return nothing
-        own = climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
-                    least=ROUGHLY) if refit is None else refit(early)
+        own = refit(early) if refit is not None else of(
+            lambda all_of_it: _parts(all_of_it, share, False, _PARTS))
         if own is None:
             return nothing
         there, everywhere = (_motion(part, fit) for part in (late, samples))
@@ -75,6 +93,11 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
                        _expected(early, late, own, free), there > 0.5 * everywhere)
     except np.linalg.LinAlgError:
         return nothing
+
+
+def _nothing(samples: Samples) -> HeldOut:
+    none = np.full(samples.ny, np.nan)
+    return HeldOut(none, none, np.zeros(samples.ny, dtype=bool))
 
 
 def allowed(error: Array) -> Array:
@@ -109,16 +132,17 @@ def _motion(samples: Samples, fit: Fit) -> Array:
     return found
 
 
-def _by_records(samples: Samples, fit: Fit, free: Free, share: float) -> HeldOut:
+def _by_records(samples: Samples, of: Callable[[Part], Fit | None], free: Free,
+                share: float) -> HeldOut:
     count = len(samples.records)
     many = max(round(share * count), 1)
     held = {(2 * k + 1) * count // (2 * many) for k in range(many)}
-    kept = replace(samples, records=tuple(
-        r for i, r in enumerate(samples.records) if i not in held))
+    own = of(lambda all_of_it: replace(all_of_it, records=tuple(
+        r for i, r in enumerate(all_of_it.records) if i not in held)))
+    if own is None:
+        return _nothing(samples)
     rest = replace(samples, records=tuple(
         r for i, r in enumerate(samples.records) if i in held))
-    own = climb(kept, fit_at(kept, fit.model.poles, fit.model.delay, free), free,
-                least=ROUGHLY)
     return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny),
                    np.zeros(samples.ny, dtype=bool))
 

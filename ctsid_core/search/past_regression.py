@@ -9,10 +9,10 @@ those are likelier, with a covariance of
 
     lambda e^(-beta max(s, t))                                                               (1)
 
-between s and t. How large they are, lambda of the outputs' own past, of the other outputs' and of
-the inputs, is what makes the samples likeliest (empirical Bayes), and so are dead times from a
-grid. That predictor has many states, and balancing it leaves those that matter: predictors of
-every order at once.
+between s and t, as far as these modes have it. How large they are, lambda of the outputs' own
+past, of the other outputs' and of the inputs, is what makes the samples likeliest (empirical
+Bayes), and so are dead times from a grid. That predictor has many states, and balancing it leaves
+those that matter: predictors of every order at once.
 
 References
 ----------
@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -48,6 +49,7 @@ _STEPS = 15           # of its fixed point, ...
 _SETTLED = 0.1        # ... and the change of its logarithm that ends it
 _ROWS = 4             # samples for each mode, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
+_WORK = 10.0          # for each weight of an output, cubed: of its likelihood
 _LEAST = 1e-12        # of a state's size over the largest one's
 
 
@@ -69,6 +71,15 @@ class Start:
     model: ModalModel
     score: float
     parameters: float
+
+
+class Table(NamedTuple):
+    """Rows of states and outputs, without what starts and trims explain."""
+
+    states: Array        # (rows, modes * (nu + ny))
+    y: Array             # (rows, channels): over the size of each output
+    channels: slice
+    raw: Array           # (nu + ny,): size of each channel that moves states, with all of it
 
 
 def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[int, Start]:
@@ -107,7 +118,7 @@ def _at(joint: Samples, poles: Array, delay: Array, highest: int,
     m, nu, ny, records = len(poles), joint.nu, joint.ny, len(joint.records)
     tables, counts = _tables(joint, poles, delay), joint.counts.sum(axis=0)
     weights, noise, worth = _weights(joint, poles, tables)
-    moved = np.vstack([states for states, _, _ in tables])
+    moved = np.vstack([t.states for t in tables])
     # What a state does to the outputs from now on, over their noise: the integral of squares.
     power, turn = np.linalg.eigh(1.0 / np.add.outer(poles, poles))
     root = np.sqrt(np.maximum(power, 0.0))[:, np.newaxis] * turn.T
@@ -120,8 +131,9 @@ def _at(joint: Samples, poles: Array, delay: Array, highest: int,
         to_state = (left[:, :n] / np.sqrt(s[:n])).T @ seen
         back = moved.T @ (right[:n].T / np.sqrt(s[:n]))
         C, squares = weights @ back, np.zeros(ny)
-        for states, y, channels in tables:
-            squares[channels] = np.sum((y - states @ to_state.T @ C[channels].T) ** 2, axis=0)
+        for t in tables:
+            error = t.y - t.states @ to_state.T @ C[t.channels].T
+            squares[t.channels] = np.sum(error ** 2, axis=0)
         b, c, p = _modes(to_state @ (A * back), to_state @ B, C, free)
         model = ModalModel(p, b, c, np.zeros((records, len(p)), dtype=complex),
                            np.zeros((ny, nu)), np.zeros((records, ny)), delay)
@@ -131,7 +143,7 @@ def _at(joint: Samples, poles: Array, delay: Array, highest: int,
 
 
 def _weights(joint: Samples, poles: Array,
-             tables: list[tuple[Array, Array, slice]]) -> tuple[Array, Array, float]:
+             tables: list[Table]) -> tuple[Array, Array, float]:
     """
     Return the likeliest weights of the modes, the noise, and how many free numbers they are worth.
 
@@ -140,10 +152,12 @@ def _weights(joint: Samples, poles: Array,
     m, nu, ny = len(poles), joint.nu, joint.ny
     weights, noise, worth = np.zeros((ny, m, nu)), np.ones(ny), 0.0
     root = _root(poles, _DECAY / joint.interval)
-    for states, y, channels in tables:
+    joint.effort.spend(_WORK * ny * (m * nu) ** 3)
+    for states, y, channels, raw in tables:
         count = float(joint.counts[:, channels.start].sum())
         driven = states.reshape(len(states), m, nu)
-        size = np.linalg.norm(driven[:, -1], axis=0) * poles[-1] / np.sqrt(count) + 1e-300
+        size = np.linalg.norm(driven[:, -1], axis=0) * poles[-1] / np.sqrt(count)
+        size[size ** 2 <= ROUNDING * raw ** 2] = np.inf         # no motion: nothing to know of it
         turned = np.einsum('rkj,ka->rja', driven / size, root).reshape(len(states), -1)
         gram = turned.T @ turned
         for i, target in zip(range(channels.start, channels.stop), y.T, strict=True):
@@ -176,7 +190,9 @@ def _likeliest(gram: Array, right: Array, power: float, count: float,
     number, as in Schwarz's criterion.
     """
     share, best = np.full(int(np.max(group)) + 1, _FIRST), np.inf
-    found = np.zeros(len(gram)), 0.0, power / count
+    found = np.zeros(len(gram)), 0.0, max(power / count, ROUNDING)
+    if power <= ROUNDING * count:                   # nothing that moves: outputs have size 1
+        return found
     for _ in range(_STEPS):
         size = np.sqrt(share)[group]
         factor = cho_factor(gram * size * size[:, np.newaxis] + np.eye(len(gram)))
@@ -196,19 +212,21 @@ def _likeliest(gram: Array, right: Array, power: float, count: float,
     return found
 
 
-def _tables(joint: Samples, poles: Array, delay: Array) -> list[tuple[Array, Array, slice]]:
-    """Return states, outputs and their places; what starts and trims explain is left out."""
+def _tables(joint: Samples, poles: Array, delay: Array) -> list[Table]:
+    """Return states and outputs of each stream; what starts and trims explain is left out."""
     columns, found = columns_of(
         joint, -poles.astype(complex), delay, direct=False, slopes=False), []
     for i, stream in enumerate(joint.records[0].streams):
-        parts = []
+        parts, power = [], np.zeros(joint.nu)
         for own in columns.triangles:
             t, z = own[i], own[i].z.real
             driven = z[:, :, :-1].reshape(len(z), len(poles) * joint.nu)
             parts.append(triangle(np.hstack((z[:, :, -1], t.one[:, np.newaxis], driven, t.y)))[
                 len(poles) + 1:, len(poles) + 1:])
-        both = np.vstack(parts)
-        found.append((both[:, :-t.y.shape[1]], both[:, -t.y.shape[1]:], stream.channels))
+            power += np.sum(z[:, -1, :-1] ** 2, axis=0)
+        both, count = np.vstack(parts), joint.counts[:, stream.channels.start].sum()
+        found.append(Table(both[:, :-t.y.shape[1]], both[:, -t.y.shape[1]:], stream.channels,
+                           np.sqrt(power / count) * poles[-1]))
     return found
 
 

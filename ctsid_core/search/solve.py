@@ -152,30 +152,33 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     error then trusts most the frequencies that are disturbed most; predictions trust those that
     are known best.
     """
-    delay = found.found.fit.model.delay[:samples.nu]
-    simulated, whole = free, samples
-    free = replace(free, feedthrough=False, delays=found.free.delays[:samples.nu])
+    delay, whole = found.found.fit.model.delay[:samples.nu], samples
+    own = replace(free, feedthrough=False, delays=found.free.delays[:samples.nu])
     m = plant_of(found.found.fit, found.samples, part.last, False)
     plant = None if m is None else modal_of(m, samples, delay)
     if plant is None:
         return None
     price = float(np.log(np.max(samples.counts.sum(axis=0))))
-    other = tried(samples, fit_states(samples, plant, free), free)
+    other = tried(samples, fit_states(samples, plant, own), own)
     costs = [float(coloured_costs(residuals(samples, one.fit)).sum()) + price * number
              for one, number in ((best, best.parameters), (other, found.found.parameters))]
     if costs[1] >= costs[0]:
         return None
-    if np.max(delay) > 0.0:
-        samples = seen(float(np.max(delay)))
-        other = tried(samples, fit_states(samples, plant, free), free)
+    late = float(np.max([delay, best.fit.model.delay], initial=0.0))
+    if late > 0.0:
+        samples = seen(late)
+        best = _climbed(samples, best, free)
+        other = tried(samples, fit_states(samples, plant, own), own)
     return Solution(
-        _used(part, settings, other.fit.model.n, delay), part, samples, other.fit, free,
-        other.independent, _table(settings, {**orders, other.fit.model.n: other}, other),
+        _used(part, settings, other.fit.model.n, delay), part, samples, other.fit, own,
+        other.independent, _table(settings, found.orders, found.found),
         (Choice('domain', 'disturbed', 'errors in their own colour are likelier with the plant '
                 "that predictions from the outputs' own past found"),),
-        _left_out(orders, other.fit.model.n, settings, samples.effort), plant=m,
-        predictor=(found.samples, found.found.fit, found.free), whole=whole, hidden=hidden,
-        simulating=(whole, best.fit, simulated), smaller=_smaller(whole, orders, best, free))
+        (*_left_out(found.orders, other.fit.model.n, settings, samples.effort),
+         *_longest(part, other, own)), plant=m, whole=whole, hidden=hidden,
+        predictor=(found.samples, found.found.fit, found.free),
+        simulating=(samples, best.fit, free),
+        smaller=_smaller(samples, orders, best, replace(free, feedthrough=False)))
 
 
 def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
