@@ -63,7 +63,7 @@ _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody
                       # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 10.0        # times that: a mode neither grows nor decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_DISTURBED = 0.05     # error that is not noise, over the motion, with which the outputs' own past
+_UNEXPLAINED = 0.05   # error that is not noise, over the motion, with which the outputs' own past
                       # may tell more of a plant in open loop
 _GROWS = 1.0          # times e within the record: less does not tell a plant that grows
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
@@ -345,7 +345,7 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
 def _unexplained(samples: Samples, fit: Fit) -> bool:
     """Return whether errors that are not noise are so large that the outputs' past may tell."""
     coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return bool(np.max(coloured) > _DISTURBED ** 2)
+    return bool(np.max(coloured) > _UNEXPLAINED ** 2)
 
 
 def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
