@@ -61,6 +61,7 @@ _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each s
 _FINAL = 2                  # orders that are climbed with all samples
 _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
+_QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _LITTLE = 1e-5              # relative step of a difference
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
@@ -107,11 +108,12 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     straight = None if regression is None else _as_it_is(joint, regression, own, last)
     known = [] if straight is None else [straight]
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
-    for fit in (one.found.fit for one in likely):
+    for one in likely:
         if known and joint.effort.over:
             break
-        climbed = _climbed(joint, fit_at(joint, fit.model.poles, fit.model.delay, own, fit), own,
-                           last)
+        fit = one.found.fit
+        climbed = _nearby(joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit),
+                          one.free, last)
         known += [] if climbed is None else [climbed]
     if not known:
         return None
@@ -120,7 +122,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     if best is straight:                    # its dead times were compared with none
         return replace(best, orders={**orders, best.found.fit.model.n: best.found})
     # One sample ahead any error is small where samples are dense.
-    needed, fewer = without_needless(joint, best.found, own, 0.0, each=False)
+    needed, fewer = without_needless(joint, best.found, best.free, 0.0, each=False)
     other = replace(best, free=fewer) if needed is best.found else \
         _judged(joint, needed.fit, fewer, last)
     # Far ahead a dead time may show that hardly does one sample ahead.
@@ -185,7 +187,10 @@ def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
 
 def _climbed(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
     """Return the best predictor near a start or near a filter of its plant; None: no plant."""
-    best = _nearby(joint, start, free, last)
+    # Slower than what the regression sees are filters alone: else states fit what is before the
+    # record, and mislead elsewhere.
+    quick = replace(free, limit=min(free.limit, -_QUICK / held_interval(joint)))
+    best = _nearby(joint, start, quick, last)
     filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
     other = _nearby(joint, filtered, free, last) if filtered is not None else None
     return min((one for one in (best, other) if one is not None),
