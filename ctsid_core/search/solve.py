@@ -171,7 +171,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
         other = tried(samples, fit_states(samples, plant, own), own)
     return Solution(
         _used(part, settings, other.fit.model.n, delay), part, samples, other.fit, own,
-        other.independent, (),              # orders were compared by predictions, not by these fits
+        other.independent, (),                  # orders were compared by predictions
         (Choice('domain', 'disturbed', 'errors in their own colour are likelier with the plant '
                 "that predictions from the outputs' own past found"),),
         (*_left_out(found.orders, other.fit.model.n, settings, samples.effort),
