@@ -24,6 +24,7 @@ def test_missing_files(tmp_path):
     write_mcap(tmp_path / 'flight_2.mcap', flight())
     assert 'no such file or folder; nearest: flight_2.mcap' in refused(tmp_path / 'flight_1.mcap')
     assert 'nearest: flight_2.mcap' in refused(tmp_path / 'flight_2')
+    assert 'nearest' not in refused(tmp_path / 'fools')
     assert 'nowhere does not exist either' in refused(tmp_path / 'nowhere' / 'a.mcap')
     assert 'no bag was named' in refused([])
     assert 'no such file' in refused([tmp_path / 'flight_2.mcap', tmp_path / 'x'])

@@ -351,7 +351,20 @@ def test_where_nothing_explains_anything_names_decide_and_that_is_said(tmp_path)
                  array(rng.standard_normal())) for k in range(500) for topic in ('/x', '/cmd')]
     found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
     assert keys(found)[0] == (('/cmd', 'data[0]'), ('/x', 'data[0]'))
-    assert 'guessed by their names' in found.reasons[0]
+    assert 'guessed by what steps, their names' in found.reasons[0]
+
+
+@pytest.mark.parametrize('names', [('cmd', 'pos'), ('a', 'b'), ('b', 'a')])
+def test_what_steps_is_the_input_where_nothing_explains_anything(tmp_path, names):
+    time = np.arange(0.0, 30.0, 0.02)
+    u = np.where(np.sin(0.4 * time ** 1.5) < 0.0, -1.0, 1.0)
+    signals = dict(zip(names, (u, np.random.default_rng(3).standard_normal(len(u))), strict=True))
+    path, order = tmp_path / 'run.csv', sorted(names)
+    np.savetxt(path, np.transpose([time, *(signals[name] for name in order)]), delimiter=',',
+               header=f't,{",".join(order)}', comments='')
+    found = guessed(path)
+    assert keys(found)[0] == (('run', names[0]), ('run', names[1]))
+    assert 'guessed by what steps' in found.reasons[0]
 
 
 @pytest.mark.parametrize('order', ['ab', 'ba'])
@@ -365,7 +378,7 @@ def test_a_step_without_rest_before_it_is_not_decided_by_the_order_of_columns(tm
                header=f't,{",".join(order)}', comments='')
     found = guessed(path)
     assert keys(found)[0] == (('run', 'a'), ('run', 'b'))
-    assert 'guessed by their names' in found.reasons[0]
+    assert 'guessed by what steps, their names' in found.reasons[0]
     assert "to turn it round: --input 'run b' --output 'run a'" in found.reasons[0]
     np.savetxt(path, np.transpose([time, 0 * u + 1.0, signals['b']]), delimiter=',',
                header='t,a,b', comments='')

@@ -97,6 +97,17 @@ def test_words_that_stand_for_nothing(robot, inputs, outputs, reason):
         keys(robot, inputs, outputs)
 
 
+def test_what_a_table_has_are_its_columns(tmp_path):
+    path = tmp_path / 'gust.csv'
+    t = np.arange(0.0, 10.0, 0.02)
+    np.savetxt(path, np.transpose([t, np.sin(t), np.cos(t)]), delimiter=',', header='t,cmd,pos',
+               comments='')
+    with pytest.raises(BagError, match="is called 'cmdd'; nearest: cmd; also: pos; "):
+        keys(path, ['cmdd'])
+    with pytest.raises(BagError, match="is called 'x'; there are: cmd, pos; "):
+        keys(path, ['x'])
+
+
 def test_what_is_not_named_is_chosen_from_the_data(robot):
     assert keys(robot, outputs=['/imu angular_velocity.x'])[0] == ['/cmd linear.x']
     assert keys(robot, ['/cmd angular.z'])[1][0].endswith('angular_velocity.y')

@@ -120,14 +120,22 @@ def test_verdict_and_command_come_first(folder):
     assert markdown_text.index('**GOOD.**') < markdown_text.index('## ')
 
 
-def test_residuals_of_predictions_are_of_one_kind(tmp_path):
-    """What is white by the table is white in the figure: both are of predictions one ahead."""
+def test_residuals_of_predictions_are_of_one_kind(tmp_path, capsys):
+    """
+    What is white by the table is white in the figure: both are of predictions one ahead.
+
+    How the model simulates stands beside these, everywhere.
+    """
     root = Path(__file__).parents[1]
     assert main(['identify', str(root / 'bags/quadrotor_roll'), '--params', str(
         root / 'config/quadrotor_roll.yaml'), '--out', str(tmp_path / 'res'), '--quiet',
         '--duration', '10']) == 0
     page = (tmp_path / 'res/report.html').read_text(encoding='utf-8')
     words = ' '.join(Tags(page).words)
+    alone = r'simulated from the inputs alone \[%\]'
+    tile = re.search(alone + ': predictions know the outputs before, too ([0-9.]+)', words)
+    assert re.search(rf'fit \[%\] +{alone}\n.*\n +rate( +\S+){{2}} +{re.escape(tile[1])}\n',
+                     capsys.readouterr().out)
     assert 'Measured and predicted' in words
     assert words.count('less outputs predicted one sample ahead') == 1
     assert 'less simulated' not in words

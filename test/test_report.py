@@ -41,6 +41,7 @@ from ctsid_ros.report.responses import (
 )
 from ctsid_ros.report.sections import (
     bode_section,
+    choice_section,
     model_section,
     remark_section,
     status_section,
@@ -511,10 +512,19 @@ def test_bands_are_shaded_for_each_input():
 
 
 def test_choices_are_told_in_the_files_only():
-    from ctsid_ros.report.sections import choice_section
     section = choice_section(estimate(choices=(Choice('order', 2, 'it is likeliest'),)))
     assert to_text([section]) == ''
     assert '- `order` = 2: it is likeliest' in to_markdown('', [section])
+
+
+@pytest.mark.parametrize(('domain', 'said'), [
+    ('predictions', 'which know the outputs before as well as the inputs'),
+    ('disturbed', 'Something that was not measured (wind? another input?) moves the output')])
+def test_what_a_domain_means_is_told_everywhere(domain, said):
+    section = choice_section(estimate(choices=(Choice('domain', domain, 'it is likelier'),)),
+                             brief=True)
+    for text in (to_text([section]), to_markdown('', [section]), to_html('', [section])):
+        assert said in ' '.join(text.split())
 
 
 def test_mode_of_zero_has_no_damping():

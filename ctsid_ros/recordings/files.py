@@ -214,7 +214,7 @@ def _near(path: Path) -> str:
     if not folder.is_dir():
         return f'; the folder {folder} does not exist either'
     names = [p.name for p in folder.iterdir()]
-    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.5)
+    near = difflib.get_close_matches(path.name, names, n=3)
     near += [name for name in names if name.startswith(f'{path.name}.') and name not in near]
     return f'; nearest: {", ".join(near)}' if near else ''
 

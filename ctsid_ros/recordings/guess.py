@@ -2,7 +2,8 @@
 """
 A first guess of channels, for people to correct: the best pair of `guess_ranking.py`, or another.
 
-Where no pair stands out, names and types of messages decide alone, and the guess says so.
+Where no pair stands out, what steps and names and types of messages decide alone, and the guess
+says so.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import dataclass, replace
 import math
 import re
 import shlex
+
+import numpy as np
 
 from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
@@ -30,8 +33,9 @@ OFFERED = 3  # pairs that are shown
 _BEST_NAMED = 48  # pairs of which it is looked which signal begins to move first
 _MOST_STRETCHES = 3  # that are identified from: more take long and tell little more
 _BY_NAMES = ('the data alone do not tell which signal is the input, for the recording is short '
-             'or little moves: the channels are guessed by their names, what moves first, and '
-             'their order: check them, and whether there is an experiment')
+             'or little moves: the channels are guessed by what steps, their names, what moves '
+             'first, and their order: check them, and whether there is an experiment')
+_FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself has more
 # Outputs that may answer at once: of an accelerometer, as ROS, PX4, ArduPilot and people name it.
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
@@ -229,10 +233,13 @@ def words(signal: Candidate) -> str:
 def _by_names(ranking: Ranking, survey: Survey) -> tuple[Pair, ...]:
     """Return pairs where the data do not say: what is named like a command, a measurement."""
     found = ranking.found
+    stepping = {c for c in found if c.stays and len(np.unique(
+        c.held[np.isfinite(c.held)])) <= _FEW_LEVELS}
 
-    def order(pair: Pair, factor: float = 1.0) -> tuple[bool, bool, float, float]:
-        return (pair.input.key[0] == pair.output.key[0], pair.output.field.white,
-                -factor * pair.input.acts * pair.output.measures, -pair.score)
+    def order(pair: Pair, factor: float = 1.0) -> tuple[bool, bool, bool, float, float]:
+        return (pair.output in stepping, pair.input.key[0] == pair.output.key[0],
+                pair.output.field.white, -factor * pair.input.acts * pair.output.measures,
+                -pair.score)
 
     compared = {(p.input, p.output): p for p in ranking.compared}
     named = sorted((compared.get((u, y)) or Pair(u, y, Explained(), ranking.clock)

@@ -91,10 +91,13 @@ def _hint(survey: Survey, text: str) -> str:
     if text.endswith(('.yaml', '.yml')):
         return ' (the file to write is -o FILE)'
     keys = [(t.info.name, f.field) for t in survey.topics for f in t.moving]
-    near = nearest(text, [topic for topic, _ in keys])
-    if any(text.startswith((f'{topic} ', f'{topic}/')) for topic, _ in keys) or ' ' in text:
-        near = nearest(text, [' '.join(key) for key in keys])
-    return near or nearest(text, [field for _, field in keys])
+    topics = list(dict.fromkeys(topic for topic, _ in keys))
+    if any(text.startswith((f'{topic} ', f'{topic}/')) for topic in topics) or ' ' in text:
+        return nearest(text, [' '.join(key) for key in keys])
+    fields = dict.fromkeys(field for _, field in keys)
+    if len(topics) == 1:        # as of a table
+        return nearest(text, [*fields])
+    return nearest(text, [*topics, *fields]) or nearest(text, topics)
 
 
 def _plain(text: str) -> Iterator[str]:

@@ -43,6 +43,13 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
+_DOMAINS = {            # what the choice of a domain means to whoever uses the model
+    'predictions': 'The fits of this model are of predictions, which know the outputs before as '
+                   'well as the inputs. How much the inputs explain is the fit of a simulation '
+                   'from them alone; a plant that grows by itself cannot be simulated for long.',
+    'disturbed': 'Something that was not measured (wind? another input?) moves the output for '
+                 'longer than the plant remembers. The model says how the inputs act; poles that '
+                 'the inputs hardly move may be those of the disturbance.'}
 
 
 def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float]]) -> Section:
@@ -96,7 +103,9 @@ def complaint_section(notes: Sequence[str]) -> Section:
 def choice_section(estimate: Estimate, *, brief: bool = False) -> Section:
     """Return what was chosen from the data, and why."""
     lines = tuple(f'`{c.name}` = {_value(c.value)}: {c.why}' for c in estimate.choices)
-    return Section('Chosen from the data', (Bullets(lines),) if lines else (), brief=brief)
+    words = tuple(_DOMAINS[str(c.value)] for c in estimate.choices
+                  if c.name == 'domain' and c.value in _DOMAINS)
+    return Section('Chosen from the data', (Bullets(lines), *words) if lines else (), brief=brief)
 
 
 def _value(value: object) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import json
 import math
 from pathlib import Path
@@ -173,6 +174,19 @@ class Outcome:
         """Channels and settings."""
         return self.sources[0].data.config
 
+    @cached_property
+    def alone(self) -> Array | None:
+        """Of a model by predictions its fit from the inputs alone, unless it is tested so [%]."""
+        from ctsid_core.model.validation import simulation
+        from ctsid_ros.report.headline import by_predictions
+
+        if not by_predictions(self.estimate) or len(self.sources) > 1 or self.tests \
+                or not self.estimate.model:
+            return None
+        (number, record), = _shown(self)
+        own = self.estimate.trimmed(self.estimate.model, number)
+        return simulation(own, record, trim='refit').fit     # as by horizon, on the page
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the data and the estimate."""
@@ -290,6 +304,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
         channel_section,
         choice_section,
         complaint_section,
+        fit_table,
         gain_section,
         model_section,
         record_section,
@@ -311,7 +326,11 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
                     *(channel_section(s.data, f'Signals of record {i}', brief=i == 1,
                                       delays=delays)
                       for i, s in enumerate(sources, 1))]
-    sections.append(model_section(estimate, title, verdict=verdict))
+    shown = model_section(estimate, title, verdict=verdict)
+    if model and outcome.alone is not None:
+        shown = replace(shown, parts=(*shown.parts[:-1], fit_table(
+            estimate, model, simulated_from_the_inputs_alone=outcome.alone)))
+    sections.append(shown)
     if model:
         sections += [*(_test_section(t, model, outcome) for t in outcome.tests),
                      gain_section(model, estimate.covariance)]
@@ -353,20 +372,15 @@ def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
 
 
 def _facts(outcome: Outcome) -> list[tuple[str, str]]:
-    from ctsid_core.model.validation import simulation
-    from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.tables import fit_words
 
     if not outcome.estimate.ok:
         return []
-    alone = []
-    if outcome.model and by_predictions(outcome.estimate) and len(outcome.sources) == 1 \
-            and not outcome.tests:      # what a controller is designed for; as by horizon below
-        (number, record), = _shown(outcome)
-        own = outcome.estimate.trimmed(outcome.model, number)
-        alone = [('simulated from the inputs alone [%]',
-                  fit_words(simulation(own, record, trim='refit').fit))]
-    return alone + [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
+    alone = outcome.alone
+    words = [] if alone is None else [
+        ('simulated from the inputs alone [%]: predictions know the outputs before, too',
+         fit_words(alone))]
+    return words + [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
                                          if len(outcome.sources) > 1 else ''),
              fit_words(t.test.fit)) for t in outcome.tests]
 
