@@ -64,7 +64,8 @@ _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody
 _STEADY = 10.0        # times that: a mode neither grows nor decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _UNEXPLAINED = 0.05   # error that is not noise, over the motion, with which the outputs' own past
-                      # may tell more of a plant in open loop
+                      # may tell more of a plant in open loop, ...
+_FAILS = 0.5          # ... and with which no simulation tells it, and it may grow
 _GROWS = 1.0          # times e within the record: less does not tell a plant that grows
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
@@ -111,12 +112,15 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
-    if own.feedthrough and not effort.beyond(SEARCH) and _unexplained(samples, best.fit):
+    disturbed = None
+    if own.feedthrough and not effort.beyond(SEARCH) and (
+            left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
-    # In open loop a plant is to simulate, unless it grows.
-    disturbed = None if predicted is None or not own.feedthrough or np.max(np.linalg.eigvals(
-        predicted.matrices.A).real) * samples.length > _GROWS else predicted
-    if predicted is not None and disturbed is None and (solved := _likelier(
+        # In open loop a plant is to simulate, unless it grows.
+        if predicted is not None and (left < _FAILS or np.max(np.linalg.eigvals(
+                predicted.matrices.A).real) * samples.length < _GROWS):
+            predicted, disturbed = None, predicted
+    if predicted is not None and (solved := _likelier(
             part, settings, corrupt, samples, best, free, predicted)):
         return solved
     climbed = _climbed(samples, best, free)
@@ -342,10 +346,10 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     return tuple(found)
 
 
-def _unexplained(samples: Samples, fit: Fit) -> bool:
-    """Return whether errors that are not noise are so large that the outputs' past may tell."""
+def _unexplained(samples: Samples, fit: Fit) -> float:
+    """Return the rms of errors that are not noise, which the outputs' past may tell."""
     coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return bool(np.max(coloured) > _UNEXPLAINED ** 2)
+    return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
 
 
 def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
