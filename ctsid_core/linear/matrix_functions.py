@@ -112,7 +112,7 @@ def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
     #   F_j(2h) = F_0(h) F_j(h) + sum_(i=1..j) h^(j-i)/(j-i)! F_i(h),   F_j(h) = h^j phi_j(A h).
     n, terms = len(A), 16
     scaled, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    size = np.abs(h) * np.linalg.norm(scaled, 1)
+    size = np.abs(h) * np.max(np.abs(scaled).sum(axis=0), initial=0.0)
     doublings = np.maximum(np.ceil(np.log2(np.maximum(2 * size, 1e-300))), 0).astype(int)
     step = h / 2.0 ** doublings
     powers = [np.eye(n)]

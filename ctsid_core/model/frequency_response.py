@@ -28,7 +28,7 @@ def transfer(A: Array, B: Array, C: Array, D: Array, delay: Sequence[float],
     distance: Array = np.abs(s[:, np.newaxis] - poles)
     near = (distance.min(axis=1) <= rounding) | (np.linalg.slogdet(_system(scaled, s))[0] == 0.0)
     response = np.empty((len(s), *D.shape), dtype=complex)
-    response[~near] = C @ np.linalg.solve(_system(scaled, s[~near]), B)
+    response[~near] = C @ np.linalg.solve(_system(scaled, s[~near]), B[np.newaxis])
     for k in np.flatnonzero(near):
         response[k] = _at_pole(scaled, B, C, s[k], distance[k], rounding)
     response += D
@@ -46,7 +46,7 @@ def _at_pole(A: Array, B: Array, C: Array, s: complex, distance: Array,
     others = distance[distance > max(1e-4 * float(np.max(distance)), rounding)]
     radius = float(np.min(others)) / 2 if len(others) else 1.0
     circle = np.exp(2j * np.pi * np.arange(_CIRCLE) / _CIRCLE)
-    values = C @ np.linalg.solve(_system(A, np.asarray(s + radius * circle)), B)
+    values = C @ np.linalg.solve(_system(A, np.asarray(s + radius * circle)), B[np.newaxis])
     series = np.fft.fft(values, axis=0) / _CIRCLE
     principal = np.abs(series[_CIRCLE - len(A):]).max(axis=0)
     size = np.linalg.norm(C, axis=1)[:, np.newaxis] * np.linalg.norm(B, axis=0) / radius
