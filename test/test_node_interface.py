@@ -23,7 +23,11 @@ def test_topics_and_services_are_those_that_are_declared(tmp_path):
             return {name: kinds for name, kinds in found.items() if name not in of_ros} == declared
 
         live.wait(own, 'the declared topics, and no others')
-        offered = dict(live.node.get_service_names_and_types_by_node('identifier', '/'))
-        assert {name for name, kinds in offered.items() if kinds == ['std_srvs/srv/Trigger']} == \
-            {f'{node.name}/{name}' for name in SERVICES}
+
+        def offered() -> set[str]:
+            found = live.node.get_service_names_and_types_by_node('identifier', '/')
+            return {name for name, kinds in found if kinds == ['std_srvs/srv/Trigger']}
+
+        services = {f'{node.name}/{name}' for name in SERVICES}
+        live.wait(lambda: offered() == services, 'the declared services, and no others')
         assert node.program.end()[0] == 0
