@@ -26,6 +26,7 @@ from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
+    Fitted,
     Free,
     Residuals,
     climb,
@@ -65,7 +66,6 @@ class Change:
     two: tuple[float, float] = (float('nan'), float('nan'))     # the same of two models [%]
 
 
-Fitted = tuple[Samples, Fit, Free]
 Own = tuple[ModalModel, Free]              # a model, and what is free in it
 
 

@@ -68,6 +68,9 @@ class Fit:
     cost: float       # -2 log likelihood, up to a constant
 
 
+Fitted = tuple[Samples, Fit, Free]     # samples, their best model, and what was free in it
+
+
 class Guess(NamedTuple):
     """What a fit at other poles may start from."""
 

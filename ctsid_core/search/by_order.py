@@ -180,6 +180,11 @@ def parameters(samples: Samples, fit: Fit, free: Free) -> int:
             * free.feedthrough + samples.ny * records * free.trim + sum(free.delays))
 
 
+def price(samples: Samples) -> float:
+    """Return what a number costs by Schwarz's criterion, in -2 log likelihood."""
+    return float(np.log(np.max(samples.counts.sum(axis=0))))
+
+
 def choose(found: dict[int, Tried]) -> int:
     """Return the smallest order that no larger one beats, by independent samples."""
     orders = sorted(found)

@@ -47,7 +47,15 @@ from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.by_order import SEARCH, Tried, affordable, nearest, parameters, tried
+from ctsid_core.search.by_order import (
+    SEARCH,
+    Tried,
+    affordable,
+    nearest,
+    parameters,
+    price,
+    tried,
+)
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
@@ -146,14 +154,9 @@ def _begun(joint: Samples, starts: dict[int, Start],
         columns = columns_of(joint, poles, delay, direct=False, slopes=False)
         with suppress(np.linalg.LinAlgError):
             begun[n] = fit_at(joint, poles, delay, free, Guess(start.model, power), columns)
-            score[n] = fit_states(joint, start.model, free, columns).cost + _price(joint) * (
+            score[n] = fit_states(joint, start.model, free, columns).cost + price(joint) * (
                 start.parameters + n * len(power))
     return begun, starts[min(score, key=lambda n: score[n])] if score else None
-
-
-def _price(joint: Samples) -> float:
-    """Return what a number costs by Schwarz's criterion, in -2 log likelihood."""
-    return float(np.log(np.max(joint.counts.sum(axis=0))))
 
 
 def _as_it_is(joint: Samples, start: Start, free: Free, last: Last) -> PredictionFit | None:
@@ -169,7 +172,7 @@ def _as_it_is(joint: Samples, start: Start, free: Free, last: Last) -> Predictio
 def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
             last: Last) -> dict[int, PredictionFit]:
     """Return predictors of the orders next to that whose start predicts best."""
-    best = min(begun, key=lambda n: begun[n].cost + _price(joint) * parameters(
+    best = min(begun, key=lambda n: begun[n].cost + price(joint) * parameters(
         joint, begun[n], free), default=0)
     found: dict[int, PredictionFit] = {}
     looked: set[int] = set()

@@ -12,6 +12,7 @@ from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
+    Fitted,
     Free,
     climb,
     fit_at,
@@ -49,7 +50,7 @@ class HeldOut:
 
 def held_out(samples: Samples, fit: Fit, free: Free, share: float,
              refit: Callable[[Samples], Fit | None] | None = None,
-             predictor: tuple[Samples, Fit, Free] | None = None) -> HeldOut:
+             predictor: Fitted | None = None) -> HeldOut:
     """
     Return the errors on the share of the samples that is held out.
 
@@ -64,8 +65,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         return nothing
     samples = samples.thinned(_SEARCHED)
 
-    def of(part: Part) -> Fit | None:
-        early = part(samples)
+    def of(early: Samples, part: Part) -> Fit | None:
         if predictor is None:
             return climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
                          least=ROUGHLY)
@@ -80,12 +80,14 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     try:
         if len(samples.records) >= _MANY:
             return _by_records(samples, of, free, share)
-        early, late = (_parts(samples, share, held, _PARTS if refit is None else 1)
-                       for held in (False, True))
+        count = _PARTS if refit is None else 1
+
+        def kept(whole: Samples) -> Samples:
+            return _parts(whole, share, False, count)
+        early, late = kept(samples), _parts(samples, share, True, count)
         if np.min(early.counts) < 4 * fit.model.n + 4:
             return nothing
-        own = refit(early) if refit is not None else of(
-            lambda all_of_it: _parts(all_of_it, share, False, _PARTS))
+        own = refit(early) if refit is not None else of(early, kept)
         if own is None:
             return nothing
         there, everywhere = (_motion(part, fit) for part in (late, samples))
@@ -132,13 +134,16 @@ def _motion(samples: Samples, fit: Fit) -> Array:
     return found
 
 
-def _by_records(samples: Samples, of: Callable[[Part], Fit | None], free: Free,
-                share: float) -> HeldOut:
+def _by_records(samples: Samples, of: Callable[[Samples, Part], Fit | None],
+                free: Free, share: float) -> HeldOut:
     count = len(samples.records)
     many = max(round(share * count), 1)
     held = {(2 * k + 1) * count // (2 * many) for k in range(many)}
-    own = of(lambda all_of_it: replace(all_of_it, records=tuple(
-        r for i, r in enumerate(all_of_it.records) if i not in held)))
+
+    def kept(whole: Samples) -> Samples:
+        return replace(whole, records=tuple(
+            r for i, r in enumerate(whole.records) if i not in held))
+    own = of(kept(samples), kept)
     if own is None:
         return _nothing(samples)
     rest = replace(samples, records=tuple(

@@ -39,7 +39,7 @@ from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
-from ctsid_core.search.by_order import POINT
+from ctsid_core.search.by_order import POINT, price
 
 _MODES = 8            # that sum up the past, ...
 _SLOWEST, _FASTEST = 0.1, 2.0               # ... of so many radians in a sample interval
@@ -138,8 +138,7 @@ def _at(joint: Samples, poles: Array, delay: Array, highest: int,
         model = ModalModel(p, b, c, np.zeros((records, len(p)), dtype=complex),
                            np.zeros((ny, nu)), np.zeros((records, ny)), delay)
         number = min(worth, n * (nu + ny))
-        yield n, Start(model, float(cost_of(squares, counts) + np.log(np.max(counts)) * number),
-                       number)
+        yield n, Start(model, float(cost_of(squares, counts)) + price(joint) * number, number)
 
 
 def _weights(joint: Samples, poles: Array,

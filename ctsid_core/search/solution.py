@@ -10,7 +10,7 @@ import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.output_error import Fit, Free
+from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array
@@ -39,13 +39,13 @@ class Solution:
     # predictor, with the outputs' own past among the inputs. None: the model is that of `fit`
     plant: Matrices | None = None
     # Of a plant that predictions found and simulations are judged by: its predictor
-    predictor: tuple[Samples, Fit, Free] | None = None
+    predictor: Fitted | None = None
     whole: Samples | None = None  # with those left out because a delayed input is not known yet
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     # What tells whether the plant changes or is curved: of a stable plant that was found by its
     # predictions, and is judged by them, how it simulates; of a disturbed one the best simulation
-    simulating: tuple[Samples, Fit, Free] | None = None
+    simulating: Fitted | None = None
     # The best ones of smaller orders that simulate, and what was free in them
     smaller: tuple[tuple[ModalModel, Free], ...] = ()
     # Others that simulate, and might be right: share of the Akaike weights, model
@@ -61,7 +61,7 @@ class Solution:
         return self.plant is not None and self.predictor is None
 
     @property
-    def source(self) -> tuple[Samples, Fit, Free]:
+    def source(self) -> Fitted:
         """What the likelihood was of: a simulation, or a predictor."""
         return self.predictor or (self.samples, self.fit, self.free)
 

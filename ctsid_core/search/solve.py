@@ -38,6 +38,7 @@ from ctsid_core.search.by_order import (
     choose,
     criterion,
     explains,
+    price,
     search_orders,
     tried,
 )
@@ -162,11 +163,9 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     plant = None if m is None else modal_of(m, samples, delay)
     if plant is None:
         return None
-    price = float(np.log(np.max(samples.counts.sum(axis=0))))
     other = tried(samples, fit_states(samples, plant, own), own)
-    costs = [float(coloured_costs(residuals(samples, one.fit)).sum()) + price * number
-             for one, number in ((best, best.parameters), (other, found.found.parameters))]
-    if costs[1] >= costs[0]:
+    if _in_colour(samples, replace(other, parameters=found.found.parameters)) >= _in_colour(
+            samples, best):
         return None
     late = float(np.max([delay, best.fit.model.delay], initial=0.0))
     if late > 0.0:
@@ -196,9 +195,14 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     matters = found[chosen].power > LEAST ** 2
     if not matters.any():
         return chosen
-    price = float(np.log(np.max(samples.counts.sum(axis=0))))
-    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found), key=lambda n: float(
-        coloured_costs(residuals(samples, found[n].fit)) @ matters) + price * found[n].parameters)
+    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found),
+               key=lambda n: _in_colour(samples, found[n], matters))
+
+
+def _in_colour(samples: Samples, one: Tried, matters: Mask | bool = True) -> float:
+    """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
+    costs = np.where(matters, coloured_costs(residuals(samples, one.fit)), 0.0)
+    return float(costs.sum()) + price(samples) * one.parameters
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
