@@ -244,6 +244,11 @@ def test_trim_is_estimated_not_averaged_away():
     assert simulation(found.model, moved.between(8.0, 20.0)).fit.min() > 99.9
     naive = identify(moved.between(0.0, 6.0), Settings(trim=False, order=2))
     assert np.abs(match(either(naive).poles, p.poles) - p.poles).max() > 0.05
+    # A mode that takes the trim's place seems to grow, and is put on the axis.
+    axis = identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=2))
+    assert any(c.value == 'disturbed' for c in axis.choices)
+    assert 0.0 in either(axis).poles
+    assert not axis.ok
 
 
 @pytest.mark.slow

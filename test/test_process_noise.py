@@ -15,7 +15,7 @@ from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 from ctsid_ros.studies.experiments import flown
 from ctsid_ros.studies.robots.families import experiment
-from ctsid_ros.studies.robots.regression import prediction_errors
+from ctsid_ros.studies.robots.regression import prediction_errors, prediction_reach
 
 QUICK = Settings(feedthrough=False, held_out=0.0)
 S = 10**9
@@ -208,3 +208,20 @@ def test_an_output_that_rests_but_for_spikes_is_an_output_that_rests(feedthrough
     alone = replace(y, values=flag[:, np.newaxis])
     assert identify(replace(record, outputs=(alone,)),
                     Settings(feedthrough=feedthrough)).verdict.grade is Grade.REJECT
+
+
+@pytest.mark.parametrize(('family', 'seed', 'number', 'measure'), [
+    ('cart-pole', 19, 1, 1.0), ('rates-4x3', 18, 5, 1.0)])
+def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, number, measure):
+    """
+    Errors at three horizons over those of regression or the true filter, on a second flight.
+
+    Up to 1.16 with climbs as slow as they like, and up to 1.06 without the regression as it is.
+    """
+    given = experiment(family, seed, number)
+    reach = np.array(prediction_reach(given)).reshape(2, -1).max(axis=0)
+    found = identify(given.record, given.settings)
+    model = found.model or found.rejected_model
+    ratios = np.array(prediction_errors(model, given.test)) / reach
+    print(family, ratios)
+    assert ratios.max() < measure

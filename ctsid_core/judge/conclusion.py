@@ -136,8 +136,9 @@ def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
 def _with_trim(solution: Solution, record: int) -> Matrices:
     """Return a plant that predictions found with the trim of its simulation of a record."""
     assert solution.plant is not None
-    own = matrices_of(solution.fit.model, solution.samples.size, record)
-    return replace(solution.plant, x_trim=np.zeros_like(own.x_trim), y_trim=own.y_trim)
+    level = solution.fit.model.y0[record] * solution.samples.size
+    return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim),
+                   y_trim=level[:, np.newaxis])
 
 
 def _covariances(solution: Solution, model: StateSpace,
