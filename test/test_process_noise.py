@@ -225,3 +225,21 @@ def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, numb
     ratios = np.array(prediction_errors(model, given.test)) / reach
     print(family, ratios)
     assert ratios.max() < measure
+
+
+@pytest.mark.parametrize(('seed', 'least'), [(1, 25.0), (10, 40.0)])
+def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_predictions_of_the_rest(seed, least):
+    """Output error of the rest follows what disturbs it: -2 and 23 %. Poles are -1 +- 2.83i."""
+    rng, h = np.random.default_rng(seed), 0.02
+    t = h * np.arange(800)
+    u = np.sign(np.sin(0.5 * t ** 1.4))
+    joined = expm(h * np.array([[0.0, 1.0, 0.0], [-9.0, -2.0, 1.0], [0.0, 0.0, 0.0]]))
+    stays, gust, x, y = np.exp(-h / 3.0), 0.0, np.zeros(2), np.empty(800)
+    for k in range(800):
+        y[k] = x[0]
+        gust = stays * gust + 0.7 * np.sqrt(1.0 - stays ** 2) * rng.standard_normal()
+        x = joined[:2, :2] @ x + joined[:2, 2] * (u[k] + gust)
+    y += 0.01 * np.std(y) * rng.standard_normal(800)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert any(c.value == 'disturbed' for c in found.choices)
+    assert found.held_out_fit[0] > least

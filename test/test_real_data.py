@@ -147,6 +147,11 @@ def test_a_walking_joint_is_not_good(data_folder, joints, joint, start, end):
     assert estimate.verdict.grade is not Grade.GOOD
 
 
+def test_what_does_not_grow_is_not_good_by_its_predictions(data_folder, joints):
+    """A walk and a lying down: a mode of it seems to grow, and predicts to 92 %."""
+    assert identify(joints(data_folder, [5], 0.0, 15.0)).verdict.grade is not Grade.GOOD
+
+
 def test_a_prediction_of_what_hardly_moves_meanwhile_is_not_good(data_folder, joints):
     """A joint in the walk alone: 74 % 20 ms ahead, in which it moves by half of its motion."""
     estimate = identify(joints(data_folder, [8], 6.2, 10.2))
