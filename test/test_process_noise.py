@@ -228,7 +228,7 @@ def test_slow_states_and_too_many_free_numbers_do_not_predict(family, seed, numb
 
 
 @pytest.mark.parametrize(('seed', 'least'), [(1, 25.0), (10, 40.0)])
-def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_predictions_of_the_rest(seed, least):
+def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_the_rest(seed, least):
     """Output error of the rest follows what disturbs it: -2 and 23 %. Poles are -1 +- 2.83i."""
     rng, h = np.random.default_rng(seed), 0.02
     t = h * np.arange(800)
