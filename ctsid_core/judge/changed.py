@@ -94,9 +94,10 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, own = predictor
     whole = fit.model, own
-    found = _divisions(_only(joint, place), whole, whole, place)
-    if found.gain <= 0.0:
-        return found
+    one = _only(joint, place)
+    found = _divisions(one, whole, whole, place)
+    if found.gain <= 0.0 or not _best(one.thinned(2 * _SEARCHED), whole, found.share):
+        return Change()
     size = _divided(_only(samples, place), plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
 

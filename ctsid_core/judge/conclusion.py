@@ -59,8 +59,7 @@ def conclude(solution: Solution) -> Estimate:
     simulating = solution.simulating or (
         None if solution.by_prediction else (samples, fit, solution.free))
     change = Change() if solution.refit or simulating is None else \
-        most_likely_change(*simulating, solution.smaller,
-                           (samples, fit, solution.free) if solution.by_prediction else None)
+        most_likely_change(*simulating, solution.smaller, solution.telling)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names)

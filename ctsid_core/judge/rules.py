@@ -106,7 +106,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SETTING, (
             f'The model is unstable ({_growth(e.poles)}), and a model that is not '
             'explains the data as well; set `method: hd-pbsid`.')
-    if e.by_prediction and e.change.gain > 0.0 == e.change.cost:
+    if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
             'how much; identify each side by itself.')

@@ -150,7 +150,8 @@ def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Arra
     free = values[:, np.newaxis] ** np.arange(len(v))                    # (n, N)
     seen = C @ right
     rest = (v.T - (seen @ _filtered(values, driven)).real)[:, :count].ravel()
-    columns = (seen[:, :, np.newaxis] * free[:, :count]).transpose(0, 2, 1).reshape(len(rest), -1)
+    columns = (seen[:, :, np.newaxis] * free[:, :count]).transpose(0, 2, 1).reshape(
+        len(rest), len(F))
     x0 = np.linalg.lstsq(np.hstack((columns.real, -columns.imag)), rest, rcond=1e-9)[0]
     start = (x0[:len(values)] + 1j * x0[len(values):])[:, np.newaxis] * free
     found: Array = (right @ (_filtered(values, driven) + start)).real.T

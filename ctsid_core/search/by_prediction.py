@@ -415,12 +415,14 @@ def held_interval(joint: Samples) -> float:
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
-def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
+def prediction_errors(m: Matrices, delay: Array, last: Last,
+                      start: float | None = None) -> Array:
     """
     Return rms errors of predictions `HORIZONS` samples ahead, over the motion, (horizons, ny).
 
-    The first tenth of the record starts the filter and does not count. Infinite if the filter is
-    not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
+    The first tenth of the record starts the filter and does not count. Of a simulation its state
+    at the `start` [s] is known: a filter without gain would never learn it. Infinite if the filter
+    is not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
     short record, the last ones, are left out.
     """
     record = last.record
@@ -434,13 +436,18 @@ def prediction_errors(m: Matrices, delay: Array, last: Last) -> Array:
         for rows in [slice(None) if bad is None else ~bad] for column in s.values.T]))
     real = np.isin(t, seen)
     with np.errstate(over='ignore', invalid='ignore'):
-        x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
+        if start is None:
+            x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
+        else:
+            x, u = (rows[1:] for rows in respond(
+                m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(),
+                np.append(min(start, t[0]), t), m.tail[:, 0]))
         rest = y - x @ m.C.T - u @ m.D.T - m.y_trim[:, 0]
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
-        states = predicted_states(F, F @ M, m.C, rest, first)
+        states = predicted_states(F, F @ M, m.C, rest, first if start is None else 0)
         for horizon in [h for h in HORIZONS if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T

@@ -71,7 +71,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
                          least=ROUGHLY)
         joint, top, own = predictor
         rest = part(joint.thinned(_SEARCHED))
-        top = climb(rest, fit_at(rest, top.model.poles, top.model.delay, own, top), own,
+        top = climb(rest, fit_at(rest, top.model.poles, top.model.delay, own), own,
                     least=ROUGHLY)
         m = plant_of(top, rest, 0, False)
         plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu])

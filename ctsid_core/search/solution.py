@@ -66,6 +66,11 @@ class Solution:
         return self.predictor or (self.samples, self.fit, self.free)
 
     @property
+    def telling(self) -> Fitted | None:
+        """The predictor, where it tells changes: in closed loop, or of what nothing simulates."""
+        return None if self.plant is None or self.predictor and self.simulating else self.source
+
+    @property
     def delay(self) -> Array:
         """Dead times of the moving inputs, (nu,) [s]."""
         delay: Array = self.fit.model.delay[:len(self.part.parts[0].u)]

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import modal_of
+from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
@@ -95,9 +97,11 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
-    # In closed loop predictions say where a simulation may be that is as likely.
-    if predicted is not None and (rival := _beside(samples, predicted, free)) and (
-            solved := _likelier(part, settings, corrupt, samples, rival, free, predicted)):
+    # In closed loop predictions say where a simulation may be that is as likely. What seems to
+    # grow, and hardly does within the record, may integrate, which simulations tell better.
+    if predicted is not None and not 0.0 < _growth(predicted, samples) < _GROWS and (
+            rival := _beside(samples, predicted, free)) and (
+            solved := _likelier(part, settings, corrupt, seen, samples, rival, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
     found = search_orders(samples, free, subspace.poles, order=settings.order,
@@ -118,11 +122,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
         # In open loop a plant is to simulate, unless it grows.
-        if predicted is not None and (left < _FAILS or np.max(np.linalg.eigvals(
-                predicted.matrices.A).real) * samples.length < _GROWS):
+        if predicted is not None and (left < _FAILS or _growth(predicted, samples) < _GROWS):
             predicted, disturbed = None, predicted
     if predicted is not None and (solved := _likelier(
-            part, settings, corrupt, samples, best, free, predicted)):
+            part, settings, corrupt, seen, samples, best, free, predicted)):
         return solved
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
@@ -155,33 +158,57 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
 
     What disturbs a plant for longer than it remembers is like an input that is not known. Output
     error then trusts most the frequencies that are disturbed most; predictions trust those that
-    are known best.
+    are known best. K is not paid: the colour of the errors tells, and costs, the same.
     """
-    delay, whole = found.found.fit.model.delay[:samples.nu], samples
-    own = replace(free, feedthrough=False, delays=found.free.delays[:samples.nu])
-    m = plant_of(found.found.fit, found.samples, part.last, False)
-    plant = None if m is None else modal_of(m, samples, delay)
-    if plant is None:
+    plant = _plant_of(part, samples, found, free)
+    if plant is None or _in_colour(samples, plant.simulated) >= _in_colour(samples, best):
         return None
-    other = tried(samples, fit_states(samples, plant, own), own)
-    if _in_colour(samples, replace(other, parameters=found.found.parameters)) >= _in_colour(
-            samples, best):
-        return None
-    late = float(np.max([delay, best.fit.model.delay], initial=0.0))
+    solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
+    best = _climbed(solved.samples, best, free) if solved.samples is not solved.whole else best
+    return replace(
+        solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
+        smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
+
+
+class _Plant(NamedTuple):
+    """A plant that predictions found, and how it simulates."""
+
+    matrices: Matrices
+    simulated: Tried
+    free: Free
+
+
+def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -> _Plant | None:
+    """Return the plant that predictions found, none of its modes growing, or None."""
+    fit, nu = found.found.fit, samples.nu
+    free = replace(free, feedthrough=False, delays=found.free.delays[:nu])
+    m = plant_of(fit, found.samples, part.last, False)
+    plant = None if m is None else modal_of(m, samples, fit.model.delay[:nu])
+    with suppress(np.linalg.LinAlgError):
+        if m is not None and plant is not None:
+            one = tried(samples, fit_states(samples, plant, free), free)
+            return _Plant(m, replace(
+                one, parameters=found.found.parameters - len(m.A) * samples.ny), free)
+    return None
+
+
+def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Samples,
+                     found: PredictionFit, plant: _Plant,
+                     delay: Array | float = 0.0) -> Solution:
+    """Return a plant that predictions found, to be judged by its simulation."""
+    whole, one, fit = samples, plant.simulated, plant.simulated.fit
+    late = float(np.max(np.maximum(fit.model.delay, delay), initial=0.0))
     if late > 0.0:
         samples = seen(late)
-        best = _climbed(samples, best, free)
-        other = tried(samples, fit_states(samples, plant, own), own)
+        one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
     return Solution(
-        _used(part, settings, other.fit.model.n, delay), part, samples, other.fit, own,
-        other.independent, (),                  # orders were compared by predictions
-        (Choice('domain', 'disturbed', 'errors in their own colour are likelier with the plant '
-                "that predictions from the outputs' own past found"),),
-        (*_left_out(found.orders, other.fit.model.n, settings, samples.effort),
-         *_longest(part, other, own)), plant=m, whole=whole, hidden=hidden,
-        predictor=(found.samples, found.found.fit, found.free),
-        simulating=(samples, best.fit, free),
-        smaller=_smaller(samples, orders, best, replace(free, feedthrough=False)))
+        _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
+        one.independent, (),                    # orders were compared by predictions
+        (Choice('domain', 'disturbed', "the plant that predictions from the outputs' own past "
+                'found is likelier than the best simulation'),),
+        (*_left_out(found.orders, fit.model.n, settings, samples.effort),
+         *_longest(part, one, plant.free)), plant=plant.matrices, whole=whole,
+        predictor=(found.samples, found.found.fit, found.free))
 
 
 def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
@@ -379,29 +406,40 @@ def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
     return None
 
 
-def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples, best: Tried,
-              free: Free, found: PredictionFit) -> Solution | None:
-    """Return a model by its predictions where these are likelier than a simulation's."""
+def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
+              samples: Samples, best: Tried, free: Free,
+              found: PredictionFit) -> Solution | None:
+    """
+    Return the plant that predictions found where they are likelier than a simulation's.
+
+    If it simulates, that is what it is judged by, else by predictions.
+    """
     rival, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
-    own_price = information(found.errors, samples, found.found.parameters)
-    if own_price > information(prediction_errors(
-            rival, best.fit.model.delay, _last(part, corrupt)),
-            samples, best.parameters + int(np.count_nonzero(rival.K))):
+    errors = prediction_errors(rival, best.fit.model.delay, _last(part, corrupt),
+                               samples.records[part.last].start)
+    numbers = best.parameters + int(np.count_nonzero(rival.K))
+    # Fewer numbers are no reason to give up a simulation.
+    if information(errors, samples, numbers) < information(
+            found.errors, samples, max(found.found.parameters, numbers)):
         return None
-    delay = found.found.fit.model.delay[:samples.nu]
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
-    simulating = None
-    with suppress(np.linalg.LinAlgError):
-        if is_stable(found.matrices) and (plant := modal_of(found.matrices, samples, delay)):
-            simulating = samples, fit_states(samples, plant, free), free
+    plant = _plant_of(part, samples, found, free) if is_stable(found.matrices) else None
+    if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
+        return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
-        _used(part, settings, len(found.matrices.A), delay), part, found.samples,
-        found.found.fit, found.free, found.found.independent,
+        _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),
+        part, found.samples, found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
         (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
                 'than those of the best model that simulates'),),
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
-        plant=found.matrices, simulating=simulating, errors_ahead=found.errors)
+        plant=found.matrices, errors_ahead=found.errors, simulating=None if plant is None else (
+            samples, plant.simulated.fit, plant.free))
+
+
+def _growth(found: PredictionFit, samples: Samples) -> float:
+    """Return how many times e a plant that predictions found grows within a record."""
+    return float(np.max(np.linalg.eigvals(found.matrices.A).real)) * samples.length
 
 
 def _names(part: Joint) -> list[str]:

@@ -45,8 +45,8 @@ _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
 _DOMAINS = {            # what the choice of a domain means to whoever uses the model
     'predictions': 'The fits of this model are of predictions, which know the outputs before as '
-                   'well as the inputs. How much the inputs explain is the fit of a simulation '
-                   'from them alone; a plant that grows by itself cannot be simulated for long.',
+                   'well as the inputs: its plant grows by itself and cannot be simulated for '
+                   'long, or the inputs alone explain less than half of the motion.',
     'disturbed': 'Something that was not measured (wind? another input?) moves the output for '
                  'longer than the plant remembers. The model says how the inputs act; poles that '
                  'the inputs hardly move may be those of the disturbance.'}

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 import json
 import math
 from pathlib import Path
@@ -174,19 +173,6 @@ class Outcome:
         """Channels and settings."""
         return self.sources[0].data.config
 
-    @cached_property
-    def alone(self) -> Array | None:
-        """Of a model by predictions its fit from the inputs alone, unless it is tested so [%]."""
-        from ctsid_core.model.validation import simulation
-        from ctsid_ros.report.headline import by_predictions
-
-        if not by_predictions(self.estimate) or len(self.sources) > 1 or self.tests \
-                or not self.estimate.model:
-            return None
-        (number, record), = _shown(self)
-        own = self.estimate.trimmed(self.estimate.model, number)
-        return simulation(own, record, trim='refit').fit     # as by horizon, on the page
-
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the data and the estimate."""
@@ -304,7 +290,6 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
         channel_section,
         choice_section,
         complaint_section,
-        fit_table,
         gain_section,
         model_section,
         record_section,
@@ -326,11 +311,7 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
                     *(channel_section(s.data, f'Signals of record {i}', brief=i == 1,
                                       delays=delays)
                       for i, s in enumerate(sources, 1))]
-    shown = model_section(estimate, title, verdict=verdict)
-    if model and outcome.alone is not None:
-        shown = replace(shown, parts=(*shown.parts[:-1], fit_table(
-            estimate, model, simulated_from_the_inputs_alone=outcome.alone)))
-    sections.append(shown)
+    sections.append(model_section(estimate, title, verdict=verdict))
     if model:
         sections += [*(_test_section(t, model, outcome) for t in outcome.tests),
                      gain_section(model, estimate.covariance)]
@@ -376,11 +357,7 @@ def _facts(outcome: Outcome) -> list[tuple[str, str]]:
 
     if not outcome.estimate.ok:
         return []
-    alone = outcome.alone
-    words = [] if alone is None else [
-        ('simulated from the inputs alone [%]: predictions know the outputs before, too',
-         fit_words(alone))]
-    return words + [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
+    return [('fit on unseen data [%]' + (f', record {outcome.sources.index(t.source) + 1}'
                                          if len(outcome.sources) > 1 else ''),
              fit_words(t.test.fit)) for t in outcome.tests]
 
