@@ -38,7 +38,7 @@ def heavier(sent: list) -> list:
     known = Signal(np.array([(s.log_ns - START) / S for s in commands]),
                    np.array([[s.message.data[0]] for s in commands]), 'zoh')
     heavy = replace(TRUTH, A=0.5 * TRUTH.A + [[0.0, 0.5], [0.0, 0.0]], B=0.5 * TRUTH.B)
-    t = np.arange(0.0, 24.0, 0.001)
+    t = np.arange(0.0, 1.0 + (sent[-1].log_ns - START) / S, 0.001)
     light = TRUTH.simulate((known,), t)[:, 0]
     # Of this form the states are the output and its slope, which goes on through the change.
     states = replace(TRUTH, C=np.eye(2), D=np.zeros((2, 1)), K=np.zeros((2, 2)),
