@@ -186,9 +186,9 @@ def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -
     plant = None if m is None else modal_of(m, samples, fit.model.delay[:nu])
     with suppress(np.linalg.LinAlgError):
         if m is not None and plant is not None:
-            one = tried(samples, fit_states(samples, plant, free), free)
-            return _Plant(m, replace(
-                one, parameters=found.found.parameters - len(m.A) * samples.ny), free)
+            one, gains = tried(samples, fit_states(samples, plant, free), free), m.K.size
+            share = found.found.parameters / (one.parameters + gains)       # 1, if it has climbed
+            return _Plant(m, replace(one, parameters=round(share * one.parameters)), free)
     return None
 
 
