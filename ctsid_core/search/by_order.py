@@ -43,7 +43,7 @@ from ctsid_core.search.pole_grid import PoleGrid
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
 LEAST = 1e-4          # if the errors were more than this part of the motion
-_SEARCHED = 1000      # samples of a stream that the search looks at
+SEARCHED = 1000       # samples of a stream that the search looks at
 _RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 8           # on it
@@ -85,7 +85,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
     (nu,) [s], is 0 where dead times are free.
     """
-    thin = samples.thinned(_SEARCHED)
+    thin = samples.thinned(SEARCHED)
     grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
                     fastest=free.fastest, finest=samples.finest)

@@ -49,6 +49,7 @@ from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import (
     SEARCH,
+    SEARCHED,
     Tried,
     affordable,
     nearest,
@@ -62,7 +63,6 @@ from ctsid_core.signals.record import Record, Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
-_SEARCHED = 1000            # samples of a stream that they are first climbed with
 _NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
 _HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
@@ -109,7 +109,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
     if not starts or order not in (0, *starts):
         return None
     joint = joint.thinned(affordable(joint))
-    thin = joint.thinned(_SEARCHED)
+    thin = joint.thinned(SEARCHED)
     begun, regression = _begun(thin, {order: starts[order]} if order else starts, own)
     found = _orders(thin, begun, own, last)
     orders = {n: one.found for n, one in found.items()}

@@ -34,6 +34,7 @@ from ctsid_core.search.by_order import (
     LEAST,
     MORE,
     SEARCH,
+    SEARCHED,
     Tried,
     advantage,
     affordable,
@@ -400,9 +401,11 @@ def _last(part: Joint, corrupt: Corrupt) -> Last:
 def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
     """Return the best simulation near a model by its predictions, or None."""
     poles = bounded(np.linalg.eigvals(found.matrices.A).astype(complex), free.limit, np.inf)
+    thin = samples.thinned(SEARCHED)
     with suppress(np.linalg.LinAlgError):
-        start = fit_at(samples, poles, found.found.fit.model.delay[:samples.nu], free)
-        return tried(samples, climb(samples, start, free, steps=FEWER, least=ROUGHLY), free)
+        start = fit_at(thin, poles, found.found.fit.model.delay[:samples.nu], free)
+        top = climb(thin, start, free, steps=FEWER, least=ROUGHLY)
+        return tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
     return None
 
 
