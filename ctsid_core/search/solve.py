@@ -415,8 +415,11 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
     """
     Return the plant that predictions found where they are likelier than a simulation's.
 
-    If it simulates, that is what it is judged by, else by predictions.
+    If it simulates, that is what it is judged by, else by predictions. A plant that grows is not
+    explained by a simulation, but for noise.
     """
+    if _growth(found, samples) > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED:
+        return None
     rival, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
     errors = prediction_errors(rival, best.fit.model.delay, _last(part, corrupt),
                                samples.records[part.last].start)
