@@ -111,7 +111,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     for taken in range(steps):
         around = PoleSteps.of(best.model.poles, 1.0 / samples.length, samples.several)
         gradient, curvature, scale, places = _slopes(samples, best, free, around)
-        promise = _promise(gradient, curvature)
+        promise = float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
         moved = None
         hope = max(_at_most(promise, samples), gain if taken else 0.0)
         if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
@@ -127,15 +127,11 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
         if moved is None:
             break
         gain, best = best.cost - moved.cost, moved
-        damping = max(damping * _lower(gain / hoped), _LEAST_DAMPING)
+        # Less, the more of what was hoped for the step has gained (Nielsen)
+        damping = max(damping * max(0.1, 1.0 - (2.0 * (gain / hoped) - 1.0) ** 3), _LEAST_DAMPING)
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
-
-
-def _lower(share: float) -> float:
-    """Return a factor of the damping, after a step that gained a share of what was hoped for."""
-    return max(0.1, 1.0 - (2.0 * share - 1.0) ** 3)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:
@@ -148,10 +144,6 @@ def _at_most(promise: float, samples: Samples) -> float:
     """Return -2 log likelihood of so much less power, as if all of it were of one output."""
     count = float(np.min(samples.counts[samples.counts > 0.0]))
     return -count * float(np.log(max(1.0 - promise / count, ROUNDING)))
-
-
-def _promise(gradient: Array, curvature: Array) -> float:
-    return float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
 
 
 def _damped(gradient: Array, curvature: Array, damping: float) -> Array:

@@ -246,14 +246,7 @@ def _read_rival(value: Any, where: str) -> Rival:
 
 
 def read_verdict(value: Any, default: Remedy = Remedy.TEST) -> Verdict:
-    """
-    Return the verdict that `describe` has described, after a way through JSON.
-
-    Raises
-    ------
-    StorageError
-        If it is none.
-    """
+    """Return the verdict that `describe` described, through JSON; else raise `StorageError`."""
     found = read.entries(value, 'verdict', read.readers_of(
         Verdict, grade=read.member(Grade), remedy=read.member(Remedy),
         excitation=read.listed(_read_excitation), agreement=_made(Agreement)),
