@@ -105,8 +105,8 @@ def change_note(e: Evidence) -> tuple[str, ...]:
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     if e.unproven:
         yield Remedy.SETTING, (
-            f'The model is unstable ({_growth(e.poles)}), and a model that is not '
-            'explains the data as well; set `method: hd-pbsid`.')
+            f'The model is unstable (a mode grows as exp({np.max(e.poles.real):.2g} t)), and a '
+            'model that is not explains the data as well; set `method: hd-pbsid`.')
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
@@ -168,10 +168,6 @@ def _largest_first(values: Array, limit: float) -> list[int]:
     """Return the places of values beyond a limit, the largest first: the reason names one."""
     order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind='stable')
     return [int(i) for i in order if values[i] > limit]
-
-
-def _growth(poles: NDArray[np.complex128]) -> str:
-    return f'a mode grows as exp({np.max(poles.real):.2g} t)'
 
 
 def tested(held_out: HeldOut, error: Array) -> Array:

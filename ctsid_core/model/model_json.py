@@ -110,10 +110,7 @@ def from_json(text: str) -> Estimate:
     """
     Return the estimate that `to_json` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        If the text is not such a document, or of a version that this ctsid cannot read.
+    Raises `StorageError` if the text is none, or of a version that this ctsid cannot read.
     """
     return parse(text)[0]
 
