@@ -12,7 +12,7 @@ from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import conclude
 from ctsid_core.judge.cross_check import cross_checked
-from ctsid_core.judge.rules import failed_estimate, unusable_estimate
+from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.solve import solve
@@ -99,7 +99,7 @@ def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):     # of absurd sizes
             return _solved(part, records, settings, effort)
     except np.linalg.LinAlgError as error:       # of the data's making: no caller must die of it
-        return failed_estimate(error, settings, part.notes)
+        return unusable_estimate(Status.UNRELIABLE, records[0], settings, part.notes, str(error))
 
 
 def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,

@@ -267,25 +267,26 @@ def build_declared(cls: type[Any], values: Mapping[str, object], prefix: str = '
 
 def value_faults(declared: Field[Any], value: object, prefix: str = '') -> list[str]:
     """Return what is wrong with `value` for a declared field, as sentences; empty if nothing."""
-    name, meta = prefix + parameter_name(declared), declared.metadata
-    if isinstance(value, tuple):
-        if 'tuple' not in str(declared.type):
-            return [f'`{name}` is a list, but one {_kind(declared)} is wanted']
-        return [f for item in value for f in _scalar_faults(name, declared, meta, item)]
-    return _scalar_faults(name, declared, meta, value)
+    name = prefix + parameter_name(declared)
+    if isinstance(value, tuple) and 'tuple' not in str(declared.type):
+        return [f'`{name}` is a list, but one {_kind(declared)} is wanted']
+    items = value if isinstance(value, tuple) else (value,)
+    return [f for item in items for f in _scalar_faults(name, declared, item)]
 
 
 def _kind(declared: Field[Any]) -> str:
     if words := declared.metadata['words']:
         return f'number or {" or ".join(words)}'
-    kind = type(declared.default) if declared.default is not MISSING else str
     return {bool: 'true or false', int: 'whole number', float: 'number', str: 'word'}.get(
-        kind, 'value')
+        _type_of(declared), 'value')
 
 
-def _scalar_faults(name: str, declared: Field[Any], meta: Mapping[str, Any],
-                   value: object) -> list[str]:
-    wanted = type(declared.default) if declared.default is not MISSING else str
+def _type_of(declared: Field[Any]) -> type[Any]:
+    return type(declared.default) if declared.default is not MISSING else str
+
+
+def _scalar_faults(name: str, declared: Field[Any], value: object) -> list[str]:
+    wanted, meta = _type_of(declared), declared.metadata
     if value in meta['words'] and isinstance(value, str):
         return []
     good = isinstance(value, int | float) and not isinstance(value, bool) \

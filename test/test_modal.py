@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from ctsid_core.model.modal import mode_responses
+from ctsid_core.model.modal import steps_of
 from ctsid_core.model.simulation import input_polynomials, respond
 from ctsid_core.signals.record import Signal
 
@@ -24,7 +24,7 @@ DELAY = (0.05, 0.13, 0.0)
 
 @pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
 def test_responses_are_exact_at_own_stamps_with_dead_times(hold):
-    found = mode_responses(POLES, inputs(hold), DELAY, 0.0, TIMES)
+    responses, _ = steps_of(inputs(hold), DELAY, 0.0, TIMES).responses(POLES)
     order = np.argsort(TIMES)
     every = np.concatenate(([0.0], TIMES[order]))
     for k, p in enumerate(POLES):
@@ -33,24 +33,25 @@ def test_responses_are_exact_at_own_stamps_with_dead_times(hold):
             B = np.zeros((2, 3))
             B[0, j] = 1.0
             x, _ = respond(A, B, np.zeros(2), inputs(hold), DELAY, every, np.zeros(2))
-            np.testing.assert_allclose(found.responses[k, j, order], x[1:] @ [1.0, 1.0j],
+            np.testing.assert_allclose(responses[k, j, order], x[1:] @ [1.0, 1.0j],
                                        atol=1e-11 * np.abs(x).max())
 
 
 @pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
 def test_slopes_are_those_of_differences(hold):
-    found = mode_responses(POLES, inputs(hold), DELAY, 0.0, TIMES)
+    steps = steps_of(inputs(hold), DELAY, 0.0, TIMES)
+    _, slopes = steps.responses(POLES)
     for step in (1e-5, 1e-5j):
-        up, down = (mode_responses(POLES + side * step, inputs(hold), DELAY, 0.0, TIMES,
-                                   slopes=False).responses for side in (1.0, -1.0))
+        up, down = (steps.responses(POLES + side * step, slopes=False)[0]
+                    for side in (1.0, -1.0))
         wanted = (up - down) / (2.0 * step)
-        np.testing.assert_allclose(found.slopes, wanted, atol=1e-7 * np.abs(wanted).max())
+        np.testing.assert_allclose(slopes, wanted, atol=1e-7 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize('hold', ['zoh', 'linear', 'smooth'])
 def test_inputs_are_those_at_the_times(hold):
     """What acts on outputs at once: at the outputs' stamps, not at those of the inputs before."""
-    found = mode_responses(POLES, inputs(hold), DELAY, 0.0, TIMES)
+    found = steps_of(inputs(hold), DELAY, 0.0, TIMES)
     wanted = input_polynomials(inputs(hold), DELAY, TIMES)[0].T
     np.testing.assert_allclose(found.inputs, wanted, atol=1e-12)
     np.testing.assert_allclose(found.first, input_polynomials(
@@ -60,13 +61,13 @@ def test_inputs_are_those_at_the_times(hold):
 def test_rates_are_derivatives_and_of_a_held_input_spread_evenly_around_its_stamps():
     late, fine = (0.05, 0.0, 0.0), np.arange(1.0, 9.0, 1e-4)
     for hold in ('linear', 'smooth'):
-        u = mode_responses(POLES[:1], inputs(hold), late, 0.0, fine)
+        u = steps_of(inputs(hold), late, 0.0, fine)
         off = np.abs(np.gradient(u.inputs[0], fine) - u.rates[0]) > 0.05 * np.abs(u.rates[0]).max()
         assert np.mean(off) < 0.02                         # beside corners
     for place, (signal, delay) in enumerate(zip(inputs('zoh'), (0.05, 0.0), strict=True)):
         halfway = 0.5 * (signal.time[1:] + signal.time[:-1])
         within = (signal.time[1:-1] > 1.0) & (signal.time[1:-1] < 9.0)
-        rates = mode_responses(POLES[:1], inputs('zoh'), late, 0.0,
-                               signal.time[1:-1][within] + delay).rates[place]
+        rates = steps_of(inputs('zoh'), late, 0.0,
+                         signal.time[1:-1][within] + delay).rates[place]
         np.testing.assert_allclose(rates * np.diff(halfway)[within],
                                    np.diff(signal.values[:, 0])[:-1][within], atol=1e-12)

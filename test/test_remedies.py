@@ -59,7 +59,8 @@ def findings() -> list[tuple[Remedy, str]]:
         Status.NO_EXCITATION, Status.NO_RESPONSE, Status.GAPS, Status.TOO_SHORT)]
     verdicts += [Estimate(status=s, settings=Settings()).verdict for s in Status
                  if s is not Status.OK]
-    verdicts += [rules.failed_estimate(ValueError('x'), Settings(), ()).verdict, UNJUDGED,
+    verdicts += [rules.unusable_estimate(Status.UNRELIABLE, record, Settings(),
+                                         failed='x').verdict, UNJUDGED,
                  rules.rejected_over_change(estimate, 0.3).verdict]
     verdicts += [rules.weakened(replace(good, agreement=a)) for a in CONTRADICTIONS]
     verdicts += [rules.in_sequence(estimate, np.array([fit]), np.array([ratio]), moved,

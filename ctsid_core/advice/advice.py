@@ -24,7 +24,6 @@ _MOST = 1e4           # times as long or as large: never
 _SMALL = 0.97         # of the deviation: a band that leaves more than this does not help
 
 
-
 @dataclass(frozen=True)
 class PoleAdvice:
     """What it takes to know one pole, or pair, as well as wanted."""

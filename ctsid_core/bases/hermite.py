@@ -38,16 +38,6 @@ class HermiteLines:
     w: Array      # (L,): non-negative Gauss-Hermite nodes: dimensionless frequencies, increasing
     V: Lines      # (nc, L): from coefficients to lines, the rest of them conjugates
 
-    def lines(self, f: Array) -> Lines:
-        """Map rows of coefficients, (m, nc), to lines, (m, L)."""
-        lines: Lines = f @ self.V
-        return lines
-
-    @cached_property
-    def tail(self) -> Lines:
-        """The lines of e_last = [0 ... 0 1], (1, L)."""
-        return self.lines(np.eye(1, len(self.V), len(self.V) - 1))
-
     @cached_property
     def ones(self) -> Lines:
         """The lines of the constant 1 on the whole real line, (1, L)."""
@@ -56,7 +46,7 @@ class HermiteLines:
         c, n = np.zeros((1, nc)), np.arange(2, nc, 2)
         c[0, 0::2] = np.sqrt(2.0) * np.pi ** 0.25 * np.cumprod(
             np.concatenate(([1.0], np.sqrt((n - 1.0) / n))))
-        return self.lines(c)
+        return np.asarray(c @ self.V)
 
 
 @lru_cache(maxsize=8)
@@ -112,13 +102,13 @@ def _project_part(record: Record, settings: Settings, nmax: int, start: float,
     found = coefficients((*inputs, *record.outputs), start, end, alpha, nmax,
                          (*delays, *(0.0,) * len(record.outputs)))
     nu = sum(map(len, found[:len(inputs)]))
-    lines = basis.lines(np.vstack(found))
+    lines = np.vstack(found) @ basis.V
     nothing = np.empty((0, len(basis.w)), dtype=complex)
     exact = settings.edges == 'exact'
     return Projection(
         s=(1j * basis.w / alpha).astype(np.complex128),
         u=lines[:nu], y=lines[nu:],
-        tail=basis.tail if exact else nothing,
+        tail=basis.V[-1:] if exact else nothing,     # the lines of e_last = [0 ... 0 1]
         ones=_ones(basis, start, end, alpha, nmax, exact) if settings.trim else nothing,
         unit=alpha, length=end - start)
 
@@ -128,7 +118,7 @@ def _ones(basis: HermiteLines, start: float, end: float, alpha: float, nmax: int
     if exact:
         return basis.ones
     held = Signal(np.array([start]), np.ones((1, 1)), 'zoh')
-    return basis.lines(coefficients([held], start, end, alpha, nmax, [0.0])[0])
+    return np.asarray(coefficients([held], start, end, alpha, nmax, [0.0])[0] @ basis.V)
 
 
 def _by_delay(record: Record,

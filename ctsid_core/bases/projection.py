@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -35,11 +34,6 @@ class Projection:
     # in every real and imaginary part
     unit: float
     length: float  # of the record, or of one of its parts; of several records the longest [s]
-
-    @cached_property
-    def signals(self) -> Lines:
-        """Rows of u, tail, ones and y, one below the other."""
-        return np.vstack((self.u, self.tail, self.ones, self.y))
 
 
 def joined(records: Sequence[Projection]) -> Projection:

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.errors import SettingsError
-from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.simulation import by_matrices
 
@@ -49,10 +48,6 @@ class Chain:
     def size(self) -> int:
         """Number of functions N."""
         return len(self.b)
-
-    def impulse_response(self, times: Array) -> Array:
-        """Return the functions of time w(t), shape (len(times), N), at any t >= 0 [s]."""
-        return exponentials(self.L, np.asarray(times, float), 0)[0] @ self.b
 
 
 def chain(poles: Sequence[complex] | ComplexArray | Array) -> Chain:

@@ -59,27 +59,15 @@ def _second_settings(settings: Settings, model: StateSpace) -> Settings:
 
 def agreement(first: Estimate, second: Estimate, method: str) -> Agreement:
     """
-    Return how far the model of a second method is from that of the first.
+    Return how far the model of a second method is from that of the first, of the same record.
 
-    Parameters
-    ----------
-    first, second : Estimate
-        Of the same record. Rejected models are compared, too, but do not agree.
-    method : str
-        The second method.
-
-    Notes
-    -----
     Compared is, for each input, the response of all outputs together, each in units of its own
-    size, over the band that the input excites (`Excitation`). Standard deviations are those of
-    both estimates, as if they were independent.
+    size, over the band that the input excites (`Excitation`), of rejected models, too. Standard
+    deviations are those of both estimates, as if they were independent.
 
     A difference beyond chance at any frequency contradicts, and so does a model that diverges
     within the record where the other does not: a slow mode that grows is hardly seen within the
-    band. To agree is more than not to
-    contradict: the difference over the band, and its standard deviation, are both no more than
-    what the verdict lets the response to an input be uncertain by. Where nothing can be compared,
-    the methods neither agree nor contradict each other.
+    band. To agree is more: see `Agreement`.
     """
     problem = '' if second.ok else f'{second.status.name}. {_finding(second.verdict.reason)}.'
     one, other = (e.model or e.rejected_model for e in (first, second))

@@ -30,7 +30,7 @@ from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Mask
-from ctsid_core.model.modal import mode_responses
+from ctsid_core.model.modal import steps_of
 from ctsid_core.signals.record import Signal
 
 _POWERS = (2, 3)
@@ -112,8 +112,8 @@ def _linear(t: Triangle, poles: ComplexArray, free: Free) -> tuple[Array, Array]
 def _curves(record: RecordSamples, k: int, model: ModalModel, curved: list[Signal]) -> Array:
     """Return the columns of curves before the model, at its modes, and after it, of a stream."""
     s, (nu, ny), count = record.streams[k], (len(model.delay), len(model.c)), len(_POWERS)
-    z = mode_responses(model.poles, curved, np.tile(np.append(model.delay, np.zeros(ny)), count),
-                       record.start, s.times, slopes=False).responses
+    z, _ = steps_of(curved, np.tile(np.append(model.delay, np.zeros(ny)), count), record.start,
+                    s.times).responses(model.poles, slopes=False)
     seen = z.transpose(2, 1, 0).reshape(len(s.times), count, nu + ny, -1)
     before = ((seen[:, :, :nu] * model.b.T) @ model.c[s.channels].T).real
     inside = _real(seen[:, :, nu:].reshape(len(seen), count * ny, -1), model.poles)

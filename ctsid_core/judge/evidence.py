@@ -31,18 +31,3 @@ class Evidence:
     numbers: Verdict                # with the numbers that have a place in it
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     unproven: bool = False          # modes grow of which the data do not show that they do
-
-    @property
-    def error(self) -> Array:
-        """Rms error of the simulation over the motion, (ny,); NaN for constant outputs."""
-        return self.numbers.error
-
-    @property
-    def coloured(self) -> Array:
-        """The part of it that is not white noise, see `Verdict`, (ny,)."""
-        return self.numbers.coloured_error
-
-    @property
-    def held_out(self) -> Array:
-        """Rms error on the part held out, over the motion of the whole window, (ny,)."""
-        return self.numbers.held_out_error

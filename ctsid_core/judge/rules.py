@@ -57,7 +57,7 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
 
 
 def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
-    error = np.delete(e.error, e.fixed_outputs)
+    error = np.delete(e.numbers.error, e.fixed_outputs)
     if not (np.isfinite(e.poles).all() and np.isfinite(error).all()):
         yield Status.UNRELIABLE, Remedy.SIGNALS, Status.UNRELIABLE.value
     if e.fixed_outputs:
@@ -71,13 +71,14 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
-    for i in _largest_first(e.coloured, _UNEXPLAINED):
+    for i in _largest_first(e.numbers.coloured_error, _UNEXPLAINED):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
-            f'left, noise apart, is {100 * e.coloured[i]:.0f} % of its motion{_in_that_time(e)}'
-            f'{e.worst}; check that these are the right signals.')
+            f'left, noise apart, is {_of_motion(e, i)}{e.worst}; check that these are the right '
+            'signals.')
     # What follows nothing goes by itself.
-    follows = (e.held_out < _DRIVEN * e.driven) & ~unsure(e.expected, e.error)
+    follows = (e.numbers.held_out_error < _DRIVEN * e.driven) & ~unsure(
+        e.expected, e.numbers.error)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)}), '
@@ -104,8 +105,8 @@ def change_note(e: Evidence) -> tuple[str, ...]:
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     if e.unproven:
         yield Remedy.SETTING, (
-            f'The model is unstable ({_growth(e.poles)}), and a model that is not '
-            'explains the data as well; set `method: hd-pbsid`.')
+            f'The model is unstable (a mode grows as exp({np.max(e.poles.real):.2g} t)), and a '
+            'model that is not explains the data as well; set `method: hd-pbsid`.')
     if e.change.gain > 0.0 == e.change.cost:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
@@ -143,32 +144,30 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             yield Remedy.EXCITE, (
                 f'The response to input {one.name} has a standard deviation of '
                 f'{_percent(one.uncertainty)}; {cure}.')
-    for i in _largest_first(e.coloured, _DISTURBED):
+    for i in _largest_first(e.numbers.coloured_error, _DISTURBED):
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
-            f'apart, is {100 * e.coloured[i]:.0f} % of its motion{_in_that_time(e)}; find what '
-            'else acts on it, and take it as an input.')
-    for i in _largest_first(e.held_out / allowed(e.error), 1.0):
+            f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
+    unseen, error = e.numbers.held_out_error, e.numbers.error
+    for i in _largest_first(unseen / allowed(error), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
-            f'{e.output_names[i]} is {_percent(e.held_out[i])} of its motion, on the rest '
-            f'{_percent(e.error[i])}; take a longer window.')
+            f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
+            f'{_percent(error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, UNTESTED
 
 
-def _in_that_time(e: Evidence) -> str:
-    return ' in the time that predictions are ahead' if e.by_prediction else ''
+def _of_motion(e: Evidence, i: int) -> str:
+    """Return how large what is left of an output is, noise apart, in words."""
+    ahead = ' in the time that predictions are ahead' if e.by_prediction else ''
+    return f'{100 * e.numbers.coloured_error[i]:.0f} % of its motion{ahead}'
 
 
 def _largest_first(values: Array, limit: float) -> list[int]:
     """Return the places of values beyond a limit, the largest first: the reason names one."""
     order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind='stable')
     return [int(i) for i in order if values[i] > limit]
-
-
-def _growth(poles: NDArray[np.complex128]) -> str:
-    return f'a mode grows as exp({np.max(poles.real):.2g} t)'
 
 
 def tested(held_out: HeldOut, error: Array) -> Array:
@@ -192,7 +191,7 @@ def pole_uncertainty(poles: NDArray[np.complex128], deviation: Array, resolution
 def _summary(e: Evidence) -> str:
     deviation = max(x.uncertainty for j, x in enumerate(e.numbers.excitation)
                  if j not in e.fixed_inputs)
-    held = np.nanmax(e.held_out, initial=-np.inf)
+    held = np.nanmax(e.numbers.held_out_error, initial=-np.inf)
     ahead = ', 1 sample ahead,' if e.by_prediction else ''
     unseen = f'and the part held out{ahead} to {100 * (1 - float(held)):.1f} % ' \
         if held >= 0.0 else ''
@@ -200,7 +199,7 @@ def _summary(e: Evidence) -> str:
         ' Nothing was held out to test it: a test there could tell nothing, or was not asked for.'
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
-            f'{100 * (1 - float(np.nanmax(e.error))):.1f} % {unseen}of the motion; the '
+            f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
             f'response to each input has a standard deviation of {_percent(deviation)}.{untested}')
 
 
@@ -214,22 +213,17 @@ def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
 
 
 def unusable_estimate(status: Status, record: Record, settings: Settings,
-                      notes: tuple[str, ...] = ()) -> Estimate:
-    """Return the estimate that says why nothing of a record can be used."""
+                      notes: tuple[str, ...] = (), failed: str = '') -> Estimate:
+    """Return the estimate that says why nothing of a record can be used, or what has failed."""
     return Estimate(status=status, settings=settings, notes=notes, verdict=replace(
-        UNJUDGED, grade=Grade.REJECT, reason=_why_unusable(status, record),
+        UNJUDGED, grade=Grade.REJECT, reason=_why_unusable(status, record, failed),
         remedy=REMEDIES.get(status, Remedy.SIGNALS)))
 
 
-def failed_estimate(error: Exception, settings: Settings, notes: tuple[str, ...]) -> Estimate:
-    """Return the estimate that says that the arithmetic failed: of the data's making."""
-    return Estimate(status=Status.UNRELIABLE, settings=settings, notes=notes, verdict=replace(
-        UNJUDGED, grade=Grade.REJECT, remedy=Remedy.SIGNALS,
-        reason=f'The arithmetic failed ({error}); check the signals, their sizes and units.'))
-
-
-def _why_unusable(status: Status, record: Record) -> str:
+def _why_unusable(status: Status, record: Record, failed: str) -> str:
     """Return why nothing of a record can be used, with the names that matter."""
+    if failed:
+        return f'The arithmetic failed ({failed}); check the signals, their sizes and units.'
     if status is Status.NO_EXCITATION:
         return (f'No input moves within the window ({", ".join(record.input_names)}); choose a '
                 'part of the data in which they move.')

@@ -111,7 +111,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     for taken in range(steps):
         around = PoleSteps.of(best.model.poles, 1.0 / samples.length, samples.several)
         gradient, curvature, scale, places = _slopes(samples, best, free, around)
-        promise = _promise(gradient, curvature)
+        promise = float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
         moved = None
         hope = max(_at_most(promise, samples), gain if taken else 0.0)
         if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
@@ -127,15 +127,11 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
         if moved is None:
             break
         gain, best = best.cost - moved.cost, moved
-        damping = max(damping * _lower(gain / hoped), _LEAST_DAMPING)
+        # Less, the more of what was hoped for the step has gained (Nielsen)
+        damping = max(damping * max(0.1, 1.0 - (2.0 * (gain / hoped) - 1.0) ** 3), _LEAST_DAMPING)
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
-
-
-def _lower(share: float) -> float:
-    """Return a factor of the damping, after a step that gained a share of what was hoped for."""
-    return max(0.1, 1.0 - (2.0 * share - 1.0) ** 3)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:
@@ -148,10 +144,6 @@ def _at_most(promise: float, samples: Samples) -> float:
     """Return -2 log likelihood of so much less power, as if all of it were of one output."""
     count = float(np.min(samples.counts[samples.counts > 0.0]))
     return -count * float(np.log(max(1.0 - promise / count, ROUNDING)))
-
-
-def _promise(gradient: Array, curvature: Array) -> float:
-    return float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
 
 
 def _damped(gradient: Array, curvature: Array, damping: float) -> Array:
@@ -381,16 +373,28 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: Columns,
     m, nu, ny, records = len(poles), samples.nu, samples.ny, len(samples.records)
     residues = np.zeros((ny, m, nu), dtype=complex)
     starts = np.zeros((ny, records, m), dtype=complex)
+    designs = [[np.hstack((*_driven(t.z, poles, r, records), _direct(t, free, r, records)))
+                for t in own] for r, own in enumerate(columns.triangles)]
     for i in range(ny):
-        rows, targets = [], []
-        for r, own in enumerate(columns.triangles):
-            for t, k in _of_output(own, i):
-                rows.append(np.hstack((*_driven(t.z, poles, r, records),
-                                       _direct(t, free, r, records))) / np.sqrt(power[r, i]))
-                targets.append(t.y[:, k] / np.sqrt(power[r, i]))
         residues[i], starts[i] = _b_and_x0(
-            _least_squares(np.vstack(rows), np.concatenate(targets)), poles, nu, records)
+            _explaining(designs, _measured(columns), columns, power, i), poles, nu, records)
     return residues, starts
+
+
+def _measured(columns: Columns) -> list[list[Array]]:
+    return [[t.y for t in own] for own in columns.triangles]
+
+
+def _explaining(designs: list[list[Array]], wanted: list[list[Array]], columns: Columns,
+                power: Array, i: int) -> Array:
+    """Return the coefficients of designs of all streams that explain best what output i wants."""
+    rows, targets = [], []
+    for r, own in enumerate(columns.triangles):
+        for t, design, values in zip(own, designs[r], wanted[r], strict=True):
+            for k in np.flatnonzero(t.channels == i):
+                rows.append(design / np.sqrt(power[r, i]))
+                targets.append(values[:, k] / np.sqrt(power[r, i]))
+    return _least_squares(np.vstack(rows), np.concatenate(targets))
 
 
 def _driven(turned: ComplexArray, poles: ComplexArray, record: int,
@@ -440,19 +444,12 @@ def _residue_of_rest(samples: Samples, fit: Fit,
     model, nu, ny = fit.model, samples.nu, samples.ny
     records, reach = len(samples.records), _reach(fit.columns)[k]
     residue, x0 = np.zeros((ny, nu)), np.zeros((ny, records))
+    designs = [[np.hstack(_driven(t.z[:, k:k + 1], model.poles[k:k + 1], r, records))
+                for t in own] for r, own in enumerate(fit.columns.triangles)]
+    errors = [[t.y - _simulated(t, model, r, np.sum(t.z * _driving(model, r), axis=2))
+               for t in own] for r, own in enumerate(fit.columns.triangles)]
     for i in range(ny):
-        rows, errors = [], []
-        for r, own in enumerate(fit.columns.triangles):
-            driving = _driving(model, r)
-            for t, place in _of_output(own, i):
-                both = t.z[:, k].real
-                apart = np.zeros((len(both), records))
-                apart[:, r] = both[:, nu]
-                size = np.sqrt(fit.power[r, i]) + 1e-300
-                rows.append(np.hstack((both[:, :nu], apart)) / size)
-                seen = _simulated(t, model, r, np.sum(t.z * driving, axis=2))
-                errors.append((t.y - seen)[:, place] / size)
-        theta = _least_squares(np.vstack(rows), np.concatenate(errors))
+        theta = _explaining(designs, errors, fit.columns, fit.power + 1e-300, i)
         residue[i], x0[i] = theta[:nu], theta[nu:]
     scale = np.sqrt(fit.power.mean(axis=0))[:, np.newaxis] + 1e-300
     left, s, right = np.linalg.svd(residue * reach / scale, full_matrices=False)
@@ -464,11 +461,6 @@ def _reach(columns: Columns) -> Array:
     """Return the size of the response of each mode to each input, (m, nu)."""
     total = sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0) for own in columns.triangles for t in own)
     return np.sqrt(np.asarray(total)) + 1e-300
-
-
-def _of_output(triangles: tuple[Triangle, ...], i: int) -> list[tuple[Triangle, int]]:
-    return [(t, int(np.flatnonzero(t.channels == i)[0])) for t in triangles
-            if i in t.channels]
 
 
 def _least_squares(rows: Array, target: Array) -> Array:
@@ -535,13 +527,7 @@ def _solve_c(samples: Samples, model: ModalModel, columns: Columns, free: Free,
                            _direct(t, free, r, records))) for t in own]
                for r, own in enumerate(columns.triangles)]
     for i in range(samples.ny):
-        rows, targets = [], []
-        for r, own in enumerate(columns.triangles):
-            for t, design in zip(own, designs[r], strict=True):
-                for k in np.flatnonzero(t.channels == i):
-                    rows.append(design / np.sqrt(power[r, i]))
-                    targets.append(t.y[:, k] / np.sqrt(power[r, i]))
-        theta = _least_squares(np.vstack(rows), np.concatenate(targets))
+        theta = _explaining(designs, _measured(columns), columns, power, i)
         c[i] = _complex(theta[:n], model.poles)
         D[i] = theta[n:n + nd] if nd else D[i]
         if free.trim:

@@ -8,6 +8,7 @@ and become a pair, a and b move on. A real pole left over moves by itself.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 import math
@@ -50,50 +51,49 @@ class PoleSteps:
             i += 2 if joins else 1
         return cls(poles, tuple(factors), np.array(scale))
 
+    def _each(self) -> Iterator[tuple[int, int, int, complex | None, float]]:
+        """Yield first coordinate and places of each factor, its second root if any, and scale."""
+        poles, scale, at = self.poles.tolist(), self.scale.tolist(), 0
+        for one, other in self.factors:
+            p = poles[one]
+            if other < 0:
+                root = p.conjugate() if p.imag else None
+                yield at, one, other, root, scale[one]
+            else:
+                root = poles[other]
+                yield at, one, other, root, math.sqrt(scale[one] * scale[other])
+            at += 1 if root is None else 2
+
     def single(self) -> list[tuple[int, int]]:
         """Return the coordinate and the place of each real pole that moves by itself."""
-        found, at = [], 0
-        for one, other in self.factors:
-            if alone := other < 0 and self.poles[one].imag == 0.0:
-                found.append((at, one))
-            at += 1 if alone else 2
-        return found
+        return [(at, one) for at, one, _, root, _ in self._each() if root is None]
 
     def derivatives(self) -> ComplexArray:
         """Return d poles / d coordinates, (n, m)."""
-        poles, scale, place = self.poles.tolist(), self.scale.tolist(), 0
+        poles = self.poles.tolist()
         found = np.zeros((len(poles) + sum(p.imag > 0.0 for p in poles), len(poles)),
                          dtype=complex)
-        for one, other in self.factors:
-            p = poles[one]
-            if p.imag == 0.0 and other < 0:
-                found[place, one] = scale[one]
-                place += 1
+        for at, one, other, q, size in self._each():
+            if q is None:
+                found[at, one] = size
                 continue
-            q = p.conjugate() if other < 0 else poles[other]
-            size = scale[one] if other < 0 else math.sqrt(scale[one] * scale[other])
-            for of_a, of_b in ((size, 0.0), (0.0, size * size)):
+            p = poles[one]
+            for place, of_a, of_b in ((at, size, 0.0), (at + 1, 0.0, size * size)):
                 found[place, one] = -(p * of_a + of_b) / (p - q)
                 if other >= 0:
                     found[place, other] = -(q * of_a + of_b) / (q - p)
-                place += 1
         return found
 
     def moved(self, step: Array, limit: float, fastest: float) -> ComplexArray:
         """Return the poles after a step (n,), with bounds as of `bounded`."""
-        found, place = [], 0
-        poles, scale, by = self.poles.tolist(), self.scale.tolist(), step.tolist()
-        for one, other in self.factors:
+        found, poles, by = [], self.poles.tolist(), step.tolist()
+        for at, one, _, q, size in self._each():
             p = poles[one]
-            if p.imag == 0.0 and other < 0:
-                found.append(p + scale[one] * by[place])
-                place += 1
+            if q is None:
+                found.append(p + size * by[at])
                 continue
-            q = p.conjugate() if other < 0 else poles[other]
-            size = scale[one] if other < 0 else math.sqrt(scale[one] * scale[other])
-            a = -(p + q).real + size * by[place]
-            b = (p * q).real + size * size * by[place + 1]
-            place += 2
+            a = -(p + q).real + size * by[at]
+            b = (p * q).real + size * size * by[at + 1]
             middle, turn = -0.5 * a, 0.25 * a * a - b
             if turn < 0.0:
                 found.append(complex(middle, math.sqrt(-turn)))

@@ -53,50 +53,25 @@ class Choice:
 
 @dataclass(frozen=True)
 class RecordShare:
-    """
-    What belongs to one of several records alone.
+    """What belongs to one of several records alone."""
 
-    Parameters
-    ----------
-    number : int
-        Of the record among those given, from 1.
-    start_ns, end_ns : int
-        Its interval, absolute [ns].
-    x_trim, y_trim : ndarray, shapes (n,), (ny,)
-        Its trim, in the state coordinates of the model.
-    fit : ndarray, shape (ny,)
-        Simulation fit (NRMSE) of each output on it [%].
-    weight : float
-        By which its noise is smaller than that of all records (geometric mean); 1 unless they
-        differ so much that it matters.
-    """
-
-    number: int
-    start_ns: int
+    number: int      # of the record among those given, from 1
+    start_ns: int    # its interval, absolute [ns]
     end_ns: int
-    x_trim: Array
-    y_trim: Array
-    fit: Array
+    x_trim: Array    # (n,): its trim, in the state coordinates of the model
+    y_trim: Array    # (ny,)
+    fit: Array       # (ny,): simulation fit (NRMSE) of each output on it [%]
+    # By which its noise is smaller than that of all records (geometric mean)
     weight: float = 1.0
 
 
 @dataclass(frozen=True)
 class OrderTried:
-    """
-    One order that the search tried.
-
-    Parameters
-    ----------
-    order : int
-    criterion : float
-        Schwarz's criterion, above that of the most likely order.
-    fit : float
-        Simulation fit of the worst output, on the window itself [%].
-    """
+    """One order that the search tried."""
 
     order: int
-    criterion: float
-    fit: float
+    criterion: float  # Schwarz's criterion, above that of the most likely order
+    fit: float        # simulation fit of the worst output, on the window itself [%]
 
 
 @dataclass(frozen=True, kw_only=True)

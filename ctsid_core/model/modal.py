@@ -35,16 +35,6 @@ from ctsid_core.signals.record import Signal
 _CACHED = 2 ** 14      # steps of modes taken at a time: what is between stays in the cache
 
 
-class ModeResponses(NamedTuple):
-    """What inputs do to modes that start at rest."""
-
-    responses: ComplexArray  # (m, nu, N): of each mode to each input; real if all poles are
-    slopes: ComplexArray     # their derivatives by the pole; empty unless wanted
-    inputs: Array            # (nu, N): after their dead time, at a jump the new value
-    rates: Array             # (nu, N): their derivatives, see `Drive.paces`
-    first: Array             # (nu,): the inputs at the start
-
-
 @dataclass(frozen=True, eq=False)
 class Drive:
     """An input signal as polynomials from stamp to stamp."""
@@ -78,35 +68,25 @@ class Drive:
         return between, np.diff(self.pieces[0], axis=1) / np.diff(edges)
 
 
-def mode_responses(poles: Array | ComplexArray, inputs: Sequence[Signal] | Sequence[Drive],
-                   delay: Array | Sequence[float], start: float, times: Array, *,
-                   slopes: bool = True) -> ModeResponses:
-    """
-    Return what inputs of nu channels, later by their delays [s], do to modes at rest at the start.
-
-    Of poles (m,) [rad/s], at times (N,) in any order, none before the start [s].
-    """
-    steps = steps_of(inputs, delay, start, times)
-    z, dz = steps.responses(poles, slopes=slopes)
-    return ModeResponses(z, dz, steps.inputs, steps.rates, steps.first)
-
-
 class Steps:
-    """
-    The steps in which modes go from the start to where they are read, made by `steps_of`.
-
-    The attributes inputs, rates and first are those of `ModeResponses`.
-    """
+    """The steps in which modes go from the start to where they are read, made by `steps_of`."""
 
     def __init__(self, parts: list[_Part]) -> None:
         self._parts = parts
+        # (nu, N): the inputs after their dead time, at a jump the new value; their derivatives,
+        # see `Drive.paces`; (nu,): the inputs at the start
         self.inputs = np.concatenate([p.inputs for p in parts])
         self.rates = np.concatenate([p.rates for p in parts])
         self.first = np.concatenate([p.first for p in parts])
 
     def responses(self, poles: Array | ComplexArray, *,
                   slopes: bool = True) -> tuple[ComplexArray, ComplexArray]:
-        """Return responses and their derivatives by the pole, see `ModeResponses`."""
+        """
+        Return responses of modes at rest at the start, and their derivatives by the pole.
+
+        Of poles (m,) [rad/s]: (m, nu, N), real if all poles are; derivatives are empty unless
+        wanted.
+        """
         return _joined([_read_in_blocks(poles, part, slopes) for part in self._parts], 1)
 
 
@@ -128,7 +108,11 @@ class _Part(NamedTuple):
 
 def steps_of(inputs: Sequence[Signal] | Sequence[Drive], delay: Array | Sequence[float],
              start: float, times: Array) -> Steps:
-    """Return the steps of inputs with dead times; arguments as of `mode_responses`."""
+    """
+    Return the steps of inputs of nu channels, later by their delays [s].
+
+    They are read at times (N,) in any order, none before the start [s].
+    """
     parts, place = [], 0
     for one in inputs:
         drive = one if isinstance(one, Drive) else Drive.of(one)

@@ -17,7 +17,7 @@ Version 1 had other numbers in the verdict: those that are gone are left out, ne
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import REMEDIES, Choice, Estimate, OrderTried, RecordShare, Status
 from ctsid_core.model.json_values import Reader, from_text, to_text
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade, Remedy, Verdict
+from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 
 FORMAT = 'ctsid-model'
@@ -110,10 +110,7 @@ def from_json(text: str) -> Estimate:
     """
     Return the estimate that `to_json` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        If the text is not such a document, or of a version that this ctsid cannot read.
+    Raises `StorageError` if the text is none, or of a version that this ctsid cannot read.
     """
     return parse(text)[0]
 
@@ -123,11 +120,10 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
     found = read.entries(_document(text), '', TOP, ('verdict', 'records', 'orders'))
     model, status, metadata = found['model'], found['status'], found.pop('metadata')
     _agreeing('status', status.name, status is Status.OK, model)
-    remedy = Remedy.TEST if model else REMEDIES.get(status, Remedy.SIGNALS)
-    unjudged = UNJUDGED if model else replace(UNJUDGED, grade=Grade.REJECT, reason=status.value,
-                                              remedy=remedy)
-    verdict = read_verdict(found['verdict'], remedy) if 'verdict' in found else unjudged
-    _agreeing('verdict', verdict.grade.name, verdict.grade is not Grade.REJECT, model)
+    if 'verdict' in found:      # else it is made so
+        found['verdict'] = verdict = read_verdict(
+            found['verdict'], Remedy.TEST if model else REMEDIES.get(status, Remedy.SIGNALS))
+        _agreeing('verdict', verdict.grade.name, verdict.grade is not Grade.REJECT, model)
     if model is not None:
         for key, count in (('pole_std', model.n), ('fit', model.ny), ('held_out_fit', model.ny)):
             if len(found[key]) not in (0, count):
@@ -135,7 +131,7 @@ def parse(text: str) -> tuple[Estimate, dict[str, object]]:
                                    f'wants {count}')
     covariance = _read_covariance(found['covariance'], model or found['rejected_model'])
     kept = {f.name: found[f.name] for f in fields(Estimate) if f.name in found}
-    return Estimate(**{**kept, 'verdict': verdict, 'covariance': covariance}), metadata
+    return Estimate(**{**kept, 'covariance': covariance}), metadata
 
 
 def _agreeing(key: str, name: str, accepted: bool, model: StateSpace | None) -> None:
@@ -247,14 +243,7 @@ def _read_rival(value: Any, where: str) -> Rival:
 
 
 def read_verdict(value: Any, default: Remedy = Remedy.TEST) -> Verdict:
-    """
-    Return the verdict that `describe` has described, after a way through JSON.
-
-    Raises
-    ------
-    StorageError
-        If it is none.
-    """
+    """Return the verdict that `describe` described, through JSON; else raise `StorageError`."""
     found = read.entries(value, 'verdict', read.readers_of(
         Verdict, grade=read.member(Grade), remedy=read.member(Remedy),
         excitation=read.listed(_read_excitation), agreement=_made(Agreement)),

@@ -27,10 +27,6 @@ from ctsid_core.model.simulation import respond
 from ctsid_core.signals.record import Signal
 
 
-def _unset() -> Array:
-    return np.empty(0)
-
-
 @dataclass(frozen=True, eq=False)
 class StateSpace:
     """
@@ -76,11 +72,11 @@ class StateSpace:
     A: Array
     B: Array
     C: Array
-    D: Array = field(default_factory=_unset)
-    K: Array = field(default_factory=_unset)
+    D: Array = field(default_factory=lambda: np.empty(0))
+    K: Array = field(default_factory=lambda: np.empty(0))
     delay: tuple[float, ...] = ()
-    x_trim: Array = field(default_factory=_unset)
-    y_trim: Array = field(default_factory=_unset)
+    x_trim: Array = field(default_factory=lambda: np.empty(0))
+    y_trim: Array = field(default_factory=lambda: np.empty(0))
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
     input_units: tuple[str, ...] = ()

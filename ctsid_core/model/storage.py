@@ -257,10 +257,7 @@ def write_file(path: str | os.PathLike[str], data: bytes, *, force: bool = False
     """
     Write a file under a temporary name and rename it.
 
-    Raises
-    ------
-    StorageError
-        If the file exists and `force` is not given, or it cannot be written.
+    Raises `StorageError` if it exists and `force` is not given, or it cannot be written.
     """
     target = Path(path)
     if target.is_dir() or (os.path.lexists(target) and not force):

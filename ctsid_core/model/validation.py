@@ -231,21 +231,16 @@ class ResidualTests:
     """
     P-values of two hypotheses that a good model fulfils; small ones speak against it.
 
-    Parameters
-    ----------
-    whiteness : ndarray, shape (ny,)
-        'The residuals of this output are independent of each other.' Simulation residuals pass
-        only if all noise is white measurement noise; residuals of one-step predictions should
-        pass whenever K describes the noise.
-    independence : ndarray, shape (ny, nu)
-        'The residuals of this output know nothing of the past of this input.' What fails here,
-        the dynamics from that input miss.
-
-    Both are NaN where nothing can be tested: fewer than 50 residuals, or residuals below 1e-9 of
-    the output's spread (rounding), or an input that does not move.
+    NaN where nothing can be tested: fewer than 50 residuals, or residuals below 1e-9 of the
+    output's spread (rounding), or an input that does not move.
     """
 
+    # (ny,): 'The residuals of this output are independent of each other.' Simulation residuals
+    # pass only if all noise is white measurement noise; residuals of one-step predictions should
+    # pass whenever K describes the noise
     whiteness: Array
+    # (ny, nu): 'The residuals of this output know nothing of the past of this input.' What fails
+    # here, the dynamics from that input miss
     independence: Array
 
 

@@ -55,22 +55,11 @@ _LEAST = 1e-12        # of a state's size over the largest one's
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """
-    A predictor of the regression.
+    """A predictor of the regression."""
 
-    Parameters
-    ----------
-    model : ModalModel
-        Initial states and trims are zero.
-    score : float
-        Schwarz's criterion, one sample ahead: the least is most likely.
-    parameters : float
-        How many free numbers it is worth: fewer than it has, for what was expected of them.
-    """
-
-    model: ModalModel
-    score: float
-    parameters: float
+    model: ModalModel  # initial states and trims are zero
+    score: float       # Schwarz's criterion, one sample ahead: the least is most likely
+    parameters: float  # numbers that it is worth: fewer than it has, for what was expected of them
 
 
 class Table(NamedTuple):
@@ -84,18 +73,10 @@ class Table(NamedTuple):
 
 def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[int, Start]:
     """
-    Return the likeliest predictor of every order that the samples can tell; few samples: none.
+    Return the likeliest predictor of every order up to `highest`; of few samples none.
 
-    Parameters
-    ----------
-    joint : Samples
-        With the outputs' own past among the inputs.
-    highest : int
-        Order.
-    known : ndarray, shape (nu,)
-        Dead times that are given; 0 where they are free [s].
-    free : Free
-        Of the predictors.
+    `joint` has the outputs' own past among the inputs; `known` dead times (nu,) [s] are 0 where
+    they are free; `free` is of the predictors.
     """
     found: dict[int, Start] = {}
     if np.min(joint.counts.sum(axis=0)) < _ROWS * _MODES:

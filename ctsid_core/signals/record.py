@@ -225,11 +225,7 @@ def common_interval(signals: Sequence[Signal]) -> tuple[float, float]:
     Return the longest interval on which every signal is known [s].
 
     A signal is known from its first to its last stamp; a held one for one more median interval.
-
-    Raises
-    ------
-    DataError
-        If a signal has no sample, or the signals do not overlap.
+    Raises `DataError` if a signal has no sample, or the signals do not overlap.
     """
     spans = []
     for signal in signals:

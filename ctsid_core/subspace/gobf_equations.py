@@ -11,15 +11,10 @@ the signal v, L and b of `bases.takenaka_malmquist`, and zero states of the chai
 feedthrough and initial state. x_0 and the trim are inputs of their own: an impulse at the start,
 and the constant 1, each through the chain.
 
-Errata of [TM], found by deriving (6) anew; `docs/method.md` has the list. What matters here:
-
-- The regressors psi_(j,i+1) M_i u of eq. 6, N (N + 1) / 2 of them, lie in the span of N, the chain
-  itself: every one is a strictly proper function with poles among the chain's. So u(t) of eq. 6
-  has dependent rows, L11 of lemma 3 is singular, and a plain LQ factorisation gives arbitrary
-  rows of Q. Here the N independent ones are used.
-- T_0 has the sign of D_0 reversed, and all T_i lack 1/sqrt(2 sigma) of the row (eq. 4 has it).
-- Eq. 13 means M^+ R. Eq. 14 lacks a root: C = Theta_(1,0) (A + sigma_0) / sqrt(2 sigma_0).
-- With complex poles, eq. 10 to 12 need conj sigma of the pole left, and Re sigma under roots.
+`docs/method.md` lists the errata of [TM]. The regressors psi_(j,i+1) M_i u of eq. 6, N (N + 1) / 2
+of them, lie in the span of N, the chain itself: every one is a strictly proper function with poles
+among the chain's. So u(t) of eq. 6 has dependent rows, L11 of lemma 3 is singular, and a plain LQ
+factorisation gives arbitrary rows of Q. Here the N independent ones are used.
 
 An output is D u + C B J u + C A B J^2 u + ..., J the integral, beside the smooth free response.
 A held input jumps at its stamps, so J u has corners there, and J^2 u jumps of curvature. No
@@ -38,7 +33,7 @@ from math import factorial
 import numpy as np
 
 from ctsid_core.bases.takenaka_malmquist import Chain, of_one_degree, respond
-from ctsid_core.linear.matrix_functions import svd
+from ctsid_core.linear.matrix_functions import exponentials, svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between
@@ -117,7 +112,7 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     ones = np.ones((1, len(knots), 1))
     signals = np.concatenate(of_one_degree((u, ones, missed, y)), axis=2)
     w = respond(chain, signals, knots)[np.searchsorted(knots, times)]
-    impulse = chain.impulse_response(times - times[0])[:, :, np.newaxis]
+    impulse = (exponentials(chain.L, times - times[0], 0)[0] @ chain.b)[:, :, np.newaxis]
     return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
 
 

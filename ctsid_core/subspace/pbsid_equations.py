@@ -25,7 +25,7 @@ import numpy as np
 
 from ctsid_core.bases.projection import Projection, as_real
 from ctsid_core.linear.least_squares import least_norm, solve
-from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.matrices import Matrices, plain_matrices
 from ctsid_core.linear.matrix_functions import svd
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array
@@ -88,7 +88,7 @@ def regress(levels: Levels, tuning: Tuning, *, feedthrough: bool,
 
 def stack_levels(projection: Projection, beta: float, gamma: float, top: int) -> Levels:
     """Return the levels z g^0 .. z g^top ([HD] eq. 37), compressed by one QR factorisation."""
-    z = projection.signals
+    z = np.vstack((projection.u, projection.tail, projection.ones, projection.y))
     scale = np.sqrt(np.sum(as_real(z) ** 2, axis=1))
     scale[scale == 0.0] = 1.0
     g = gamma / (projection.s + beta)                                         # inverse of eq. 37
@@ -133,19 +133,8 @@ def realise(subspace: Subspace, n: int) -> Matrices:
     regressors = [x_g, levels[1, :nz - ny]] + ([] if quiet else [e_g])
     state = least_norm(np.vstack(regressors), gamma * x - beta * x_g, tolerance)  # eq. 54 times g
     K = np.zeros((n, ny)) if quiet else state[:, n + nz - ny:]
-    return _unscale(state[:, :n], state[:, n:n + nz - ny], K, output[:, :n], output[:, n:],
-                    subspace)
-
-
-def _unscale(A: Array, B: Array, K: Array, C: Array, D: Array, subspace: Subspace) -> Matrices:
-    """Undo the scaling of the rows of z, and split what belongs to u, tail and ones."""
-    nu, tail, ones, ny = subspace.levels.counts
-    size = subspace.levels.scale
-    own = size[nu + tail + ones:, np.newaxis]
-    B = B / size[:nu + tail + ones]
-    columns = np.r_[:nu * subspace.feedthrough, nu + tail:nu + tail + ones].astype(int)
-    D = own * D / size[columns]
-    feed = D[:, :nu] if subspace.feedthrough else np.zeros((ny, nu))
-    return Matrices(
-        A=A, B=B[:, :nu], C=own * C, D=feed, K=K / own.T, tail=B[:, nu:nu + tail],
-        x_trim=B[:, nu + tail:], y_trim=D[:, nu * subspace.feedthrough:])
+    # The rows of z are scaled. What belongs to the tail and to the ones is each record's own.
+    u, own = subspace.levels.scale[:counts[0]], subspace.levels.scale[nz - ny:, np.newaxis]
+    D = output[:, n:n + len(u)] if subspace.feedthrough else np.zeros((ny, len(u)))
+    return plain_matrices(state[:, :n], state[:, n:n + len(u)] / u, own * output[:, :n],
+                          own * D / u, K / own.T)

@@ -31,7 +31,7 @@ from scipy.linalg import expm, expm_frechet, solve_discrete_are
 from ctsid_core.errors import DataError
 from ctsid_core.linear.matrix_functions import SOUND, Modes, modes
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.model.modal import mode_responses
+from ctsid_core.model.modal import steps_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.record import Signal
 
@@ -65,14 +65,15 @@ def output_error_bound(model: StateSpace, x0: Array, inputs: Sequence[Signal], t
         sqrt(E |error|^2) of each pole, in the order of `model.poles` [rad/s].
     """
     found = _modes(model)
-    at = mode_responses(found.values, inputs, model.delay, float(times[0]), times)
+    at = steps_of(inputs, model.delay, float(times[0]), times)
+    responses, slopes = at.responses(found.values)
     b, start = found.left @ model.B, found.left @ x0
     since = times - times[0]
     free = np.exp(found.values[:, np.newaxis] * since)
-    by_pole = np.einsum('mj,mjt->mt', b, at.slopes) + start[:, np.newaxis] * since * free
-    motion = np.einsum('mj,mjt->mt', b, at.responses) + start[:, np.newaxis] * free
+    by_pole = np.einsum('mj,mjt->mt', b, slopes) + start[:, np.newaxis] * since * free
+    motion = np.einsum('mj,mjt->mt', b, responses) + start[:, np.newaxis] * free
     real = found.values.imag == 0.0
-    moves = [*by_pole, *at.responses.reshape(-1, len(times)), *free]
+    moves = [*by_pole, *responses.reshape(-1, len(times)), *free]
     modes_of = [*range(len(b)), *np.repeat(np.arange(len(b)), model.nu), *range(len(b))]
     direct = [*(at.inputs if feedthrough else ()), *(np.ones((1, len(times))) if trim else ())]
     blocks = []
