@@ -298,3 +298,22 @@ def test_what_a_simulation_explains_does_not_grow(seed):
     found = identify(given.record, Settings(feedthrough=False))
     assert found.verdict.grade is not Grade.GOOD
     assert np.mean(simulated(found.model or found.rejected_model, given.test)) > 90.0
+
+
+def test_an_unstable_plant_under_its_controller_is_told_to_be_one():
+    """With D free it was simulated with a mode on the axis: REJECT, 411 % of the motion left."""
+    rng, h = np.random.default_rng(1), 0.01
+    joined = expm(h * np.array([[0.0, 1.0, 0.0], [9.0, -0.5, 4.0], [0.0, 0.0, 0.0]]))
+    wanted, x = np.repeat(rng.standard_normal(120), 50), np.zeros(2)
+    u, y = np.empty(6000), np.empty(6000)
+    for k in range(6000):
+        y[k] = x[0] + 0.01 * rng.standard_normal()
+        u[k] = 6.0 * (wanted[k] - y[k]) - 1.5 * x[1]
+        x = joined[:2, :2] @ x + joined[:2, 2] * (u[k] + 0.3 * rng.standard_normal())
+    record = Record.from_arrays(h * np.arange(6000), u, h * np.arange(6000), y, input_hold='zoh')
+    found = identify(record)
+    assert any('set `feedthrough: false`' in note for note in found.notes)
+    assert 'No linear model' not in found.verdict.reason
+    other = identify(record, Settings(feedthrough=False))
+    assert other.verdict.grade is Grade.GOOD
+    assert np.min(np.abs(other.model.poles - 2.76)) < 0.3

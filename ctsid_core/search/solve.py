@@ -118,13 +118,14 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
-    disturbed = None
+    disturbed, grows = None, False
     if own.feedthrough and not effort.beyond(SEARCH) and (
             left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
-        # In open loop a plant is to simulate, unless it grows.
-        if predicted is not None and (left < _FAILS or _growth(predicted, samples) < _GROWS):
-            predicted, disturbed = None, predicted
+        grows = predicted is not None and _growth(predicted, samples) > _GROWS
+        # In open loop a plant is to simulate, unless it grows and no simulation tells it.
+        if left < _FAILS or not grows:
+            predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
         return solved
@@ -146,7 +147,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_longest(part, best, free), *_growing(best.fit.model, free, own)),
+                    (*notes, *_longest(part, best, free), *_growing(
+                        best.fit.model, free, own, grows)),
                     whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
                     singular_values=values, condition=condition)
 
@@ -280,13 +282,15 @@ def _longest(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
         if late and delay > _NEARLY * free.longest)
 
 
-def _growing(model: ModalModel, free: Free, own: Settings) -> tuple[str, ...]:
-    """Return whether modes neither grow nor decay, as far as the window shows, in words."""
+def _growing(model: ModalModel, free: Free, own: Settings, grows: bool) -> tuple[str, ...]:
+    """Return whether modes neither grow nor decay, or grow in predictions, in words."""
     near = model.poles.real >= _STEADY * free.limit
-    if not own.feedthrough or np.sum(near) + np.sum(near & (model.poles.imag > 0.0)) < 2:
+    if not own.feedthrough or not grows and np.sum(near) + np.sum(
+            near & (model.poles.imag > 0.0)) < 2:
         return ()
-    return ('modes neither grow nor decay, as when a controller keeps an unstable plant in place: '
-            'if one does, set `feedthrough: false`',)
+    what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
+    return (f'{what}, as when a controller keeps an unstable plant in place: if one does, set '
+            '`feedthrough: false`',)
 
 
 def _left_out(found: Container[int], order: int, settings: Settings,
