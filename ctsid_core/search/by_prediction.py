@@ -19,6 +19,7 @@ Ljung, System Identification, 2nd edition, sections 4.3, 7.2 and 13.4 (closed lo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import warnings
@@ -415,10 +416,10 @@ def held_interval(joint: Samples) -> float:
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
-def prediction_errors(m: Matrices, delay: Array, last: Last,
-                      start: float | None = None) -> Array:
+def prediction_errors(m: Matrices, delay: Array, last: Last, start: float | None = None,
+                      horizons: Sequence[int] = HORIZONS) -> Array:
     """
-    Return rms errors of predictions `HORIZONS` samples ahead, over the motion, (horizons, ny).
+    Return rms errors of predictions some samples ahead, over the motion, (horizons, ny).
 
     The first tenth of the record starts the filter and does not count. Of a simulation its state
     at the `start` [s] is known: a filter without gain would never learn it. Infinite if the filter
@@ -448,7 +449,7 @@ def prediction_errors(m: Matrices, delay: Array, last: Last,
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
         states = predicted_states(F, F @ M, m.C, rest, first if start is None else 0)
-        for horizon in [h for h in HORIZONS if 2 * h <= len(t)]:
+        for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
             e = e[max(first - horizon, 0):][real[horizon - 1:][max(first - horizon, 0):]]

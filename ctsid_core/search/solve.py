@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +49,8 @@ from ctsid_core.search.by_order import (
 from ctsid_core.search.by_prediction import (
     Last,
     PredictionFit,
+    held_interval,
     information,
-    is_stable,
     plant_of,
     prediction_errors,
     solve_by_prediction,
@@ -71,6 +72,7 @@ _UNEXPLAINED = 0.05   # error that is not noise, over the motion, with which the
                       # may tell more of a plant in open loop, ...
 _FAILS = 0.5          # ... and with which no simulation tells it, and it may grow
 _GROWS = 1.0          # times e within the record: less does not tell a plant that grows
+_GROWN = 2.0          # times e, as far as a plant that grows has to predict
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _FEWEST = 3           # states: fewer are found by a grid of poles
@@ -98,9 +100,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
-    # In closed loop predictions say where a simulation may be that is as likely. What seems to
-    # grow, and hardly does within the record, may integrate, which simulations tell better.
-    if predicted is not None and not 0.0 < _growth(predicted, samples) < _GROWS and (
+    # In closed loop predictions say where a simulation may be that is as likely. What grows or
+    # decays hardly within the record may integrate, which simulations tell better.
+    if predicted is not None and abs(_growth(predicted, samples)) > _GROWS and (
             rival := _beside(samples, predicted, free)) and (
             solved := _likelier(part, settings, corrupt, seen, samples, rival, free, predicted)):
         return solved
@@ -128,7 +130,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
-        return solved
+        return replace(solved, hidden=hidden)
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
     if disturbed is not None and not settings.order and (solved := _disturbed(
@@ -161,10 +163,11 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
 
     What disturbs a plant for longer than it remembers is like an input that is not known. Output
     error then trusts most the frequencies that are disturbed most; predictions trust those that
-    are known best. K is not paid: the colour of the errors tells, and costs, the same.
+    are known best. K is not paid, for it is no number of the likelihood that is compared.
     """
-    plant = _plant_of(part, samples, found, free)
-    if plant is None or _in_colour(samples, plant.simulated) >= _in_colour(samples, best):
+    plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
+    if plant is None or _in_colour(samples, plant.simulated, matters) >= _in_colour(
+            samples, best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not solved.whole else best
@@ -208,7 +211,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
         (Choice('domain', 'disturbed', "the plant that predictions from the outputs' own past "
-                'found is likelier than the best simulation'),),
+                'found is likelier than that of output error'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_longest(part, one, plant.free)), plant=plant.matrices, whole=whole,
         predictor=(found.samples, found.found.fit, found.free))
@@ -419,21 +422,29 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
     """
     Return the plant that predictions found where they are likelier than a simulation's.
 
-    If it simulates, that is what it is judged by, else by predictions. A plant that grows is not
-    explained by a simulation, but for noise.
+    If it simulates, that is what it is judged by, else by predictions. A plant that grows must
+    not predict worse where it has grown: less far ahead, a gain that drifts looks like growth.
     """
-    if _growth(found, samples) > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED:
-        return None
     rival, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
-    errors = prediction_errors(rival, best.fit.model.delay, _last(part, corrupt),
-                               samples.records[part.last].start)
     numbers = best.parameters + int(np.count_nonzero(rival.K))
+    last, record = _last(part, corrupt), samples.records[part.last]
+    simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
     # Fewer numbers are no reason to give up a simulation.
-    if information(errors, samples, numbers) < information(
+    if information(simulated(), samples, numbers) < information(
             found.errors, samples, max(found.found.parameters, numbers)):
         return None
+    growth, length = _growth(found, samples), record.end - record.start
+    if growth > _GROWS:
+        ahead = min(_GROWN / growth * samples.length, 0.4 * length)
+        far = (max(int(ahead / held_interval(found.samples)), 1),)
+        errors = prediction_errors(found.matrices, found.found.fit.model.delay[:samples.nu], last,
+                                   horizons=far)
+        worse = np.log(np.maximum(errors, 1e-12) / np.maximum(simulated(horizons=far), 1e-12))
+        # Errors so far ahead are alike for as long.
+        if 2.0 * length / ahead * float(np.sum(worse)) > price(samples):
+            return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
-    plant = _plant_of(part, samples, found, free) if is_stable(found.matrices) else None
+    plant = None if growth > _GROWS else _plant_of(part, samples, found, free)
     if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
