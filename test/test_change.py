@@ -201,9 +201,9 @@ def test_a_gain_that_grows_by_half_is_seen_wherever_it_does(share):
 
 
 @pytest.mark.parametrize(('gain', 'status', 'grade', 'words'), [
-    (8.0, Status.CHANGED, Grade.REJECT, 'The plant changed about 14.'),
+    (8.0, Status.CHANGED, Grade.REJECT, 'The plant changed about '),
     (4.0, Status.OK, Grade.GOOD, 'Every test is passed'), *slow(
-        (5.0, Status.OK, Grade.WEAK, 'Predictions tell that the plant changed about 14.'))])
+        (5.0, Status.OK, Grade.WEAK, 'Predictions tell that the plant changed about '))])
 def test_a_change_under_a_controller_is_never_good(gain, status, grade, words):
     """In gusts of 2 % of the motion; where simulations cannot tell it, predictions may."""
     rng, step, n = np.random.default_rng(1), 0.02, 2000
@@ -221,3 +221,5 @@ def test_a_change_under_a_controller_is_never_good(gain, status, grade, words):
                      CLOSED_LOOP)
     assert (found.status, found.verdict.grade) == (status, grade)
     assert found.verdict.reason.startswith(words)
+    # A gain that moves by a quarter tells its instant to a second.
+    assert gain == 4.0 or found.statistics['change_share'] == pytest.approx(0.36, abs=0.025)

@@ -9,13 +9,15 @@ both, so that disturbances are no change of the plant. Two models are always a l
 drag, friction or gusts as well, but of a plant that changes they leave noise only: how much
 independent evidence there is for two is counted in *their* errors, and nearly all that one model
 leaves, noise apart, has to be gone, as far as the noise lets see. And they have to be the best
-explanation: of a plant that drifts, or is not linear, a drift or curves explain as much. Of a
-model that was found by its predictions these tell, for their errors are white where gusts stay in
-those of simulations; how much it matters is what the plant, simulated, misses beside two.
+explanation: of a plant that drifts, or is not linear, a drift or curves explain as much. Of
+several records each may be of another plant as a whole: then it has a model of its own. Of a
+model that was found by its predictions these tell, for their errors are white where gusts stay
+in those of simulations; how much it matters is what the plant, simulated, misses beside two.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +58,7 @@ class Change:
     """The division of a record at which two models gain most."""
 
     record: int = -1           # its place; -1 if none was divided
-    share: float = 0.5         # where, as a part of it
+    share: float = 0.5         # where, as a part of it; 0: all of it is of another plant
     # Rms of what one model misses and two do not, on the side and the output where it is most,
     # noise and what two gain by chance apart, over the motion [%]
     cost: float = 0.0
@@ -92,11 +94,18 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
 
 def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
     """Return what two models explain where predictions say that the plant changes."""
-    joint, fit, own = predictor
-    whole = fit.model, own
-    one = _only(joint, place)
+    joint, fit, free = predictor
+    one, whole = _only(joint, place), (fit.model, free)
+    if len(joint.records) > 1:
+        # What disturbs a record is its own, and so is its predictor.
+        other = _another(samples, plant, place)
+        if other.cost > 0.0:
+            return other
+        with suppress(np.linalg.LinAlgError):
+            start = fit_at(one, fit.model.poles, fit.model.delay, free)
+            whole = climb(one, start, free, steps=_STEPS, least=ROUGHLY).model, free
     found = _divisions(one, whole, whole, place)
-    if found.gain <= 0.0 or not _best(one.thinned(2 * _SEARCHED), whole, found.share):
+    if found.gain <= 0.0 or not _best(joint, whole, found):
         return Change()
     size = _divided(_only(samples, place), plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
@@ -104,10 +113,22 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
 
 def _of_record(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the change within one record, if models of a model's order explain it best."""
-    one = _only(samples, place)
-    found = _divisions(one, own, whole, place)
-    explained = found.cost > 0.0 and found.left < _LEFT and _best(
-        one.thinned(2 * _SEARCHED), own, found.share)
+    if own is whole and len(samples.records) > 1:
+        other = _another(samples, own, place)
+        if other.cost > 0.0:
+            return other
+    found = _divisions(_only(samples, place), own, whole, place)
+    return _explained(samples, own, found)
+
+
+def _another(samples: Samples, own: Own, place: int) -> Change:
+    """Return a record as of another plant than the others are, if that explains it best."""
+    return _explained(samples, own, _divided(_only(samples, place), own, own, place, 0.0))
+
+
+def _explained(samples: Samples, own: Own, found: Change) -> Change:
+    """Return a division if it leaves hardly more than noise, and explains most; else none."""
+    explained = found.cost > 0.0 and found.left < _LEFT and _best(samples, own, found)
     return found if explained else Change()
 
 
@@ -138,7 +159,7 @@ def _likely(samples: Samples, own: Own) -> list[float]:
     """Return the instants at which a model of each side's own promises most, if it is enough."""
     samples = samples.thinned(2 * _SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
-    _, rows, error, states, shares = _slopes(samples, own)
+    _, rows, error, states, shares, _ = _slopes(samples, own)
     # What a side's own states and trims explain is no change: they come first.
     both = np.column_stack((rows[:, states], rows[:, ~states], error))
     samples.effort.spend(_LOOK + 4.0 * both.shape[1] ** 2 * (
@@ -162,35 +183,43 @@ def _likely(samples: Samples, own: Own) -> list[float]:
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 
-def _slopes(samples: Samples, own: Own) -> tuple[Fit, Array, Array, Mask, Array]:
+def _slopes(samples: Samples, own: Own) -> tuple[Fit, Array, Array, Mask, Array, Array]:
     """
-    Return a model of the only record, and what may change the simulation of each sample.
+    Return a model of these records, and what may change the simulation of each sample.
 
-    Its fit, Jacobian and errors; which columns are of states and trims; and when each row is, as
-    a part of the record.
+    Its fit, Jacobian and errors; which columns are of states and trims; when each row is, as a
+    part of its record, and of which record.
     """
     model, free = own
     columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
                          turned=False)
-    fit, record = fit_states(samples, model, free, columns), samples.records[0]
+    fit = fit_states(samples, model, free, columns)
     rows, error, places = jacobian(samples, fit, free)
-    times = np.concatenate([s.times for s in record.streams for _ in range(s.y.shape[1])])
-    return (fit, rows, error, places.of_states(samples.ny, 1, free.trim),
-            (times - record.start) / (record.end - record.start))
+    times = [[(s.times - r.start) / (r.end - r.start)
+              for s in r.streams for _ in range(s.y.shape[1])] for r in samples.records]
+    return (fit, rows, error, places.of_states(samples.ny, len(times), free.trim),
+            np.concatenate([t for one in times for t in one]),
+            np.repeat(np.arange(len(times)), [sum(map(len, one)) for one in times]))
 
 
-def _best(samples: Samples, own: Own, share: float) -> bool:
+def _best(samples: Samples, own: Own, change: Change) -> bool:
     """
     Return whether a division explains more than a drift, and than curves.
 
-    All to first order, from the same model, less what their numbers gain by chance.
+    All to first order, from the same model, less what their numbers gain by chance. A record of
+    another plant is compared with curves of all records.
     """
-    fit, rows, error, states, shares = _slopes(samples, own)
-    counts = [len(s.times) for s in samples.records[0].streams for _ in range(s.y.shape[1])]
-    rest, after = rows[:, ~states], (shares > share)[:, np.newaxis]
+    samples = (_only(samples, change.record) if change.share else samples).thinned(2 * _SEARCHED)
+    fit, rows, error, states, shares, records = _slopes(samples, own)
+    counts = [len(s.times) for r in samples.records for s in r.streams
+              for _ in range(s.y.shape[1])]
+    rest, after = rows[:, ~states], (shares > change.share)[:, np.newaxis]
+    common = (rows, rows[:, states] * after) if change.share else (rows,)
+    if not change.share:
+        after = (records == change.record)[:, np.newaxis]
 
     def unexplained(more: Array) -> float:
-        columns = np.hstack((rows, rows[:, states] * after, more))
+        columns = np.hstack((*common, more))
         if columns.shape[1] > MOST * len(error):
             return np.inf
         samples.effort.spend(4.0 * len(error) * columns.shape[1] ** 2)
@@ -198,8 +227,8 @@ def _best(samples: Samples, own: Own, share: float) -> bool:
         power = [float(np.mean(e ** 2)) for e in np.split(left, np.cumsum(counts)[:-1])]
         return float(counts @ np.log(np.maximum(power, 1e-300))) + told
     divided = unexplained(rest * after)
-    return divided < np.inf and divided <= unexplained(
-        rest * (shares - 0.5)[:, np.newaxis]) and divided <= unexplained(curves_of(samples, fit))
+    return divided < np.inf and divided <= unexplained(curves_of(samples, fit)) and (
+        not change.share or divided <= unexplained(rest * (shares - 0.5)[:, np.newaxis]))
 
 
 def _numbers(samples: Samples, own: Own) -> int:
@@ -211,7 +240,11 @@ def _numbers(samples: Samples, own: Own) -> int:
 
 def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
              certain: bool = False) -> Change:
-    """Return what two models of a model's order miss, if they are likelier than the whole's."""
+    """
+    Return what two models of a model's order miss, if they are likelier than the whole's.
+
+    Of a record that begins with the division, one of its own: the whole is the other records'.
+    """
     if samples.effort.over:
         return Change()
     record, (model, free) = samples.records[0], own
@@ -219,7 +252,8 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     one: list[tuple[Array, ...]] = []
     two: list[tuple[Array, ...]] = []
     larger: list[tuple[Array, ...]] = []
-    for start, end in ((record.start, at), (at, record.end)):
+    sides = ((record.start, at), (at, record.end)) if share else ((at, record.end),)
+    for start, end in sides:
         side = samples.between([(start, end)]).thinned(_SEARCHED)
         if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
             return Change()
@@ -234,7 +268,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
         one += residuals(side, same)
         larger += one[-1:] if whole is own else residuals(side, fit_states(side, *whole))
         two += residuals(side, min(same, other, key=lambda fit: fit.cost))
-    parts = np.array([share, 1.0 - share])
+    parts = np.array([share, 1.0 - share] if share else [1.0])
     before, after, rival = (np.array([_power((side,)) for side in both])
                             for both in (one, two, larger))
     power, rest = parts @ rival, parts @ after
@@ -244,7 +278,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     # Numbers that two models are fitted with are no evidence for them; against them all is.
     telling = np.where(rest < power, np.maximum(n_eff - fitted, 0.0), n_eff)
     gain = float(telling @ np.log(power / rest)) - (
-        2 * count - of_whole) * float(np.log(max(float(np.max(n_eff)), 2.0)))
+        2 * count - of_whole if share else count) * float(np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0 and not certain:
         return Change()
     where = int(np.argmax(parts @ before - rest))
@@ -258,7 +292,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))
     return Change(place, share, float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
-         100.0 * (1.0 - float(np.sqrt(np.max(side[1]))))) for side in (before, after)))
+         100.0 * (1.0 - float(np.sqrt(np.max(side[-1]))))) for side in (before, after)))
 
 
 def _power(errors: Residuals) -> Array:

@@ -236,6 +236,8 @@ def _where(part: Joint, change: Change) -> str:
     """Return when the plant changed, in words."""
     if change.record < 0:
         return ''
+    if not change.share:
+        return f'in all of record {part.numbers[change.record]}'
     own = part.parts[change.record].whole
     at = _share(part, change) * own.duration
     return 'about ' + (f'{at:.1f} s after the start of record {part.numbers[change.record]}'
@@ -251,8 +253,8 @@ def _worst(solution: Solution) -> str:
 
 def _share(part: Joint, change: Change) -> float:
     """Return where the change lies, as a part of the whole record."""
-    if change.record < 0:
-        return float('nan')
+    if change.record < 0 or not change.share:
+        return float('nan') if change.record < 0 else 0.0
     own = part.parts[change.record]
     at = own.record.start + change.share * own.record.duration
     return float((at - own.whole.start) / own.whole.duration)

@@ -66,13 +66,13 @@ def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
 
 
 def curves_of(samples: Samples, fit: Fit) -> Array:
-    """Return the columns of curves of the only record, for each sample of each output."""
-    record, errors = samples.records[0], residuals(samples, fit)
-    curved, = _powers(samples, errors)
-    found: Array = block_diag(*(
-        block for k, stream in enumerate(record.streams)
-        for block in [_curves(record, k, fit.model, curved)] * stream.y.shape[1]))
-    return found
+    """Return the columns of curves, for each sample of each output of each record, over errors."""
+    powers = _powers(samples, residuals(samples, fit))
+    size = np.sqrt(np.maximum(fit.power, 1e-300))
+    return np.vstack([block_diag(*(
+        block / one for k, stream in enumerate(record.streams)
+        for block in [_curves(record, k, fit.model, curved)] for one in own[stream.channels]))
+        for record, curved, own in zip(samples.records, powers, size, strict=True)])
 
 
 def beside(columns: Array, error: Array) -> tuple[Array, int]:

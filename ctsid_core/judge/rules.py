@@ -88,6 +88,10 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
 
 def _changed(e: Evidence) -> str:
     (a, b), (c, d) = e.change.one, e.change.two
+    if not e.change.share:
+        return (f'One model does not hold {e.where}: that of all fits it to {a:.0f} %, one of its '
+                f'own to {c:.0f} %, and what the first misses and the other does not is '
+                f'{e.change.cost:.0f} % of the motion; identify it by itself.')
     return (f'The plant changed {e.where}: one model fits {a:.0f} % before and {b:.0f} % after '
             f'that, two models {c:.0f} and {d:.0f} %, and what one misses and two do not is '
             f'{e.change.cost:.0f} % of the motion; identify each side by itself.')

@@ -141,7 +141,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int,
 
 
 def _as_used(one: PredictionFit, joint: Samples) -> float:
-    return information(one.errors, joint, one.found.parameters)
+    return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
 
 
 def _begun(joint: Samples, starts: dict[int, Start],
@@ -280,21 +280,22 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Last,
             continue
         if np.max(errors) < _DIVERGED:
             known.append(PredictionFit(plant, joint, one, free, errors, information(
-                np.vstack((likely, errors[1:])), joint, one.parameters), {}))
+                np.vstack((likely, errors[1:])), joint.counts.sum(axis=0), one.parameters), {}))
         if is_stable(plant):
             break
     # Far ahead shows whether a mode really grows.
     return min(known, key=lambda fit: fit.information, default=None)
 
 
-def information(errors: Array, samples: Samples, parameters: int) -> float:
+def information(errors: Array, counts: Array, parameters: int = 0) -> float:
     """
     Return Schwarz's criterion of predictions so many samples ahead, all horizons together.
 
     The least is most likely. Errors h samples ahead are alike for h samples, so that one of h is
-    independent. They are root mean squares at the first of `HORIZONS`, (horizons, ny).
+    independent, of those that are counted of each output. They are root mean squares at the first
+    of `HORIZONS`, (horizons, ny).
     """
-    counts = samples.counts.sum(axis=0) / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
+    counts = counts / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
     return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
         + float(np.log(counts[0].max())) * parameters
 

@@ -51,6 +51,7 @@ from ctsid_core.search.by_prediction import (
     PredictionFit,
     held_interval,
     information,
+    is_stable,
     plant_of,
     prediction_errors,
     solve_by_prediction,
@@ -398,11 +399,11 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
     return solve_by_prediction(
         samples, replace(free, delays=own.unknown_delays(samples.nu)), order=settings.order,
         max_order=settings.max_order, known_delay=np.array(own.delays(samples.nu)),
-        last=_last(part, corrupt))
+        last=_record(part, corrupt, part.last))
 
 
-def _last(part: Joint, corrupt: Corrupt) -> Last:
-    return Last(part.last, part.parts[part.last].record, tuple(corrupt[part.last]))
+def _record(part: Joint, corrupt: Corrupt, place: int) -> Last:
+    return Last(place, part.parts[place].record, tuple(corrupt[place]))
 
 
 def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
@@ -422,29 +423,12 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
     """
     Return the plant that predictions found where they are likelier than a simulation's.
 
-    If it simulates, that is what it is judged by, else by predictions. A plant that grows must
-    not predict worse where it has grown: less far ahead, a gain that drifts looks like growth.
+    If it simulates, that is what it is judged by, else by predictions.
     """
-    rival, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
-    numbers = best.parameters + int(np.count_nonzero(rival.K))
-    last, record = _last(part, corrupt), samples.records[part.last]
-    simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
-    # Fewer numbers are no reason to give up a simulation.
-    if information(simulated(), samples, numbers) < information(
-            found.errors, samples, max(found.found.parameters, numbers)):
+    if not _predicts_better(part, corrupt, samples, best, found):
         return None
-    growth, length = _growth(found, samples), record.end - record.start
-    if growth > _GROWS:
-        ahead = min(_GROWN / growth * samples.length, 0.4 * length)
-        far = (max(int(ahead / held_interval(found.samples)), 1),)
-        errors = prediction_errors(found.matrices, found.found.fit.model.delay[:samples.nu], last,
-                                   horizons=far)
-        worse = np.log(np.maximum(errors, 1e-12) / np.maximum(simulated(horizons=far), 1e-12))
-        # Errors so far ahead are alike for as long.
-        if 2.0 * length / ahead * float(np.sum(worse)) > price(samples):
-            return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
-    plant = None if growth > _GROWS else _plant_of(part, samples, found, free)
+    plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
     if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
@@ -456,6 +440,37 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
         plant=found.matrices, errors_ahead=found.errors, simulating=None if plant is None else (
             samples, plant.simulated.fit, plant.free))
+
+
+def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried,
+                     found: PredictionFit) -> bool:
+    """
+    Return whether the plant that predictions found predicts better than a simulation's.
+
+    A plant that grows must not predict worse where it has grown: less far ahead, a gain that
+    drifts looks like growth. What disturbs a record is its own, and so is a simulation's gain.
+    """
+    errors, fit, grows = residuals(samples, best.fit), found.found.fit, not is_stable(
+        found.matrices)
+    growth, numbers, gain, far = _growth(found, samples), best.parameters, 0.0, 0.0
+    for place, counts in enumerate(samples.counts):
+        record, last = samples.records[place], _record(part, corrupt, place)
+        rival, _ = with_noise(samples, best.fit, errors, place)
+        plant = plant_of(fit, found.samples, place, grows) or found.matrices
+        simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
+        predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
+        numbers += int(np.count_nonzero(rival.K))
+        gain += information(simulated(), counts) - information(predicted(), counts)
+        if growth > _GROWS:
+            length = record.end - record.start
+            ahead = min(_GROWN / growth * samples.length, 0.4 * length)
+            horizons = (max(int(ahead / held_interval(found.samples)), 1),)
+            own, other = (np.maximum(f(horizons=horizons), 1e-12) for f in (predicted, simulated))
+            # Errors so far ahead are alike for as long.
+            far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
+    # Fewer numbers are no reason to give up a simulation.
+    return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
+        and far <= price(samples)
 
 
 def _growth(found: PredictionFit, samples: Samples) -> float:
