@@ -130,6 +130,16 @@ def test_bags_are_found_in_folders_patterns_and_lists(fleet, tmp_path):
         find_bags([str(tmp_path / '*.mcap')])
 
 
+def test_logs_and_tables_are_found_where_there_is_no_bag(tmp_path):
+    tables = [tmp_path / 'a.csv', tmp_path / 'b/c.ULG']
+    for path in tables:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text('0')
+    assert find_bags([str(tmp_path)]) == [str(path) for path in tables]
+    (tmp_path / 'b/d.mcap').write_text('0')
+    assert find_bags([str(tmp_path)]) == [str(tmp_path / 'b/d.mcap')]
+
+
 def test_the_vehicle_is_the_folder_or_what_a_pattern_finds():
     bag = '/data/uav-7/2026-03-01/a.mcap'
     assert vehicle(bag) == '2026-03-01'

@@ -150,7 +150,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_longest(part, best, free), *_growing(
+                    (*notes, *_at_bounds(part, best, free), *_growing(
                         best.fit.model, free, own, grows)),
                     whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
                     singular_values=values, condition=condition)
@@ -214,7 +214,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         (Choice('domain', 'disturbed', "the plant that predictions from the outputs' own past "
                 'found is likelier than that of output error'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_longest(part, one, plant.free)), plant=plant.matrices, whole=whole,
+         *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
         predictor=(found.samples, found.found.fit, found.free))
 
 
@@ -276,14 +276,18 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     return tried(samples, climb(samples, start, free), free)
 
 
-def _longest(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
-    """Return which dead times are nearly as long as any that is looked for, in words."""
-    return tuple(
+def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
+    """Return which dead times and poles are about the longest and fastest looked for, in words."""
+    late = tuple(
         f'the dead time of input {name} is near the longest that is looked for, '
         f'{free.longest:.3g} s, '
         'and states may stand in for more; give `delay`, or take a longer window'
         for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
         if late and delay > _NEARLY * free.longest)
+    fast = float(np.max(np.abs(best.fit.model.poles), initial=0.0))
+    return late if fast < _NEARLY * free.fastest else (*late, (
+        f'the pole of {fast:.3g} rad/s is about the fastest that is looked for ({_FASTEST:g} of '
+        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
 
 
 def _growing(model: ModalModel, free: Free, own: Settings, grows: bool) -> tuple[str, ...]:
@@ -447,12 +451,14 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     """
     Return whether the plant that predictions found predicts better than a simulation's.
 
-    A plant that grows must not predict worse where it has grown: less far ahead, a gain that
-    drifts looks like growth. What disturbs a record is its own, and so is a simulation's gain.
+    What disturbs a record is its own, and so is a simulation's gain. Where a simulation explains
+    all but noise, a plant that grows must not predict worse where it has grown: less far ahead, a
+    gain that drifts looks like growth.
     """
     errors, fit, grows = residuals(samples, best.fit), found.found.fit, not is_stable(
         found.matrices)
     growth, numbers, gain, far = _growth(found, samples), best.parameters, 0.0, 0.0
+    doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
     for place, counts in enumerate(samples.counts):
         record, last = samples.records[place], _record(part, corrupt, place)
         rival, _ = with_noise(samples, best.fit, errors, place)
@@ -461,7 +467,7 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
         predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
         numbers += int(np.count_nonzero(rival.K))
         gain += information(simulated(), counts) - information(predicted(), counts)
-        if growth > _GROWS:
+        if doubted:
             length = record.end - record.start
             ahead = min(_GROWN / growth * samples.length, 0.4 * length)
             horizons = (max(int(ahead / held_interval(found.samples)), 1),)
@@ -470,7 +476,7 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
             far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
     # Fewer numbers are no reason to give up a simulation.
     return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
-        and far <= price(samples)
+        and far <= 0.0
 
 
 def _growth(found: PredictionFit, samples: Samples) -> float:

@@ -11,7 +11,7 @@ import re
 
 from ctsid_core.errors import SettingsError
 from ctsid_ros.errors import BagError
-from ctsid_ros.recordings.files import SUFFIXES
+from ctsid_ros.recordings.files import OTHER_SUFFIXES, SUFFIXES
 
 _LIST = '.txt'
 _METADATA = 'metadata.yaml'
@@ -24,7 +24,8 @@ def find_bags(given: Sequence[str]) -> list[str]:
     Parameters
     ----------
     given : sequence of str
-        Bags; folders, of which all bags are taken, also those in folders below; patterns like
+        Bags; folders, of which all bags are taken, also those in folders below (logs and tables
+        where there is no bag, for beside bags these are something else); patterns like
         'flights/*/*.mcap' (`**` for all folders below); and files that end in .txt, with one of
         these on each line (a line that begins with # does not count).
 
@@ -36,8 +37,9 @@ def find_bags(given: Sequence[str]) -> list[str]:
     found = [str(Path(bag).resolve()) for word in given for line in _lines(word)
              for bag in _bags(line)]
     if not found:
-        raise BagError(f'there is no bag ({", ".join(SUFFIXES)}) in {", ".join(given)}; give '
-                       'bags, a folder, a pattern in quotes, or a list in a .txt file')
+        raise BagError(f'there is no bag ({", ".join((*SUFFIXES, *OTHER_SUFFIXES))}) in '
+                       f'{", ".join(given)}; give bags, a folder, a pattern in quotes, or a list '
+                       'in a .txt file')
     return list(dict.fromkeys(found))
 
 
@@ -78,7 +80,7 @@ def check_pattern(pattern: str) -> None:
 def _bags(word: str) -> Iterator[str]:
     path = Path(word).expanduser()
     if path.is_dir():
-        yield from _inside(path)
+        yield from list(_inside(path, SUFFIXES)) or _inside(path, OTHER_SUFFIXES)
     elif has_magic(word) and not path.exists():
         for match in map(Path, sorted(glob(str(path), recursive=True))):
             # of a file that a bag is made of, the pattern means the bag
@@ -88,7 +90,7 @@ def _bags(word: str) -> Iterator[str]:
         yield str(path)  # if there is no such file, its task will say so
 
 
-def _inside(folder: Path) -> Iterator[str]:
+def _inside(folder: Path, suffixes: tuple[str, ...]) -> Iterator[str]:
     """Yield the bags in a folder: a folder with metadata.yaml is one, else its files are."""
     for place, folders, files in os.walk(folder):
         folders.sort()
@@ -97,7 +99,7 @@ def _inside(folder: Path) -> Iterator[str]:
             yield place
             continue
         for name in sorted(files):
-            if name.endswith(SUFFIXES):
+            if name.lower().endswith(suffixes):
                 yield str(Path(place) / name)
 
 

@@ -212,7 +212,7 @@ def _why(pair: Pair) -> str:
     if math.isnan(found.past):
         return (f'the recording is too short to compare {words(pair.input)} and '
                 f'{words(pair.output)} by their motion')
-    sentence = (f'{words(pair.input)} explains {100 * found.past:.0f} % of the motion of '
+    sentence = (f'{words(pair.input)} explains {100 * found.past:.0f} % of the variance of '
                 f'{words(pair.output)}, from its past and in data held out')
     return sentence if found.past > found.future else (
         f'{sentence}; but its future would explain {100 * found.future:.0f} %: a loop may be '
