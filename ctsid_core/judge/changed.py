@@ -104,10 +104,10 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         with suppress(np.linalg.LinAlgError):
             start = fit_at(one, fit.model.poles, fit.model.delay, free)
             whole = climb(one, start, free, steps=_STEPS, least=ROUGHLY).model, free
-    found = _divisions(one, whole, whole, place)
-    if found.gain <= 0.0 or not _best(joint, whole, found):
+    found = _divisions(one, whole, whole, 0)
+    if found.gain <= 0.0 or not _best(one, whole, found):
         return Change()
-    size = _divided(_only(samples, place), plant, plant, place, found.share, certain=True)
+    size = _divided(samples, plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
 
 
@@ -117,13 +117,13 @@ def _of_record(samples: Samples, own: Own, whole: Own, place: int) -> Change:
         other = _another(samples, own, place)
         if other.cost > 0.0:
             return other
-    found = _divisions(_only(samples, place), own, whole, place)
+    found = _divisions(samples, own, whole, place)
     return _explained(samples, own, found)
 
 
 def _another(samples: Samples, own: Own, place: int) -> Change:
     """Return a record as of another plant than the others are, if that explains it best."""
-    return _explained(samples, own, _divided(_only(samples, place), own, own, place, 0.0))
+    return _explained(samples, own, _divided(samples, own, own, place, 0.0))
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:
@@ -137,14 +137,14 @@ def _only(samples: Samples, place: int) -> Samples:
     return replace(samples, records=samples.records[place:place + 1])
 
 
-def _divisions(one: Samples, own: Own, whole: Own, place: int) -> Change:
-    """Return the most likely division of the only record."""
-    if one.effort.over:
+def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
+    """Return the most likely division of a record."""
+    if samples.effort.over:
         return Change()
-    found = max((_divided(one, own, whole, place, share)
-                 for share in _likely(one, own)), key=_clean, default=Change())
+    found = max((_divided(samples, own, whole, place, share)
+                 for share in _likely(_only(samples, place), own)), key=_clean, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
-        found = max(found, *(_divided(one, own, whole, place, share)
+        found = max(found, *(_divided(samples, own, whole, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
     return found
@@ -247,6 +247,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     """
     if samples.effort.over:
         return Change()
+    alone, samples = len(samples.records) == 1, _only(samples, place)
     record, (model, free) = samples.records[0], own
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []
@@ -277,8 +278,9 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
     # Numbers that two models are fitted with are no evidence for them; against them all is.
     telling = np.where(rest < power, np.maximum(n_eff - fitted, 0.0), n_eff)
+    # The model of all stays the other records'.
     gain = float(telling @ np.log(power / rest)) - (
-        2 * count - of_whole if share else count) * float(np.log(max(float(np.max(n_eff)), 2.0)))
+        len(sides) * count - alone * of_whole) * float(np.log(max(float(np.max(n_eff)), 2.0)))
     if gain <= 0.0 and not certain:
         return Change()
     where = int(np.argmax(parts @ before - rest))
