@@ -125,13 +125,13 @@ def test_residuals_of_predictions_are_of_one_kind(tmp_path, capsys):
     """
     What is white by the table is white in the figure: both are of predictions one ahead.
 
-    Of a cart-pole: it cannot be simulated.
+    Of the angle of a cart-pole: it cannot be simulated.
     """
     record = experiment('cart-pole', 3, 3).record
     (u,), (y,) = record.inputs, record.outputs
     sent = [Sent('/cmd', 'std_msgs/msg/Float64MultiArray', START + round(t * 1e9), array(v, 0.5))
             for t, v in zip(u.time, u.values[:, 0], strict=True)]
-    for t, v in zip(y.time, y.values[:, 0], strict=True):
+    for t, v in zip(y.time, y.values[:, 1], strict=True):
         stamp = START + round(t * 1e9)
         sent.append(Sent('/imu', 'sensor_msgs/msg/Imu', stamp, imu(stamp, v)))
     write_rosbag2(tmp_path / 'bag', sorted(sent, key=lambda s: s.log_ns))
