@@ -262,6 +262,40 @@ def test_a_record_of_another_plant_is_named(change, place):
     assert f'does not hold in all of record {place + 1}: ' in found.verdict.reason
 
 
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
+def test_a_short_record_of_another_plant_is_not_divided(seed):
+    """Smaller models find an instant within it that costs a little more."""
+    p, rng = PLANTS['hd51'], np.random.default_rng(seed)
+    records = [trimmed(rng, one, [duration], [100.0], [20])[0][0]
+               for one, duration in ((p, 30.0), (plant(p.A, 1.5 * p.B, p.C), 4.0))]
+    found = identify(records)
+    assert found.status is Status.CHANGED
+    assert found.statistics['change_share'] == 0.0
+    assert found.statistics['change_record'] == 2.0
+
+
+@pytest.mark.parametrize('rests', [0, 1])
+def test_an_output_at_rest_in_one_record_does_not_hide_a_plant_that_grows(rests):
+    """Its predictions have no motion to be compared with."""
+    rng, h, records = np.random.default_rng(2), 0.02, []
+    moves = expm(h * np.array([[0.6, 0.0, 1.0, 0.0], [0.0, -2.0, 0.0, 1.0], *[[0.0] * 4] * 2]))
+    for place in range(2):
+        wanted = np.repeat(rng.standard_normal((20, 2)), 25, axis=0)
+        wanted[:, 1] *= place != rests
+        x, u, y = np.zeros(2), np.empty((500, 2)), np.empty((500, 2))
+        for k in range(500):
+            y[k] = x + 0.005 * rng.standard_normal(2)
+            u[k] = [3.0 * (wanted[k, 0] - y[k, 0]), wanted[k, 1]]
+            x = moves[:2, :2] @ x + moves[:2, 2:] @ u[k]
+        if place == rests:
+            y[:, 1] = 0.0
+        t = h * np.arange(500)
+        records.append(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    found = identify(records, Settings(feedthrough=False))
+    assert found.model is not None
+    assert np.max(found.model.poles.real) == pytest.approx(0.6, abs=0.05)
+
+
 @pytest.mark.parametrize('seed', [3, *slow(*range(4, 12))])
 def test_records_in_other_gusts_are_of_one_plant(seed):
     """Of three flights, one in calm air; a simulation leaves what gusts do, and that differs."""

@@ -87,9 +87,13 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
         return max(Change(), *(_as_predicted(samples, whole, place, predictor)
                                for place in places),
                    key=lambda change: (change.cost, change.gain))
-    return max(Change(), *(_of_record(samples, one, whole, place)
-                           for place in places for one in (whole, *smaller)),
-               key=lambda change: change.cost)
+    # What is another plant as a whole is not divided.
+    others = (_another(samples, whole, place) for place in places if len(places) > 1)
+    other = max((Change(), *others), key=lambda change: change.cost)
+    return other if other.cost > 0.0 else max(
+        Change(), *(_explained(samples, one, _divisions(samples, one, whole, place))
+                    for place in places for one in (whole, *smaller)),
+        key=lambda change: change.cost)
 
 
 def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
@@ -109,16 +113,6 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         return Change()
     size = _divided(samples, plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
-
-
-def _of_record(samples: Samples, own: Own, whole: Own, place: int) -> Change:
-    """Return the change within one record, if models of a model's order explain it best."""
-    if own is whole and len(samples.records) > 1:
-        other = _another(samples, own, place)
-        if other.cost > 0.0:
-            return other
-    found = _divisions(samples, own, whole, place)
-    return _explained(samples, own, found)
 
 
 def _another(samples: Samples, own: Own, place: int) -> Change:
@@ -243,7 +237,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     """
     Return what two models of a model's order miss, if they are likelier than the whole's.
 
-    Of a record that begins with the division, one of its own: the whole is the other records'.
+    Of a record that begins with the division, one of its own, beside that of all.
     """
     if samples.effort.over:
         return Change()
@@ -275,7 +269,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     power, rest = parts @ rival, parts @ after
     n_eff = independent(tuple(two))
     count, of_whole = (_numbers(samples, m) for m in (own, whole))
-    fitted = 2.0 * (count + model.n + samples.ny) / samples.ny
+    fitted = len(sides) * (count + model.n + samples.ny) / samples.ny
     # Numbers that two models are fitted with are no evidence for them; against them all is.
     telling = np.where(rest < power, np.maximum(n_eff - fitted, 0.0), n_eff)
     # The model of all stays the other records'.
@@ -290,7 +284,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     left = max(float((_coloured(tuple(two)) - chance)[where]), 0.0) / max(
         float(_coloured(tuple(one))[where]), 1e-300)
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
-    by_chance = after * sizes / np.maximum(sizes - 0.5 * fitted, 1.0)
+    by_chance = after * sizes / np.maximum(sizes - fitted / len(sides), 1.0)
     missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))
     return Change(place, share, float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),

@@ -437,6 +437,8 @@ def prediction_errors(m: Matrices, delay: Array, last: Last, start: float | None
             record.outputs, last.corrupt, strict=True)
         for rows in [slice(None) if bad is None else ~bad] for column in s.values.T]))
     real = np.isin(t, seen)
+    motion = np.std(y[real], axis=0)
+    motion[motion == 0.0] = np.inf                 # of an output at rest nothing is asked
     with np.errstate(over='ignore', invalid='ignore'):
         if start is None:
             x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
@@ -454,7 +456,7 @@ def prediction_errors(m: Matrices, delay: Array, last: Last, start: float | None
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
             e = e[max(first - horizon, 0):][real[horizon - 1:][max(first - horizon, 0):]]
-            errors.append(np.sqrt(np.mean(e ** 2, axis=0)) / np.std(y[real], axis=0))
+            errors.append(np.sqrt(np.mean(e ** 2, axis=0)) / motion)
     found = np.array(errors)
     return np.where(np.isfinite(found), found, np.inf)
 

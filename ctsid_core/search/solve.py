@@ -27,7 +27,7 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
-from ctsid_core.likelihood.state_space import modal_of
+from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Choice, OrderTried
@@ -451,21 +451,20 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     """
     Return whether the plant that predictions found predicts better than a simulation's.
 
-    What disturbs a record is its own, and so is a simulation's gain. Where a simulation explains
-    all but noise, a plant that grows must not predict worse where it has grown: less far ahead, a
-    gain that drifts looks like growth.
+    Where a simulation explains all but noise, a plant that grows must not predict worse where it
+    has grown: less far ahead, a gain that drifts looks like growth.
     """
-    errors, fit, grows = residuals(samples, best.fit), found.found.fit, not is_stable(
-        found.matrices)
-    growth, numbers, gain, far = _growth(found, samples), best.parameters, 0.0, 0.0
+    fit, grows = found.found.fit, not is_stable(found.matrices)
+    noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
+    numbers = best.parameters + int(np.count_nonzero(noisy.K))
+    growth, gain, far = _growth(found, samples), 0.0, 0.0
     doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
     for place, counts in enumerate(samples.counts):
         record, last = samples.records[place], _record(part, corrupt, place)
-        rival, _ = with_noise(samples, best.fit, errors, place)
+        rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)
         plant = plant_of(fit, found.samples, place, grows) or found.matrices
         simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
         predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
-        numbers += int(np.count_nonzero(rival.K))
         gain += information(simulated(), counts) - information(predicted(), counts)
         if doubted:
             length = record.end - record.start
