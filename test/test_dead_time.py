@@ -253,3 +253,17 @@ def test_a_dead_time_that_is_as_long_as_any_looked_for_is_noted():
     y = plant.simulate([whole], t) + 0.02 * rng.standard_normal((len(t), 1))
     found = identify(Record((Signal(t, u, 'zoh'),), (Signal(t, y),), 0.0, t[-1]))
     assert any('is near the longest that is looked for, 0.998 s' in note for note in found.notes)
+
+
+def test_a_pole_that_is_as_fast_as_any_looked_for_is_noted():
+    """One of 400 rad/s, sampled 40 times a second: 0.8 of the Nyquist frequency is 101 rad/s."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 20.0, 0.025)
+    u = np.repeat(rng.standard_normal((len(t) // 4, 1)), 4, axis=0)
+    plant = StateSpace([[-5.0, 0.0], [400.0, -400.0]], [[5.0], [0.0]], [[0.0, 1.0]])
+    y = plant.simulate([Signal(t, u, 'zoh')], t) + 1e-4 * rng.standard_normal((len(t), 1))
+    record = Record((Signal(t, u, 'zoh'),), (Signal(t, y),), 0.0, t[-1])
+    fast, slow = (identify(record, Settings(order=n, delay=0.0, feedthrough=False))
+                  for n in (2, 1))
+    assert any('the pole of 101 rad/s is about the fastest' in note for note in fast.notes)
+    assert not any('fastest' in note for note in slow.notes)

@@ -290,6 +290,12 @@ def test_a_record_that_changes_is_divided_where_it_lies():
         'ctsid identify bag --params p.yaml --start 21.0 --duration 2.0')
     assert headline(given, Run('', ('a', 'b'), 'p.yaml', 'model.json')).command == (
         'ctsid replay b --params p.yaml')
+    # All of it is of another plant.
+    other = replace(given, statistics={'change_share': 0.0, 'change_record': 2.0})
+    assert headline(other, Run('', ('bag',), 'p.yaml', 'model.json', (1.0, 26.0))).command == (
+        'ctsid identify bag --params p.yaml --start 21.0 --duration 5.0')
+    assert headline(other, Run('', ('a', 'b'), 'p.yaml', 'model.json')).command == (
+        'ctsid identify b --params p.yaml')
 
 
 def test_advice_after_an_interval_is_on_that_interval(folder):

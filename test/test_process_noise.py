@@ -323,6 +323,34 @@ def test_a_plant_that_grows_slowly_is_told_by_predictions(grows, noise):
     assert np.max(found.model.poles.real) == pytest.approx(grows, abs=0.003)
 
 
+def test_an_output_without_noise_does_not_hide_a_disturbed_plant():
+    """Of errors of less than 1e-4 of the motion the likelihood of any colour is not asked."""
+    rng, h = np.random.default_rng(2), 0.02
+    t = h * np.arange(800)
+    u = np.sign(np.sin(0.5 * t ** 1.4))
+    joined = expm(h * np.array([[0.0, 1.0, 0.0], [-9.0, -2.0, 1.0], [0.0, 0.0, 0.0]]))
+    stays, gust, x, y = np.exp(-h / 3.0), 0.0, np.zeros(3), np.empty((800, 2))
+    for k in range(800):
+        y[k] = x[0], x[2]
+        gust = stays * gust + 0.7 * np.sqrt(1.0 - stays ** 2) * rng.standard_normal()
+        x[:2] = joined[:2, :2] @ x[:2] + joined[:2, 2] * (u[k] + gust)
+        x[2] = np.exp(-1.5 * h) * x[2] + (1.0 - np.exp(-1.5 * h)) * u[k]
+    y[:, 0] += 0.01 * np.std(y[:, 0]) * rng.standard_normal(800)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert any(c.value == 'disturbed' for c in found.choices)
+    assert np.min(np.abs(found.model.poles - (-1.0 + 2.83j))) < 0.4
+
+
+def test_a_plant_that_hardly_grows_is_simulated():
+    """The place of a cart, its pole not measured: an integrator, and no mode of 0.042 rad/s."""
+    record = experiment('cart-pole', 3, 3).record
+    place = replace(record.outputs[0], values=record.outputs[0].values[:, :1])
+    found = identify(replace(record, outputs=(place,)), Settings(feedthrough=False))
+    assert found.good
+    assert any(c.value == 'disturbed' for c in found.choices)
+    assert np.max(found.model.poles.real) < 1e-3
+
+
 def test_an_unstable_plant_under_its_controller_is_told_to_be_one():
     """With D free it was simulated with a mode on the axis: REJECT, 411 % of the motion left."""
     rng, h = np.random.default_rng(1), 0.01

@@ -409,19 +409,12 @@ def test_well_excited_windows_are_good():
 
 
 def test_modes_as_of_a_plant_that_a_controller_keeps_in_place_are_noted():
-    """
-    Not told of the controller, a simulation has modes that neither grow nor decay: not GOOD.
-
-    It leaves half of the motion here, give or take rounding: from there on predictions tell the
-    plant, as it is.
-    """
-    name, record, truth = excited(9)
+    """Not told of the controller, a simulation has modes that neither grow nor decay: not GOOD."""
+    name, record, _ = excited(29)
     assert name == 'closed loop 0.0'
     found = identify(record)
-    if found.good:
-        np.testing.assert_allclose(np.sort(found.model.poles.real), np.sort(truth), atol=0.05)
-    else:
-        assert any('set `feedthrough: false`' in note for note in found.notes)
+    assert not found.good
+    assert any('set `feedthrough: false`' in note for note in found.notes)
     told = identify(record, Settings(feedthrough=False))
     assert told.good
     assert not any('neither grow nor decay' in note for note in told.notes)

@@ -83,17 +83,18 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
     places, whole = range(len(samples.records)), (fit.model, free)
+    # What is another plant as a whole is not divided.
+    others = (_another(samples, whole, place) for place in places if len(places) > 1)
+    other = max((Change(), *others), key=lambda change: change.cost)
+    if other.cost > 0.0:
+        return other
     if predictor is not None:
         return max(Change(), *(_as_predicted(samples, whole, place, predictor)
                                for place in places),
                    key=lambda change: (change.cost, change.gain))
-    # What is another plant as a whole is not divided.
-    others = (_another(samples, whole, place) for place in places if len(places) > 1)
-    other = max((Change(), *others), key=lambda change: change.cost)
-    return other if other.cost > 0.0 else max(
-        Change(), *(_explained(samples, one, _divisions(samples, one, whole, place))
-                    for place in places for one in (whole, *smaller)),
-        key=lambda change: change.cost)
+    return max(Change(), *(_explained(samples, one, _divisions(samples, one, whole, place))
+                           for place in places for one in (whole, *smaller)),
+               key=lambda change: change.cost)
 
 
 def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
@@ -102,9 +103,6 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     one, whole = _only(joint, place), (fit.model, free)
     if len(joint.records) > 1:
         # What disturbs a record is its own, and so is its predictor.
-        other = _another(samples, plant, place)
-        if other.cost > 0.0:
-            return other
         with suppress(np.linalg.LinAlgError):
             start = fit_at(one, fit.model.poles, fit.model.delay, free)
             whole = climb(one, start, free, steps=_STEPS, least=ROUGHLY).model, free

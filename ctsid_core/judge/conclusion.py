@@ -33,8 +33,7 @@ from ctsid_core.search.by_prediction import (
     HORIZONS,
     changes_of_plant,
     held_interval,
-    is_stable,
-    plant_of,
+    in_record,
 )
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Solution
@@ -253,8 +252,10 @@ def _worst(solution: Solution) -> str:
 
 def _share(part: Joint, change: Change) -> float:
     """Return where the change lies, as a part of the whole record."""
-    if change.record < 0 or not change.share:
-        return float('nan') if change.record < 0 else 0.0
+    if change.record < 0:
+        return float('nan')
+    if not change.share:
+        return 0.0
     own = part.parts[change.record]
     at = own.record.start + change.share * own.record.duration
     return float((at - own.whole.start) / own.whole.duration)
@@ -278,7 +279,7 @@ def _shares(solution: Solution) -> tuple[RecordShare, ...]:
         whole, epoch = usable.whole, usable.whole.epoch_ns
         own = matrices_of(fit.model, size, r) if solution.plant is None else \
             _with_trim(solution, r) if solution.predictor is not None else \
-            plant_of(fit, solution.samples, r, not is_stable(solution.plant)) or solution.plant
+            in_record(solution.plant, fit, solution.samples, r)
         x_trim, y_trim = _whole_trim(usable, own)
         weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
         shares.append(RecordShare(

@@ -91,16 +91,16 @@ class PredictionFit:
 
 
 @dataclass(frozen=True)
-class Last:
-    """The record that ends last: its place, itself, and rows of its outputs that do not count."""
+class Compared:
+    """A record that predictions are compared on: its place, and output rows that do not count."""
 
     place: int
     record: Record
     corrupt: tuple[Mask | None, ...]
 
 
-def solve_by_prediction(samples: Samples, free: Free, *, order: int,
-                        max_order: int, known_delay: Array, last: Last) -> PredictionFit | None:
+def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: int,
+                        known_delay: Array, last: Compared) -> PredictionFit | None:
     """Return the model that predicts the samples best, or None; orders are compared on `last`."""
     samples = _before_inputs(samples)
     joint = with_own_past(samples)
@@ -160,7 +160,7 @@ def _begun(joint: Samples, starts: dict[int, Start],
     return begun, starts[min(score, key=lambda n: score[n])] if score else None
 
 
-def _as_it_is(joint: Samples, start: Start, free: Free, last: Last) -> PredictionFit | None:
+def _as_it_is(joint: Samples, start: Start, free: Free, last: Compared) -> PredictionFit | None:
     """Return the predictor of the regression as it is, or None."""
     with suppress(np.linalg.LinAlgError):
         fit = fit_states(joint, start.model, free)
@@ -171,7 +171,7 @@ def _as_it_is(joint: Samples, start: Start, free: Free, last: Last) -> Predictio
 
 
 def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
-            last: Last) -> dict[int, PredictionFit]:
+            last: Compared) -> dict[int, PredictionFit]:
     """Return predictors of the orders next to that whose start predicts best."""
     best = min(begun, key=lambda n: begun[n].cost + price(joint) * parameters(
         joint, begun[n], free), default=0)
@@ -189,7 +189,7 @@ def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
     return found
 
 
-def _climbed(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
+def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the best predictor near a start or near a filter of its plant; None: no plant."""
     # Slower than what the regression sees are filters alone: else states fit what is before the
     # record, and mislead elsewhere.
@@ -201,7 +201,7 @@ def _climbed(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFi
                key=lambda one: one.information, default=None)
 
 
-def _nearby(joint: Samples, start: Fit, free: Free, last: Last) -> PredictionFit | None:
+def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
     try:
         top = climb(joint, start, free, steps=FEWER, least=ROUGHLY)
@@ -256,7 +256,7 @@ def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     return None
 
 
-def _judged(joint: Samples, fit: Fit, free: Free, last: Last,
+def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
             more: int = 0) -> PredictionFit | None:
     """
     Return a predictor and how its plant predicts; None: there is no plant that does.
@@ -383,6 +383,11 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
                    tail=np.zeros_like(m.tail))
 
 
+def in_record(plant: Matrices, fit: Fit, samples: Samples, record: int) -> Matrices:
+    """Return the plant of a predictor with the trim of another record."""
+    return plant_of(fit, samples, record, not is_stable(plant)) or plant
+
+
 def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
                unstable: bool) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
@@ -417,7 +422,7 @@ def held_interval(joint: Samples) -> float:
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
-def prediction_errors(m: Matrices, delay: Array, last: Last, start: float | None = None,
+def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | None = None,
                       horizons: Sequence[int] = HORIZONS) -> Array:
     """
     Return rms errors of predictions some samples ahead, over the motion, (horizons, ny).

@@ -47,11 +47,11 @@ from ctsid_core.search.by_order import (
     tried,
 )
 from ctsid_core.search.by_prediction import (
-    Last,
+    Compared,
     PredictionFit,
     held_interval,
+    in_record,
     information,
-    is_stable,
     plant_of,
     prediction_errors,
     solve_by_prediction,
@@ -403,11 +403,11 @@ def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Sampl
     return solve_by_prediction(
         samples, replace(free, delays=own.unknown_delays(samples.nu)), order=settings.order,
         max_order=settings.max_order, known_delay=np.array(own.delays(samples.nu)),
-        last=_record(part, corrupt, part.last))
+        last=_compared(part, corrupt, part.last))
 
 
-def _record(part: Joint, corrupt: Corrupt, place: int) -> Last:
-    return Last(place, part.parts[place].record, tuple(corrupt[place]))
+def _compared(part: Joint, corrupt: Corrupt, place: int) -> Compared:
+    return Compared(place, part.parts[place].record, tuple(corrupt[place]))
 
 
 def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
@@ -454,18 +454,20 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     Where a simulation explains all but noise, a plant that grows must not predict worse where it
     has grown: less far ahead, a gain that drifts looks like growth.
     """
-    fit, grows = found.found.fit, not is_stable(found.matrices)
+    fit = found.found.fit
     noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = _growth(found, samples), 0.0, 0.0
     doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
     for place, counts in enumerate(samples.counts):
-        record, last = samples.records[place], _record(part, corrupt, place)
+        record, last = samples.records[place], _compared(part, corrupt, place)
         rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)
-        plant = plant_of(fit, found.samples, place, grows) or found.matrices
+        plant = found.matrices if place == part.last else in_record(
+            found.matrices, fit, found.samples, place)
         simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
         predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
-        gain += information(simulated(), counts) - information(predicted(), counts)
+        errors = found.errors if place == part.last else predicted()
+        gain += information(simulated(), counts) - information(errors, counts)
         if doubted:
             length = record.end - record.start
             ahead = min(_GROWN / growth * samples.length, 0.4 * length)

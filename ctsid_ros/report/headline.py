@@ -165,18 +165,24 @@ def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
     if several := [r for r in estimate.records
                    if r.number == estimate.statistics.get('change_record')]:
         if len(run.bags) > 1:
-            it = replace(run, bags=run.bags[several[0].number - 1:][:1])
+            alone = replace(run, bags=run.bags[several[0].number - 1:][:1])
+            if not share:
+                return ('the plant of this recording; leave it out of the others',
+                        alone.command('identify'))
             return ('models of short windows of the recording that changes',
-                    it.command('replay')) if share else (
-                'the plant of this recording; leave it out of the others', it.command('identify'))
+                    alone.command('replay'))
         # Times of a command count from the start of the recording, as the span does.
         start, end = (start + 1e-9 * (t - estimate.start_ns)
                       for t in (several[0].start_ns, several[0].end_ns))
-    at = start + (share or 1.0) * (end - start)
-    alone = f'the plant before the change (after it: `--start {at:.1f}` alone)' if share else \
-        'the plant of this record'
-    return alone, run.command('identify', '--start', f'{start:.1f}', '--duration',
-                              f'{at - start:.1f}')
+    if not share:
+        return 'the plant of this record', _from_to(run, start, end)
+    at = start + share * (end - start)
+    return (f'the plant before the change (after it: `--start {at:.1f}` alone)',
+            _from_to(run, start, at))
+
+
+def _from_to(run: Run, start: float, end: float) -> str:
+    return run.command('identify', '--start', f'{start:.1f}', '--duration', f'{end - start:.1f}')
 
 
 def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:

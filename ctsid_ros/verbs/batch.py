@@ -48,7 +48,8 @@ FAILED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bag', nargs='+', metavar='BAGS', help='bags, folders with bags at any '
-                        "depth, patterns in quotes ('flights/*/*.mcap'), or .txt files with one "
+                        'depth (or logs and tables, where there is no bag), '
+                        "patterns in quotes ('flights/*/*.mcap'), or .txt files with one "
                         'of these on each line')
     parser.add_argument('--params', required=True, metavar='FILE',
                         help='ROS parameter file with channels and settings; `ctsid init` writes '
