@@ -14,7 +14,6 @@ from scipy.linalg import expm
 
 from ctsid_core import DataError, Record, Settings, Status, identify
 from ctsid_core.model.storage import load_estimate, save_model
-from ctsid_ros.studies.robots.families import experiment
 
 QUICK = Settings(held_out=0.0)
 PLANT = PLANTS['hd51']  # of the laws: quick to identify
@@ -261,40 +260,6 @@ def test_a_record_of_another_plant_is_named(change, place):
     assert found.status is Status.CHANGED
     assert found.model is None
     assert f'does not hold in all of record {place + 1}: ' in found.verdict.reason
-
-
-def again(given) -> Record:
-    """Return the other flight of an experiment, with noise of its own."""
-    signal, rng = given.test.outputs[0], np.random.default_rng(given.number)
-    noise = 0.05 * signal.values.std(axis=0) * rng.standard_normal(signal.values.shape)
-    return replace(given.test, outputs=(replace(signal, values=signal.values + noise),))
-
-
-@pytest.mark.parametrize(('family', 'number'), [
-    ('quadratic-drag', 2), ('saturation-30', 4), *slow(('quadratic-drag', 4))])
-def test_a_plant_that_is_not_linear_is_one_plant(family, number):
-    """Drag is told by curves of both records, whatever their noise is, not by another plant."""
-    given = experiment(family, 2, number)
-    found = identify([given.record, given.test])
-    assert 'does not hold' not in found.verdict.reason
-
-
-@pytest.mark.parametrize(('family', 'number', 'calm'), [
-    ('clock-drift', 1, False), ('jittering-delay', 2, False), ('dead-zone', 4, True),
-    ('turbulence-strong', 2, False), ('turbulence-weak', 2, False)])
-def test_what_disturbs_a_record_is_no_change_of_the_plant(family, number, calm):
-    """
-    Each record has a predictor of its own, and one in calm air is simulated.
-
-    "Predictions tell that the plant changed" was said of the first three; the gusty ones were
-    compared by predictions of the gusty record alone, and called changed or not linear.
-    """
-    given = experiment(family, 2 if number == 2 else 1, number)
-    found = identify([given.record, given.test if calm else again(given)],
-                     Settings(feedthrough=False))
-    assert found.status is Status.OK
-    assert 'change' not in found.verdict.reason
-    assert found.good
 
 
 @pytest.mark.parametrize('seed', [1020, *slow(1022)])
