@@ -79,6 +79,7 @@ def conclude(solution: Solution) -> Estimate:
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
+               *(() if solution.loop in verdict.reason else (solution.loop,)),
                *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
         records=_shares(solution) if part.several else ())
@@ -205,7 +206,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
-        numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven)
+        numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
+        loop=solution.loop)
 
 
 def _spread_out(values: Array, places: tuple[int, ...], count: int) -> Array:

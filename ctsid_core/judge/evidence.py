@@ -31,3 +31,4 @@ class Evidence:
     numbers: Verdict                # with the numbers that have a place in it
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     unproven: bool = False          # modes grow of which the data do not show that they do
+    loop: str = ''                  # what points to a controller that the settings do not tell of

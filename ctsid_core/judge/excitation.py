@@ -25,7 +25,8 @@ _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
 _POINTS = 4096        # of the uniform grid of time, at most
 _LINES = 200          # of the spectrum of the inputs, the strongest
-_LOBE = 2.0           # lines that one sine has after the taper
+_TAPERED = 0.35       # of a record, at each of its ends
+_LOBE = 1.75          # lines that one sine has after the taper
 
 
 def excitations(samples: Samples, delay: Array, covariance: Covariance | None, moving: StateSpace,
@@ -120,8 +121,10 @@ def _input_spectra(samples: Samples,
     power = np.abs(lines) ** 2 / omega
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
-    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * np.hanning(count - 1),
-                                 axis=1))[:, 1:] ** 2 / omega
+    # If the taper were as long as the record, only the middle of a sweep would count.
+    inside = np.minimum(np.arange(count - 1), np.arange(count - 1)[::-1]) / (_TAPERED * count)
+    taper = 0.5 - 0.5 * np.cos(np.pi * np.minimum(inside, 1.0))
+    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * taper, axis=1))[:, 1:] ** 2 / omega
     # What lies beyond half the rate of an input are the edges of its hold.
     tapered *= omega < np.pi / np.array([[s.period] for s in inputs for _ in range(s.width)])
     breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from ctsid_core.signals.record import Record
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _LEAKS = 0.25           # frequencies more than its sines that an input seems to have: one sine
-                        # held at 5 to 100 Hz has 1.17, two have 2.18 at most in 99 of 100
+                        # held at 5 to 100 Hz has 1.21, two have 2.25 at most in 99 of 100
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
@@ -42,6 +43,7 @@ _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that 
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
+_OF_A_LOOP = (Status.OK, Status.UNEXPLAINED)    # ... with which a controller may be behind it
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
             'samples are too few; test it on data that it has not seen.')
@@ -49,10 +51,12 @@ UNTESTED = ('The model has not been tested on held-out data: `validation.held_ou
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
-    for status, remedy, reason in _rejections(evidence):
-        return status, replace(evidence.numbers, grade=Grade.REJECT, reason=reason, remedy=remedy)
-    for remedy, reason in _weaknesses(evidence):
-        return Status.OK, replace(evidence.numbers, grade=Grade.WEAK, reason=reason, remedy=remedy)
+    weak = ((Status.OK, *one) for one in _weaknesses(evidence))
+    for status, remedy, reason in chain(_rejections(evidence), weak):
+        if evidence.loop and status in _OF_A_LOOP and remedy in (Remedy.EXCITE, Remedy.SIGNALS):
+            remedy, reason = Remedy.SETTING, f'{evidence.loop} If none does: {reason}'
+        grade = Grade.WEAK if status is Status.OK else Grade.REJECT
+        return status, replace(evidence.numbers, grade=grade, reason=reason, remedy=remedy)
     return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_summary(evidence))
 
 

@@ -31,6 +31,7 @@ class Solution:
     orders: tuple[OrderTried, ...] = ()  # empty if the order was given
     choices: tuple[Choice, ...] = ()
     notes: tuple[str, ...] = ()
+    loop: str = ''      # what points to a controller that the settings do not tell of, in words
     # From the samples of the first part to the model that the same method makes of them; None:
     # output error from the poles of the whole
     refit: Callable[[Samples], Fit | None] | None = None

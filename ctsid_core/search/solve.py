@@ -67,7 +67,7 @@ LONGEST = 0.1         # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more
 _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
                       # and nearer ones leave too few digits between a mode and the trim
-_STEADY = 10.0        # times that: a mode neither grows nor decays
+_STEADY = 0.05        # times e within the record: less does not tell a mode that decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _UNEXPLAINED = 0.05   # error that is not noise, over the motion, with which the outputs' own past
                       # may tell more of a plant in open loop, ...
@@ -150,9 +150,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_at_bounds(part, best, free), *_growing(
-                        best.fit.model, free, own, grows)),
-                    whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
+                    (*notes, *_at_bounds(part, best, free)),
+                    loop=_loop(best.fit.model, samples, own, grows), whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
                     singular_values=values, condition=condition)
 
 
@@ -290,15 +289,15 @@ def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
         'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
 
 
-def _growing(model: ModalModel, free: Free, own: Settings, grows: bool) -> tuple[str, ...]:
-    """Return whether modes neither grow nor decay, or grow in predictions, in words."""
-    near = model.poles.real >= _STEADY * free.limit
+def _loop(model: ModalModel, samples: Samples, own: Settings, grows: bool) -> str:
+    """Return what points to a controller that the settings do not tell of, in words."""
+    near = model.poles.real * samples.length >= -_STEADY
     if not own.feedthrough or not grows and np.sum(near) + np.sum(
             near & (model.poles.imag > 0.0)) < 2:
-        return ()
-    what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
+        return ''
+    what = 'Predictions find a mode that grows' if grows else 'Modes neither grow nor decay'
     return (f'{what}, as when a controller keeps an unstable plant in place: if one does, set '
-            '`feedthrough: false`',)
+            '`feedthrough: false`.')
 
 
 def _left_out(found: Container[int], order: int, settings: Settings,
