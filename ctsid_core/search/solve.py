@@ -151,8 +151,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bounds(part, best, free)),
-                    loop=_loop(best.fit.model, samples, own, grows), whole=whole, hidden=hidden, smaller=smaller, rivals=_rivals(others),
-                    singular_values=values, condition=condition)
+                    loop=_loop(best.fit.model, samples, own, grows), whole=whole, hidden=hidden,
+                    smaller=smaller, rivals=_rivals(others), singular_values=values,
+                    condition=condition)
 
 
 def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
