@@ -69,6 +69,24 @@ def test_the_deviation_is_that_of_the_scatter_with_process_noise():
     assert (ratio < 1.3).all()
 
 
+def test_deviations_know_of_noise_that_outputs_share():
+    """As process noise does, it moves both: a mean of the two is no better known than one."""
+    p = plant([[-2.0, 0.0], [0.0, -5.0]], [[1.0], [1.0]], [[2.0, 1.0], [2.0, 1.1]])
+    clean = running(np.random.default_rng(0), p, rate=100.0, band=5.0)
+    (signal,), settings = clean.outputs, QUICK.replace(order=2, delay=0.0, feedthrough=True)
+    errors, claims = [], []
+    for seed in range(60):
+        rng, count = np.random.default_rng(seed), len(signal.time)
+        e = 0.1 * rng.standard_normal((count, 1)) + 1e-3 * rng.standard_normal((count, 2))
+        measured = replace(signal, values=signal.values + signal.values.std(axis=0) * e)
+        error, claim = claimed(identify(replace(clean, outputs=(measured,)), settings), p.poles)
+        errors.append(error)
+        claims.append(claim)
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(claims), axis=0))
+    assert (0.75 < ratio).all()
+    assert (ratio < 1.3).all()
+
+
 def test_deviations_scale_with_the_noise():
     found = {}
     for snr in (20, 40):

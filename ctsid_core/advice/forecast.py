@@ -22,7 +22,7 @@ from math import pi
 import numpy as np
 
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.covariance import Covariance, scatter_of_poles
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
@@ -57,13 +57,13 @@ class Forecast:
 
     def deviation(self, k: int) -> float:
         """Return the standard deviation of pole k now [rad/s]."""
-        return float(np.linalg.norm(self.slopes[:, k]))
+        return float(scatter_of_poles(self.poles, self.slopes)[k])
 
     def with_band(self, k: int, band: int, seconds: float) -> float:
         """Return the same with further excitation in one band."""
-        slope = self.slopes[:, k]
-        M = np.eye(len(slope)) + seconds * self.added[band]
-        return float(np.sqrt((slope.conj() @ np.linalg.solve(M, slope)).real))
+        M = np.eye(len(self.slopes)) + seconds * self.added[band]
+        known = np.linalg.solve(np.linalg.cholesky(M), self.slopes)
+        return float(scatter_of_poles(self.poles, known)[k])
 
 
 def forecast(estimate: Estimate, model: StateSpace, covariance: Covariance,

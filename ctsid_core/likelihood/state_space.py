@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,8 +156,9 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     """
     Return the covariance of the errors' sums over orthonormal directions of the simulation.
 
-    The spectrum of the errors is a mean over as many neighbouring frequencies as can be without
-    error by the fit, and more: what directions take out of it is allowed for.
+    The spectrum of the errors, of those of outputs that are sampled together with what they share,
+    is a mean over as many neighbouring frequencies as can be without error by the fit, and more:
+    what directions take out of it is allowed for.
     """
     whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
                                             direct=free.feedthrough, turned=False))
@@ -165,25 +167,34 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     found, at = np.zeros((directions.shape[1],) * 2), 0
     for own in whole.columns.triangles:
         for t in own:
-            for _ in t.channels:
-                samples.effort.check()
-                block = slice(at, at + t.count)
-                at += t.count
-                seen = np.fft.rfft(rows[block] @ directions, axis=0) / np.sqrt(t.count)
-                taken = np.sum(np.abs(seen) ** 2, axis=1)
-                both = 1.0 + (np.arange(len(seen)) % (0.5 * t.count) > 0.0)     # half-planes
-                reach = min(int(np.ceil(both @ taken)), len(seen) - 1)
-                left = np.maximum(_mean_around(1.0 - taken, reach), _SPARE)
-                spectrum = _mean_around(np.abs(np.fft.rfft(errors[block])) ** 2 / t.count,
-                                        reach) / left
-                found += ((seen.conj().T * (both * spectrum)) @ seen).real
+            samples.effort.check()
+            shape = len(t.channels), t.count
+            block = slice(at, at + shape[0] * shape[1])
+            at = block.stop
+            seen, noise = (np.fft.rfft(x.reshape(*shape, -1), axis=1) / np.sqrt(t.count)
+                           for x in (rows[block] @ directions, errors[block]))
+            taken = np.sum(np.abs(seen) ** 2, axis=2)
+            both = 1.0 + (np.arange(taken.shape[1]) % (0.5 * t.count) > 0.0)    # half-planes
+            reach = min(int(np.ceil(np.max(taken @ both))), taken.shape[1] - 1)
+            left = np.sqrt(np.maximum(_mean_around(1.0 - taken, reach), _SPARE))
+            spectra = _mean_around(noise[:, np.newaxis, :, 0] * noise[:, :, 0].conj(), reach) / (
+                left[:, np.newaxis] * left)
+            # At each frequency a root of the spectra by which the directions are seen
+            values, turn = np.linalg.eigh(spectra.transpose(2, 0, 1))
+            root = np.sqrt(both[:, np.newaxis] * np.maximum(values, 0.0))[:, np.newaxis] * turn
+            weighed = (root.conj().transpose(0, 2, 1) @ seen.transpose(1, 0, 2)).reshape(
+                -1, directions.shape[1])
+            found += (weighed.conj().T @ weighed).real
     return found
 
 
-def _mean_around(values: Array, reach: int) -> Array:
-    """Return means over so many neighbours on each side, mirrored at the ends."""
-    total = np.cumsum(np.concatenate(([0.0], np.pad(values, reach, mode='reflect'))))
-    found: Array = (total[2 * reach + 1:] - total[:-2 * reach - 1]) / (2 * reach + 1)
+def _mean_around(values: NDArray[Any], reach: int) -> NDArray[Any]:
+    """Return means over so many neighbours along the last axis, mirrored at its ends."""
+    ends = [(0, 0)] * (values.ndim - 1)
+    total = np.cumsum(np.pad(np.pad(values, [*ends, (reach, reach)], mode='reflect'),
+                             [*ends, (1, 0)]), axis=-1)
+    found: NDArray[Any] = (total[..., 2 * reach + 1:] - total[..., :-2 * reach - 1]) / (
+        2 * reach + 1)
     return found
 
 

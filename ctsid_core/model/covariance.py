@@ -210,12 +210,38 @@ def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
 
 def pole_deviation(covariance: Covariance, model: StateSpace) -> Array:
     """Return the square root of the expected squared distance of each pole, (n,) [rad/s]."""
-    return _deviation(covariance.pole_changes(model))
+    return scatter_of_poles(model.poles, covariance.pole_changes(model))
+
+
+def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
+    """
+    Return the square root of the expected squared distance of each pole, (n,) [rad/s].
+
+    Given are the poles' changes to first order along independent directions, (r, n). Poles p and q
+    that nearly meet do not move as their derivatives say, which are infinite where they meet: what
+    moves p by d to first order, moves it by x of x (x + p - q) = (p - q) d.
+    """
+    if len(poles) < 2:
+        return _deviation(changes)
+    apart = np.abs(poles[:, np.newaxis] - poles)
+    np.fill_diagonal(apart, np.inf)
+    gap = poles - poles[np.argmin(apart, axis=1)]
+    # Its two independent changes, one deviation to either side
+    parts = np.stack((changes.real, changes.imag), axis=-1)
+    values, vectors = np.linalg.eigh(np.einsum('kpi,kpj->pij', parts, parts))
+    main = np.sqrt(np.maximum(values, 0.0)) * (vectors[:, 0] + 1j * vectors[:, 1])
+    ahead = np.concatenate((main.T, -main.T))
+    root = np.sqrt(gap * (gap + 4.0 * ahead))
+    root *= np.where((root * gap.conj()).real < 0.0, -1.0, 1.0)
+    found: Array = _deviation(2.0 * gap * ahead / (gap + root)) / np.sqrt(2.0)
+    return found
 
 
 def natural_frequency_deviation(covariance: Covariance, model: StateSpace) -> Array:
     """Return the standard deviation of the magnitude of each pole, (n,) [rad/s]."""
-    return _deviation(_radial(covariance, model).real)
+    found, real = _deviation(_radial(covariance, model).real), model.poles.imag == 0.0
+    found[real] = pole_deviation(covariance, model)[real]
+    return found
 
 
 def damping_deviation(covariance: Covariance, model: StateSpace) -> Array:

@@ -150,7 +150,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_at_bounds(part, best, free)),
+                    (*notes, *_at_bounds(part, settings, best, free)),
                     loop=_loop(best.fit.model, samples, own, grows), whole=whole, hidden=hidden,
                     smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
@@ -214,7 +214,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         (Choice('domain', 'disturbed', "the plant that predictions from the outputs' own past "
                 'found is likelier than that of output error'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
+         *_at_bounds(part, settings, one, plant.free)), plant=plant.matrices, whole=whole,
         predictor=(found.samples, found.found.fit, found.free))
 
 
@@ -276,7 +276,7 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     return tried(samples, climb(samples, start, free), free)
 
 
-def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
+def _at_bounds(part: Joint, settings: Settings, best: Tried, free: Free) -> tuple[str, ...]:
     """Return which dead times and poles are about the longest and fastest looked for, in words."""
     late = tuple(
         f'the dead time of input {name} is near the longest that is looked for, '
@@ -285,9 +285,12 @@ def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
         for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
         if late and delay > _NEARLY * free.longest)
     fast = float(np.max(np.abs(best.fit.model.poles), initial=0.0))
+    cure = '' if settings.feedthrough else (
+        '; if outputs may follow inputs at once, and no controller acts, set `feedthrough: true`')
     return late if fast < _NEARLY * free.fastest else (*late, (
         f'the pole of {fast:.3g} rad/s is about the fastest that is looked for ({_FASTEST:g} of '
-        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
+        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'
+        + cure))
 
 
 def _loop(model: ModalModel, samples: Samples, own: Settings, grows: bool) -> str:
