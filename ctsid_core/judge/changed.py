@@ -38,13 +38,13 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, Mask
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
 _CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
 _LOOK = 1e7           # work of looking for them, beside the triangles
+_NOTHING = 1e-9       # of a direction: less of it is rounding
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
@@ -148,30 +148,45 @@ def _clean(change: Change) -> tuple[float, float]:
 
 
 def _likely(samples: Samples, own: Own) -> list[float]:
-    """Return the instants at which a model of each side's own promises most, if it is enough."""
+    """
+    Return the instants at which a model of each side's own promises most, if it is enough.
+
+    With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
+    samples before an instant says all of that side, and 1 - Q'Q all of the other one.
+    """
     samples = samples.thinned(2 * _SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
     _, rows, error, states, shares, _ = _slopes(samples, own)
+    order = np.argsort(shares, kind='stable')
     # What a side's own states and trims explain is no change: they come first.
-    both = np.column_stack((rows[:, states], rows[:, ~states], error))
-    samples.effort.spend(_LOOK + 4.0 * both.shape[1] ** 2 * (
-        len(both) + len(_INSTANTS) * both.shape[1]))
+    columns = np.column_stack((rows[:, states], rows[:, ~states]))[order]
+    samples.effort.spend(_LOOK + 4.0 * len(columns) * columns.shape[1] ** 2)
+    basis, R = np.linalg.qr(columns)
+    # Of the choices of states, which change nothing, only rounding is left.
+    known = np.abs(np.diag(R)) > _NOTHING * np.linalg.norm(columns, axis=0)
+    nuisance, basis = np.count_nonzero(known[:np.count_nonzero(states)]), basis[:, known]
+    told = basis.T @ error[order]
+    rest = error[order] - basis @ told
+    told = np.append(told, np.linalg.norm(rest))
+    basis = np.column_stack((basis, rest / max(told[-1], 1e-300)))
+    parts = np.split(basis, np.searchsorted(shares[order], _INSTANTS, side='right'))[:-1]
+    before = np.cumsum([part.T @ part for part in parts], axis=0)
+    unit = np.eye(before.shape[1])
     least = np.argmin([len(s.times) for s in record.streams])
-    price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
+    span = (record.streams[least].times - record.start) / (record.end - record.start)
+    early = np.searchsorted(span, _INSTANTS, side='right')
     promise = np.zeros(len(_INSTANTS))
-    for after in (False, True):
-        order = range(len(_INSTANTS))[::-1 if after else 1]
-        R, done = np.zeros((0, both.shape[1])), np.zeros(len(both), dtype=bool)
-        for k in order:
-            samples.effort.check()
-            side = (shares > _INSTANTS[k]) == after
-            R, done = triangle(np.vstack((R, both[side & ~done]))), side
-            last = R[np.count_nonzero(states):, -1] ** 2
-            count = float(np.sum((record.streams[least].times - record.start
-                                  > _INSTANTS[k] * (record.end - record.start)) == after))
-            if count >= fewest and len(R) > len(last) and last[-1] > 0.0:
-                # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
-                promise[k] += samples.ny * count * float(np.log(np.sum(last) / last[-1]))
+    for side, count in ((before, early), (unit - before, len(span) - early)):
+        samples.effort.check()
+        seen = side @ told
+        root = np.linalg.cholesky(side[:, :-1, :-1] + _NOTHING * unit[:-1, :-1])
+        by = np.linalg.solve(root, seen[:, :-1, np.newaxis])[:, :, 0] ** 2
+        own_states, all_of_it = (np.maximum(seen @ told - by[:, :k].sum(axis=1), 1e-300)
+                                 for k in (nuisance, by.shape[1]))
+        # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
+        gain = samples.ny * count * np.log(own_states / all_of_it)
+        promise += np.where(count >= fewest, gain, 0.0)
+    price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
 
 
