@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+import json
 import re
 import struct
 
@@ -13,7 +14,9 @@ from marks import slow
 import numpy as np
 import pytest
 from recording_files import ULogWriter
+from scipy.linalg import expm
 
+from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.errors import BagError
@@ -223,3 +226,30 @@ def test_a_log_of_px4_is_guessed_from_torque_to_rate(tmp_path, seed):
     axis = u[-2]
     assert (u, y) == (f'vehicle_torque_setpoint xyz[{axis}]',
                       f'vehicle_angular_velocity xyz[{axis}]')
+
+
+@pytest.mark.parametrize('names', [('u', 'y'), ('command', 'angle')])
+def test_a_table_of_a_loop_has_the_command_that_is_held(tmp_path, monkeypatch, capsys, names):
+    """An unstable plant under a sampled controller, whose set point jumps."""
+    rng, step = np.random.default_rng(2), expm(0.01 * np.array(
+        [[0.0, 1.0, 0.0], [6.0, -1.0, 1.0], [0.0, 0.0, 0.0]]))
+    x, last, rows = np.zeros(2), 0.0, []
+    for k in range(2000):
+        y = x[0] + 1e-3 * rng.standard_normal()
+        goal = 0.3 * (k // 500 % 2) + 0.1 * np.sin(0.04 * k)
+        u = 20.0 * (goal - y) - 6.0 * (y - last) / 0.01
+        last, x = y, step[:2, :2] @ x + step[:2, 2] * u
+        rows.append(f'{0.01 * k:.2f},{u:.9g},{y:.9g}')
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'loop.csv').write_text('\n'.join([f't,{names[0]},{names[1]}', *rows]) + '\n')
+    assert main(['try', 'loop.csv', '--out', 'res']) == 0
+    u = next(c for c in read_config('res/params.yaml').channels if c.role == 'input')
+    assert (u.field, u.hold) == (names[0], 'zoh')
+    found = load_estimate('res/model.json')
+    assert found.good
+    assert np.sort(found.model.poles.real) == pytest.approx([-3.0, 2.0], abs=0.1)
+    capsys.readouterr()
+    assert main(['simulate', 'res/model.json', 'loop.csv', '--params', 'res/params.yaml',
+                 '--json']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert any('cannot be simulated for so long' in note for note in told['notes'])

@@ -137,12 +137,13 @@ def test_a_walking_leg_is_not_good(data_folder, joints, leg):
 
 
 # The whole of a walk and a lying down, of which the one large step explains most; the walk alone.
-@pytest.mark.parametrize('joint', [7, *slow(*(k for k in range(12) if k != 7))])
-@pytest.mark.parametrize(('start', 'end'), [(6.2, 15.0), *slow((6.2, 10.2), (0.0, 15.0))])
+@pytest.mark.parametrize(('joint', 'start', 'end'), [
+    (7, 6.2, 15.0), pytest.param(10, 6.2, 15.0, marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='89 %, of the part held out 91 %, and the response is known to 12 %')]),
+    *slow(*((k, *part) for k in range(12) for part in ((6.2, 15.0), (6.2, 10.2), (0.0, 15.0))
+            if (k, *part) not in ((7, 6.2, 15.0), (10, 6.2, 15.0))))])
 def test_a_walking_joint_is_not_good(data_folder, joints, joint, start, end):
     """The fit is up to 94 %, of which a part held out says the same."""
-    if (joint, start, end) == (10, 6.2, 15.0):
-        pytest.xfail('89 %, 91 % of the part held out, and the response is known to 12 %')
     estimate = identify(joints(data_folder, [joint], start, end))
     print(f'\njoint {joint}: {estimate.status.name}, fit {estimate.fit.round()}, held out '
           f'{estimate.held_out_fit.round()}, {estimate.verdict.reason}')

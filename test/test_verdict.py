@@ -15,12 +15,10 @@ from marks import slow
 import numpy as np
 from plants import held, held_response, noisy, plant, random_plant, random_signal
 import pytest
-from scipy.stats import chi2
 from verdict_cases import curved, distance, excited, nothing, steps
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.errors import DataError
-from ctsid_core.judge import rules
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.motion import motion_ahead, motion_within
@@ -382,18 +380,19 @@ def test_motion_is_that_in_the_time_that_an_error_is_about():
 # Counted.
 
 
-@pytest.mark.parametrize('seed', [0, 28, *slow(1, 4, 5, 8, 20, 29, 39, 50)])
+@pytest.mark.parametrize('seed', [0, 28, *slow(1, 4, 5, 8, 20, 29, 39, 50), pytest.param(
+    9, marks=[pytest.mark.slow, pytest.mark.xfail(reason='WEAK: not linear in the inputs')])])
 def test_noise_is_rejected(seed):
     assert judged(nothing(seed)[1]).grade is Grade.REJECT
 
 
 @pytest.mark.slow
 def test_noise_is_never_good():
-    """And seems to follow as rarely as chance lets: of two numbers that are noise in 4.4 %."""
+    """Of 1000 records 24 are WEAK, coloured ones most of them (3 of version 0.1)."""
     grades = Counter(judged(nothing(seed)[1]).grade for seed in range(1000))
     print(grades)
     assert grades[Grade.GOOD] == 0
-    assert grades[Grade.WEAK] <= 1000 * chi2(2).sf(rules._FOLLOWS ** -2)
+    assert grades[Grade.WEAK] <= 24
 
 
 @pytest.mark.slow
@@ -421,12 +420,41 @@ def test_what_points_to_a_controller_is_the_first_reason(seed, what):
     verdict = judged(record)
     assert verdict.grade is not Grade.GOOD
     assert verdict.reason.startswith(what)
-    assert ', as when a controller keeps an unstable plant in place: if one does, set ' \
-        '`feedthrough: false`' in verdict.reason
+    assert ', as when a controller keeps an unstable plant in place. ' in verdict.reason
+    assert verdict.reason.endswith(' If it is so, set `feedthrough: false`.')
     assert verdict.remedy is Remedy.SETTING
     told = identify(record, Settings(feedthrough=False))
     assert told.good
-    assert not any('as when a controller' in note for note in told.notes)
+    assert not any('as when' in note for note in told.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [9, 119])
+def test_a_plant_that_no_simulation_tells_is_found_without_that(seed):
+    """Two of the same twenty loops leave more than half of the motion to any simulation."""
+    found = identify(excited(seed)[1])
+    assert found.good
+    assert np.sort(found.model.poles.real) == pytest.approx([-3.0, 2.0], abs=0.25)
+
+
+@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
+def test_what_points_to_a_direct_term_is_the_first_reason(seed):
+    """The acceleration of a mass on a spring follows the force at once."""
+    rng = np.random.default_rng([31, seed])
+    p = plant([[0.0, 1.0], [-25.0, -1.0]], [[0.0], [1.0]], [[-25.0, -1.0]])
+    t, t_u = np.arange(0.0, 20.0, 0.01), np.arange(0.0, 20.0, 0.02)
+    u = np.repeat(rng.standard_normal(100), 10)[:, np.newaxis]
+    y = held_response(p, t_u, u, t) + u[np.searchsorted(t_u, t, side='right') - 1]
+    record = Record.from_arrays(t_u, u, t, noisy(rng, y, 30), input_hold='zoh')
+    without = identify(record, Settings(feedthrough=False))
+    if not without.good:
+        assert without.verdict.reason.startswith('A mode is nearly as fast as any that is looked')
+        assert without.verdict.reason.endswith(' If it is so, set `feedthrough: true`.')
+    else:
+        assert any('if so, set `feedthrough: true`' in note for note in without.notes)
+    told = identify(record)
+    assert told.good
+    assert told.model.poles.imag.max() == pytest.approx(4.97, abs=0.05)
 
 
 @pytest.mark.parametrize('worst', ['', ', most of it of record 2'])

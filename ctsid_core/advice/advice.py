@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ctsid_core.advice.forecast import Band, Forecast, forecast
 from ctsid_core.errors import DataError
@@ -110,10 +111,12 @@ def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float 
 def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:
     """Return what it takes to know pole k."""
     now = of.deviation(k)
+    larger = 1.0 if now <= wanted else float(brentq(
+        lambda size: of.deviation(k, size) - wanted, 1.0, 2.0 * (now / wanted) ** of.poles.size))
     bands = sorted(((replace(band, ratio=of.with_band(k, i, seconds) / now), i)
                     for i, band in enumerate(of.bands)), key=lambda x: x[0].ratio)
     return PoleAdvice(
-        complex(of.poles[k]), now, wanted, max((now / wanted) ** 2, 1.0), max(now / wanted, 1.0),
+        complex(of.poles[k]), now, wanted, larger ** 2, larger,
         tuple(band for band, _ in bands),
         0.0 if now <= wanted else _least(
             lambda t: of.with_band(k, bands[0][1], t) <= wanted, 1e-3 * seconds))

@@ -55,9 +55,9 @@ class Forecast:
     bands: tuple[Band, ...]
     added: Array          # (bands, r, r): information along them that a second in each band adds
 
-    def deviation(self, k: int) -> float:
-        """Return the standard deviation of pole k now [rad/s]."""
-        return float(scatter_of_poles(self.poles, self.slopes)[k])
+    def deviation(self, k: int, larger: float = 1.0) -> float:
+        """Return the standard deviation of pole k now, or with so many times the input [rad/s]."""
+        return float(scatter_of_poles(self.poles, self.slopes / larger)[k])
 
     def with_band(self, k: int, band: int, seconds: float) -> float:
         """Return the same with further excitation in one band."""

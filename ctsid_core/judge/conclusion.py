@@ -26,7 +26,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import UNJUDGED, Excitation
+from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
 from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import (
     AHEAD,
@@ -79,7 +79,8 @@ def conclude(solution: Solution) -> Estimate:
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
-               *(() if solution.loop in verdict.reason else (solution.loop,)),
+               *((f'{what}: if so, set `{setting}`' for what, setting in (solution.doubt,))
+                 if solution.doubt and verdict.grade is Grade.GOOD else ()),
                *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
         records=_shares(solution) if part.several else ())
@@ -207,7 +208,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        loop=solution.loop)
+        doubt=solution.doubt)
 
 
 def _spread_out(values: Array, places: tuple[int, ...], count: int) -> Array:

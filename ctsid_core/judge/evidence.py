@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ctsid_core.judge.changed import Change
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.verdict import Verdict
+from ctsid_core.search.solution import Doubt
 from ctsid_core.signals.stuck import Stuck
 
 
@@ -31,4 +32,4 @@ class Evidence:
     numbers: Verdict                # with the numbers that have a place in it
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     unproven: bool = False          # modes grow of which the data do not show that they do
-    loop: str = ''                  # what points to a controller that the settings do not tell of
+    doubt: Doubt | None = None      # what it looks like if a setting is not right

@@ -25,8 +25,8 @@ _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
 _POINTS = 4096        # of the uniform grid of time, at most
 _LINES = 200          # of the spectrum of the inputs, the strongest
-_TAPERED = 0.35       # of a record, at each of its ends
-_LOBE = 1.75          # lines that one sine has after the taper
+_TAPERED = 0.4        # of a record, at each of its ends
+_LOBE = 1.93          # lines that one sine has after the taper
 
 
 def excitations(samples: Samples, delay: Array, covariance: Covariance | None, moving: StateSpace,

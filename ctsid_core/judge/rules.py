@@ -30,7 +30,7 @@ from ctsid_core.signals.record import Record
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _LEAKS = 0.25           # frequencies more than its sines that an input seems to have: one sine
-                        # held at 5 to 100 Hz has 1.21, two have 2.25 at most in 99 of 100
+                        # held at 5 to 100 Hz has 1.11, two have 2.10 at most in 99 of 100
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
@@ -43,7 +43,7 @@ _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that 
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
-_OF_A_LOOP = (Status.OK, Status.UNEXPLAINED)    # ... with which a controller may be behind it
+_DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
             'samples are too few; test it on data that it has not seen.')
@@ -53,8 +53,11 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
     weak = ((Status.OK, *one) for one in _weaknesses(evidence))
     for status, remedy, reason in chain(_rejections(evidence), weak):
-        if evidence.loop and status in _OF_A_LOOP and remedy in (Remedy.EXCITE, Remedy.SIGNALS):
-            remedy, reason = Remedy.SETTING, f'{evidence.loop} If none does: {reason}'
+        if evidence.doubt and status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS):
+            what, setting = evidence.doubt
+            remedy, reason = Remedy.SETTING, (
+                f'{what[0].upper()}{what[1:]}. If that is not so: {reason[0].lower()}{reason[1:]} '
+                f'If it is so, set `{setting}`.')
         grade = Grade.WEAK if status is Status.OK else Grade.REJECT
         return status, replace(evidence.numbers, grade=grade, reason=reason, remedy=remedy)
     return Status.OK, replace(evidence.numbers, grade=Grade.GOOD, reason=_summary(evidence))

@@ -173,18 +173,20 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
             at = block.stop
             seen, noise = (np.fft.rfft(x.reshape(*shape, -1), axis=1) / np.sqrt(t.count)
                            for x in (rows[block] @ directions, errors[block]))
-            taken = np.sum(np.abs(seen) ** 2, axis=2)
-            both = 1.0 + (np.arange(taken.shape[1]) % (0.5 * t.count) > 0.0)    # half-planes
-            reach = min(int(np.ceil(np.max(taken @ both))), taken.shape[1] - 1)
-            left = np.sqrt(np.maximum(_mean_around(1.0 - taken, reach), _SPARE))
-            spectra = _mean_around(noise[:, np.newaxis, :, 0] * noise[:, :, 0].conj(), reach) / (
-                left[:, np.newaxis] * left)
-            # At each frequency a root of the spectra by which the directions are seen
-            values, turn = np.linalg.eigh(spectra.transpose(2, 0, 1))
-            root = np.sqrt(both[:, np.newaxis] * np.maximum(values, 0.0))[:, np.newaxis] * turn
-            weighed = (root.conj().transpose(0, 2, 1) @ seen.transpose(1, 0, 2)).reshape(
-                -1, directions.shape[1])
-            found += (weighed.conj().T @ weighed).real
+            taken = np.einsum('ifd,jfd->ijf', seen, seen.conj())
+            both = 1.0 + (np.arange(taken.shape[2]) % (0.5 * t.count) > 0.0)    # half-planes
+            numbers = np.einsum('iif->if', taken).real @ both
+            reach = min(int(np.ceil(np.max(numbers))), taken.shape[2] - 1)
+            values, turn = np.linalg.eigh(_mean_around(
+                np.eye(shape[0])[:, :, np.newaxis] - taken, reach).transpose(2, 0, 1))
+            less = (turn / np.sqrt(np.maximum(values, _SPARE))[:, np.newaxis]) \
+                @ turn.conj().transpose(0, 2, 1)
+            spectra = less @ _mean_around(noise[:, np.newaxis, :, 0] * noise[:, :, 0].conj(),
+                                          reach).transpose(2, 0, 1) @ less
+            by_frequency = seen.transpose(1, 0, 2)
+            weighed = both[:, np.newaxis, np.newaxis] * spectra @ by_frequency
+            found += (by_frequency.reshape(-1, seen.shape[2]).conj().T
+                      @ weighed.reshape(-1, seen.shape[2])).real
     return found
 
 

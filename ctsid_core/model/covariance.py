@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array, ComplexArray
@@ -202,10 +203,17 @@ class Covariance:
 
 
 def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
-    """Return the covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
+    """
+    Return the covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2].
+
+    Its shape is that of changes to first order, its size that of `pole_deviation`.
+    """
     change = covariance.pole_changes(model)
     parts = np.stack((change.real, change.imag), axis=-1)
-    return np.asarray(np.einsum('rik,ril->ikl', parts, parts))
+    found = np.einsum('rik,ril->ikl', parts, parts)
+    total = np.trace(found, axis1=1, axis2=2)
+    size = pole_deviation(covariance, model) ** 2 / np.where(total > 0.0, total, 1.0)
+    return np.asarray(found * size[:, np.newaxis, np.newaxis])
 
 
 def pole_deviation(covariance: Covariance, model: StateSpace) -> Array:
@@ -217,23 +225,24 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     """
     Return the square root of the expected squared distance of each pole, (n,) [rad/s].
 
-    Given are the poles' changes to first order along independent directions, (r, n). Poles p and q
-    that nearly meet do not move as their derivatives say, which are infinite where they meet: what
-    moves p by d to first order, moves it by x of x (x + p - q) = (p - q) d.
+    Given are the poles' changes d to first order along independent directions, (r, n). Where poles
+    meet derivatives are infinite, and the poles move less: to those of diag(p) + 1 d', whose
+    characteristic polynomial moves as it does to first order. One deviation to either side along
+    the principal directions of all changes.
     """
-    if len(poles) < 2:
+    n = len(poles)
+    if n < 2 or not np.isfinite(changes).all():
         return _deviation(changes)
-    apart = np.abs(poles[:, np.newaxis] - poles)
-    np.fill_diagonal(apart, np.inf)
-    gap = poles - poles[np.argmin(apart, axis=1)]
-    # Its two independent changes, one deviation to either side
-    parts = np.stack((changes.real, changes.imag), axis=-1)
-    values, vectors = np.linalg.eigh(np.einsum('kpi,kpj->pij', parts, parts))
-    main = np.sqrt(np.maximum(values, 0.0)) * (vectors[:, 0] + 1j * vectors[:, 1])
-    ahead = np.concatenate((main.T, -main.T))
-    root = np.sqrt(gap * (gap + 4.0 * ahead))
-    root *= np.where((root * gap.conj()).real < 0.0, -1.0, 1.0)
-    found: Array = _deviation(2.0 * gap * ahead / (gap + root)) / np.sqrt(2.0)
+    _, sizes, axes = np.linalg.svd(np.hstack((changes.real, changes.imag)), full_matrices=False)
+    main = sizes[:, np.newaxis] * axes
+    ahead = main[:, :n] + 1j * main[:, n:]
+    moved = np.linalg.eigvals(np.diag(poles) + np.vstack((ahead, -ahead))[:, np.newaxis])
+    away = np.abs(moved[:, np.newaxis] - poles[:, np.newaxis]) ** 2
+    power = 0.5 * np.sum([one[linear_sum_assignment(one)] for one in away], axis=0)
+    # Of a pair both are known alike.
+    twin = np.where(poles.imag == 0.0, np.arange(n), np.argmin(
+        np.abs(poles[:, np.newaxis] - poles.conj()), axis=1))
+    found: Array = np.sqrt(0.5 * (power + power[twin]))
     return found
 
 

@@ -17,6 +17,9 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.settings import Settings
 
+# What it looks like if a setting is not right, in words, and that setting
+Doubt = tuple[str, str]
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -31,7 +34,7 @@ class Solution:
     orders: tuple[OrderTried, ...] = ()  # empty if the order was given
     choices: tuple[Choice, ...] = ()
     notes: tuple[str, ...] = ()
-    loop: str = ''      # what points to a controller that the settings do not tell of, in words
+    doubt: Doubt | None = None
     # From the samples of the first part to the model that the same method makes of them; None:
     # output error from the poles of the whole
     refit: Callable[[Samples], Fit | None] | None = None

@@ -57,7 +57,7 @@ from ctsid_core.search.by_prediction import (
     solve_by_prediction,
 )
 from ctsid_core.search.needless import without_needless
-from ctsid_core.search.solution import Solution, own_delays
+from ctsid_core.search.solution import Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.signals.outliers import spikes
 from ctsid_core.subspace.hd_pbsid import Subspaces
@@ -150,8 +150,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_at_bounds(part, settings, best, free)),
-                    loop=_loop(best.fit.model, samples, own, grows), whole=whole, hidden=hidden,
+                    (*notes, *_at_bounds(part, best, free)),
+                    doubt=_doubt(best.fit.model.poles, samples, free, own, grows),
+                    whole=whole, hidden=hidden,
                     smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
@@ -214,7 +215,8 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         (Choice('domain', 'disturbed', "the plant that predictions from the outputs' own past "
                 'found is likelier than that of output error'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_at_bounds(part, settings, one, plant.free)), plant=plant.matrices, whole=whole,
+         *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
+        doubt=_doubt(fit.model.poles, samples, plant.free, settings),
         predictor=(found.samples, found.found.fit, found.free))
 
 
@@ -276,7 +278,7 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     return tried(samples, climb(samples, start, free), free)
 
 
-def _at_bounds(part: Joint, settings: Settings, best: Tried, free: Free) -> tuple[str, ...]:
+def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
     """Return which dead times and poles are about the longest and fastest looked for, in words."""
     late = tuple(
         f'the dead time of input {name} is near the longest that is looked for, '
@@ -285,23 +287,24 @@ def _at_bounds(part: Joint, settings: Settings, best: Tried, free: Free) -> tupl
         for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
         if late and delay > _NEARLY * free.longest)
     fast = float(np.max(np.abs(best.fit.model.poles), initial=0.0))
-    cure = '' if settings.feedthrough else (
-        '; if outputs may follow inputs at once, and no controller acts, set `feedthrough: true`')
     return late if fast < _NEARLY * free.fastest else (*late, (
         f'the pole of {fast:.3g} rad/s is about the fastest that is looked for ({_FASTEST:g} of '
-        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'
-        + cure))
+        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
 
 
-def _loop(model: ModalModel, samples: Samples, own: Settings, grows: bool) -> str:
-    """Return what points to a controller that the settings do not tell of, in words."""
-    near = model.poles.real * samples.length >= -_STEADY
-    if not own.feedthrough or not grows and np.sum(near) + np.sum(
-            near & (model.poles.imag > 0.0)) < 2:
-        return ''
-    what = 'Predictions find a mode that grows' if grows else 'Modes neither grow nor decay'
-    return (f'{what}, as when a controller keeps an unstable plant in place: if one does, set '
-            '`feedthrough: false`.')
+def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
+           grows: bool = False) -> Doubt | None:
+    """Return what a model looks like if the setting of D is not right, and that setting."""
+    near = poles.real * samples.length >= -_STEADY
+    steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
+    if own.feedthrough and (grows or steady > 1):
+        what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
+        return (f'{what}, as when a controller keeps an unstable plant in place',
+                'feedthrough: false')
+    if not own.feedthrough and np.max(np.abs(poles), initial=0.0) > _AT_ONCE * free.fastest:
+        return ('a mode is nearly as fast as any that is looked for, as when outputs follow '
+                'inputs at once, and no controller acts', 'feedthrough: true')
+    return None
 
 
 def _left_out(found: Container[int], order: int, settings: Settings,
@@ -445,6 +448,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
                 'than those of the best model that simulates'),),
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
+        doubt=_doubt(np.linalg.eigvals(found.matrices.A), samples, free, settings),
         plant=found.matrices, errors_ahead=found.errors, simulating=None if plant is None else (
             samples, plant.simulated.fit, plant.free))
 

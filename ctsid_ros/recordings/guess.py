@@ -32,9 +32,10 @@ from ctsid_ros.recordings.survey import survey as look_at
 OFFERED = 3  # pairs that are shown
 _BEST_NAMED = 48  # pairs of which it is looked which signal begins to move first
 _MOST_STRETCHES = 3  # that are identified from: more take long and tell little more
-_BY_NAMES = ('the data alone do not tell which signal is the input, for the recording is short '
-             'or little moves: the channels are guessed by what steps, their names, what moves '
-             'first, and their order: check them, and whether there is an experiment')
+_BY_NAMES = ('the data alone do not tell which signal is the input, for the recording is short, '
+             'little moves, or a controller acts: the channels are guessed by what steps, their '
+             'names, what moves first, and their order: check them, and whether there is an '
+             'experiment')
 _FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself has more
 # Outputs that may answer at once: of an accelerometer, as ROS, PX4, ArduPilot and people name it.
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
@@ -282,7 +283,10 @@ def _channels(inputs: Sequence[Candidate], outputs: Sequence[Candidate], reasons
 
 def _is_measured(u: Candidate, outputs: Sequence[Candidate]) -> bool:
     """Whether an input is no command that is held, but measured as the outputs are."""
-    return not u.stays and (u.acts < u.measures or any(u.topic is y.topic for y in outputs))
+    # A row of a table has the command that the controller made of it, and a message what was seen.
+    logged = u.topic.info.type.startswith('table/') and u.acts > u.measures
+    return not u.stays and not logged and (
+        u.acts < u.measures or any(u.topic is y.topic for y in outputs))
 
 
 def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:

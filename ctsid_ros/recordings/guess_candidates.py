@@ -31,10 +31,10 @@ _RAMP = 1e-4  # of its range: what leaves a straight line by less is a clock
 COMMAND_NAME = re.compile(
     r'cmd|command|set_?point|target|desired|reference|(^|[/_])ref($|[/_])|control(?!ler_state)|'
     r'effort|torque|wrench|thrust|throttle|joy|stick|(^|[/_])rc|pwm|servo|motor|actuator|input|'
-    r'steer|voltage|drive|action', re.IGNORECASE)
+    r'steer|voltage|drive|action|^u\d*$', re.IGNORECASE)
 MEASURED_NAME = re.compile(
     r'imu|gyro|accel|odom|pose|position|state|measur|sensor|feedback|encoder|vel(?!.*cmd)|'
-    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking', re.IGNORECASE)
+    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking|^y\d*$', re.IGNORECASE)
 _COMMAND_TYPE = re.compile(
     r'.*(Twist|TwistStamped|Wrench|WrenchStamped|Ackermann\w*|Joy|JointTrajectory\w*|'
     r'AttitudeTarget|PositionTarget|\w*Setpoint|\w*Command|\w*Cmd|Actuator\w*|ManualControl\w*|'

@@ -32,6 +32,7 @@ from ctsid_ros.verbs.arguments import (
     tell,
 )
 
+_GROWS = 3.0          # times e within a record: no simulation tells more
 _DATED = 10 ** 17     # ns: of a clock that is set, and did not begin with 0
 
 if TYPE_CHECKING:
@@ -97,7 +98,8 @@ def command(args: argparse.Namespace) -> int:
             data = read_record(bag, config, interval_of(args), advance=advance)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
-        notes = (*_own_data(estimate, record), *bag.notes, *data.complaints, *spikes,
+        notes = (*_own_data(estimate, record), *_unsimulated(outcome.simulated), *bag.notes,
+                 *data.complaints, *spikes,
                  *(note for v in outcome.predicted.values() for note in v.notes))
     why = '' if estimate.ok else estimate.verdict.reason
     if args.out is not None:
@@ -143,13 +145,26 @@ def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
             'not seen',)
 
 
+def _unsimulated(simulated: Validation) -> tuple[str, ...]:
+    return () if any(fit == fit for fit in simulated.fit.tolist()) else (
+        'the plant grows by itself and cannot be simulated for so long: predictions tell how good '
+        'the model is, at the horizons that matter to you (`--horizon`)',)
+
+
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
+    import numpy as np
+
     from ctsid_core.model.validation import prediction, simulation
     from ctsid_ros.replay.clock import zero_ns
 
     record = data.record
     offset = (record.epoch_ns - zero_ns(bag, record.epoch_ns)) * 1e-9
-    return _Outcome(model, data, simulation(model, record, trim=args.trim),
+    simulated = simulation(model, record, trim=args.trim)
+    if max(model.poles.real, default=0.0) * record.duration > _GROWS:
+        # Its best solution within the record knows the end as well as the beginning.
+        nothing = np.full(model.ny, np.nan)
+        simulated = replace(simulated, fit=nothing, vaf=nothing)
+    return _Outcome(model, data, simulated,
                     {k: prediction(model, record, k) for k in args.horizon},
                     record.start + offset, record.end + offset)
 
