@@ -26,7 +26,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade
+from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
 from ctsid_core.search.by_prediction import (
     AHEAD,
@@ -79,8 +79,8 @@ def conclude(solution: Solution) -> Estimate:
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
-               *((f'{what}: if so, set `{setting}`' for what, setting in (solution.doubt,))
-                 if solution.doubt and verdict.grade is Grade.GOOD else ()),
+               *(f'{what}: if so, set `{setting}`' for what, setting in filter(
+                   None, (solution.doubt,)) if setting not in verdict.reason),
                *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
         records=_shares(solution) if part.several else ())

@@ -231,7 +231,7 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     the principal directions of all changes.
     """
     n = len(poles)
-    if n < 2 or not np.isfinite(changes).all():
+    if n < 2 or not len(changes) or not np.isfinite(changes).all():
         return _deviation(changes)
     _, sizes, axes = np.linalg.svd(np.hstack((changes.real, changes.imag)), full_matrices=False)
     main = sizes[:, np.newaxis] * axes
