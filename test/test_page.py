@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 import yaml
 
-from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.covariance import Covariance, gain_deviation
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
+from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
@@ -311,6 +312,17 @@ def test_a_gain_that_is_not_known_is_said_to_be_so(folder):
     assert 'not even its sign' not in str(gain_section(found.model, found.covariance).parts)
     vague = replace(found.covariance, root=1e4 * found.covariance.root)
     assert 'not even its sign' in str(gain_section(found.model, vague).parts)
+
+
+def test_a_gain_that_is_known_to_be_nothing_is_not_said_to_be_unknown():
+    """From a torque to a rate there is none, beside what the rate does in between."""
+    A = np.array([[-0.5, -5.0], [5.0, -0.5]])
+    rate = StateSpace(A, np.array([[1.0], [0.0]]), np.array([[1.0, -0.1 + 1e-5]]))
+    root = np.zeros((1, 10))
+    root[0, 4:6] = 2e-3
+    known = Covariance(root, 2, 1, 1)
+    assert gain_deviation(known, rate)[0, 0] > abs(rate.dc_gain[0, 0])
+    assert 'not even its sign' not in str(gain_section(rate, known).parts)
 
 
 @pytest.mark.parametrize(('status', 'said'), [(Status.UNEXPLAINED, True),

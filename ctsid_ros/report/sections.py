@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
+_NOTHING = 0.1     # of the largest response: a gain known to less is known
 _DOMAINS = {            # what the choice of a domain means to whoever uses the model
     'predictions': 'The fits of this model are of predictions, which know the outputs before as '
                    'well as the inputs: its plant grows by itself and cannot be simulated for '
@@ -192,9 +193,11 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
                   *(plus_minus(gain[i, j], std[i, j]) for j in range(model.nu)))
                  for i, y in enumerate(model.output_names))
     heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
+    # Beside what the response is elsewhere a gain may be known to be nothing.
+    most = np.abs(model.frequency_response(frequencies(model))).max(axis=0)
     unknown = ('Where the standard deviation is larger than the gain, not even its sign is known: '
                'the data are too short for what happens slowly, or the inputs do not move slowly '
-               'enough.',) if (std > np.abs(gain)).any() else ()
+               'enough.',) if (std > np.maximum(np.abs(gain), _NOTHING * most)).any() else ()
     return Section('DC gain: output per input', (
         Table(('output', *heads), rows, ('output',)), *unknown))
 
