@@ -10,6 +10,11 @@ import pytest
 from scipy.signal import lfilter
 
 from ctsid_core import Record, Settings, identify
+from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.output_error import Free, climb, fit_at, jacobian
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.likelihood.state_space import _noise_power
+from ctsid_core.linear.least_squares import orthonormal
 
 QUICK = Settings(held_out=0.0)
 
@@ -85,6 +90,38 @@ def test_deviations_know_of_noise_that_outputs_share():
     ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(claims), axis=0))
     assert (0.75 < ratio).all()
     assert (ratio < 1.3).all()
+
+
+def late(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return noise that comes to each of four outputs a little later, and some of their own."""
+    e = rng.standard_normal(count + 20)
+    return np.column_stack([e[20 - 3 * i:count + 20 - 3 * i] for i in range(4)]) \
+        + 0.1 * rng.standard_normal((count, 4))
+
+
+@pytest.mark.parametrize('noise', [
+    lambda rng, count: rng.standard_normal((count, 4)),
+    lambda rng, count: rng.standard_normal((count, 1)) + 0.1 * rng.standard_normal((count, 4)),
+    late], ids=['own', 'shared', 'late'])
+def test_the_power_of_noise_is_that_along_what_is_estimated(noise):
+    """Though the fit has taken most of it out of the errors, at low frequencies nearly all."""
+    p = plant([[-2.0, 0.0], [0.0, -5.0]], [[1.0], [1.0]],
+              np.column_stack((np.linspace(2.0, 1.0, 4), np.linspace(0.5, 2.0, 4))))
+    clean = running(np.random.default_rng(0), p, rate=20.0, band=5.0)
+    (signal,), free = clean.outputs, Free(False, True, (False,), 0.0, -1e-6, 50.0)
+    told, true = [], []
+    for seed in range(30):
+        e = 0.1 * signal.values.std(axis=0) * noise(np.random.default_rng(seed), len(signal.time))
+        samples = samples_of([replace(clean, outputs=(replace(
+            signal, values=signal.values + e),))], [[None]])
+        fit = climb(samples, fit_at(samples, p.poles.astype(complex), np.zeros(1), free), free)
+        directions = orthonormal(jacobian(samples, fit, free)[0], 1e-7)
+        told.append(np.trace(_noise_power(samples, fit, free, directions)))
+        rows, _, _ = jacobian(samples, replace(fit, columns=columns_of(
+            samples, fit.model.poles, fit.model.delay, direct=False, turned=False)), free)
+        seen = (e / samples.size / np.sqrt(fit.power[0])).T.ravel() @ rows @ directions
+        true.append(seen @ seen)
+    assert 0.85 < np.mean(told) / np.mean(true) < 1.1
 
 
 def test_deviations_scale_with_the_noise():

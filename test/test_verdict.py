@@ -27,7 +27,7 @@ from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.validation import simulation
-from ctsid_core.model.verdict import UNJUDGED, Remedy, Verdict
+from ctsid_core.model.verdict import UNJUDGED, Excitation, Remedy, Verdict
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_ros.studies.robots import families as robots
 
@@ -437,15 +437,20 @@ def test_a_plant_that_no_simulation_tells_is_found_without_that(seed):
     assert np.sort(found.model.poles.real) == pytest.approx([-3.0, 2.0], abs=0.25)
 
 
-@pytest.mark.parametrize('seed', [0, *slow(1, 2, 3)])
-def test_what_points_to_a_direct_term_is_the_first_reason(seed):
-    """The acceleration of a mass on a spring follows the force at once."""
+@pytest.mark.parametrize(('seed', 'noise'), [
+    (2, 30), (0, 20), (0, 30), *slow((4, 30), (8, 30), (1, 20), (1, 30))])
+def test_what_points_to_a_direct_term_is_the_first_reason(seed, noise):
+    """
+    The acceleration of a mass on a spring follows the force at once.
+
+    Without D predictions find it, or as it simulates, or output error.
+    """
     rng = np.random.default_rng([31, seed])
     p = plant([[0.0, 1.0], [-25.0, -1.0]], [[0.0], [1.0]], [[-25.0, -1.0]])
     t, t_u = np.arange(0.0, 20.0, 0.01), np.arange(0.0, 20.0, 0.02)
     u = np.repeat(rng.standard_normal(100), 10)[:, np.newaxis]
     y = held_response(p, t_u, u, t) + u[np.searchsorted(t_u, t, side='right') - 1]
-    record = Record.from_arrays(t_u, u, t, noisy(rng, y, 30), input_hold='zoh')
+    record = Record.from_arrays(t_u, u, t, noisy(rng, y, noise), input_hold='zoh')
     without = identify(record, Settings(feedthrough=False))
     if not without.good:
         assert without.verdict.reason.startswith('A mode is nearly as fast as any that is looked')
@@ -468,6 +473,23 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
     assert status is Status.UNEXPLAINED
     assert f'is 90 % of its motion{worst}; check that these' in verdict.reason
+
+
+@pytest.mark.parametrize(('known', 'curved', 'first'), [
+    (0.5, 0.0, 'Modes run. If that is not so: the response to input u1'),
+    (0.5, 9.0, 'Output y1 is'),
+    (0.05, 0.0, 'Every test is passed')])
+def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved, first):
+    one = np.array([0.1])
+    _, verdict = judge(Evidence(
+        input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
+        expected=0.0 * one, driven=one, poles=np.array([-1.0 + 0j]), change=Change(), where='',
+        worst='', doubt=('modes run', 'x: y'), numbers=replace(
+            UNJUDGED, error=one, coloured_error=one, held_out_error=one,
+            response_uncertainty=one, curve_gain=np.array([curved]),
+            excitation=(Excitation('u1', 0.1, 10.0, 9.0, 1.0, known),))))
+    assert verdict.reason.startswith(first)
+    assert verdict.reason.endswith(' If it is so, set `x: y`.') == first.startswith('Modes')
 
 
 @pytest.mark.parametrize('curve', ['clipped', *slow('dead zone', 'square', 'relay', 'none')])

@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
+from ctsid_core.judge import changed
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
@@ -261,3 +262,23 @@ def rms_error(found, record):
     y = record.outputs[0].values[:, 0]
     e = validation.simulation(found.model, record).y_hat[:, 0] - y
     return np.sqrt(np.mean(e ** 2)) / np.std(y)
+
+
+@pytest.mark.parametrize('number', [0, 3])
+def test_what_two_models_promise_is_what_they_explain_to_first_order(number):
+    """At the instants that promise most, beside least squares on each side; states are free."""
+    record = experiment('no-gain-jump', 12, number).record
+    samples = samples_of([record], [[None]])
+    free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
+    fit = climb(samples, fit_at(samples, np.array([-4.0 + 0j]), np.array([0.01]), free), free)
+    thin, own = samples.thinned(2 * changed._SEARCHED), (fit.model, free)
+    _, rows, error, states, shares, _ = changed._slopes(thin, own)
+
+    def left(side, columns):
+        found = np.linalg.lstsq(columns[side], error[side], rcond=1e-9)[0]
+        return np.sum((error[side] - columns[side] @ found) ** 2)
+
+    promise = [sum(side.sum() * np.log(left(side, rows[:, states]) / left(side, rows))
+                   for side in (shares <= at, shares > at)) for at in changed._INSTANTS]
+    best = np.array(changed._INSTANTS)[np.argsort(promise)[-2:]]
+    assert sorted(changed._likely(thin, own)) == pytest.approx(sorted(best))

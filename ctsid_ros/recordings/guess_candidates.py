@@ -34,7 +34,7 @@ COMMAND_NAME = re.compile(
     r'steer|voltage|drive|action|^u\d*$', re.IGNORECASE)
 MEASURED_NAME = re.compile(
     r'imu|gyro|accel|odom|pose|position|state|measur|sensor|feedback|encoder|vel(?!.*cmd)|'
-    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking|^y\d*$', re.IGNORECASE)
+    r'attitude|mocap|vicon|optitrack|gps|fix|range|altitude|joint|tracking', re.IGNORECASE)
 _COMMAND_TYPE = re.compile(
     r'.*(Twist|TwistStamped|Wrench|WrenchStamped|Ackermann\w*|Joy|JointTrajectory\w*|'
     r'AttitudeTarget|PositionTarget|\w*Setpoint|\w*Command|\w*Cmd|Actuator\w*|ManualControl\w*|'
