@@ -90,6 +90,7 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
     channels. Samples within the interval of the record count; times are from its start.
     """
     notes, counts, rest = [], {}, iter(names)
+    held = '; if it is a command that is held, set its `hold: zoh`'
     for signal, spiky in zip(signals, found, strict=True):
         inside = signal.rows(record.start, record.end)
         times = signal.time[inside] - record.start
@@ -99,7 +100,7 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
                 counts[f'corrupt_samples.{name}'] = float(np.count_nonzero(bad))
                 notes.append(f'{kind} {name}: {np.count_nonzero(bad)} of {len(bad)} samples are '
                              'corrupt, far from their neighbours, and were not used: '
-                             + _places(times[bad]))
+                             + _places(times[bad]) + held * (kind == 'input'))
             if j in spiky.too_many:
                 notes.append(f'{kind} {name}: more than {100 * MOST:g} % of the samples lie far '
                              'from their neighbours; these are not a few corrupt ones, and all '
