@@ -272,6 +272,14 @@ def test_the_usual_experiments_are_good(signal):
     assert verdict.excitation[0].frequencies > 2.5
 
 
+def test_a_slow_sweep_is_at_many_frequencies():
+    """From 0.1 to 0.95 Hz in ten seconds; the middle of these alone is at hardly two."""
+    def sweep(rng, t):
+        phase = 0.2 * np.pi * np.expm1(0.2251 * np.maximum(t, 0.0)) / 0.2251
+        return np.sin(phase)[:, np.newaxis]
+    assert judged(with_inputs(0, sweep, 1, n=2)).excitation[0].frequencies > 2.25
+
+
 @pytest.mark.parametrize('seed', [5, *slow(*range(5))])
 def test_a_model_of_too_few_states_does_what_its_fit_says(seed):
     """On another experiment; an order is asked for, so that it is too low is no fault."""
@@ -386,13 +394,21 @@ def test_noise_is_rejected(seed):
     assert judged(nothing(seed)[1]).grade is Grade.REJECT
 
 
+@pytest.fixture(scope='module')
+def of_noise() -> Counter[Grade]:
+    """How often noise gets which grade."""
+    return Counter(judged(nothing(seed)[1]).grade for seed in range(1000))
+
+
 @pytest.mark.slow
-def test_noise_is_never_good():
-    """Of 1000 records 24 are WEAK, coloured ones most of them (3 of version 0.1)."""
-    grades = Counter(judged(nothing(seed)[1]).grade for seed in range(1000))
-    print(grades)
-    assert grades[Grade.GOOD] == 0
-    assert grades[Grade.WEAK] <= 24
+def test_noise_is_never_good(of_noise):
+    assert of_noise[Grade.GOOD] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(reason='24, of coloured noise most of them')
+def test_noise_is_hardly_ever_weak(of_noise):
+    assert of_noise[Grade.WEAK] <= 3
 
 
 @pytest.mark.slow

@@ -192,13 +192,21 @@ def test_a_jump_is_seen_in_noise(family, seed, number):
     assert identify(experiment(family, seed, number).record).status is Status.CHANGED
 
 
-@pytest.mark.parametrize(('family', 'number'), [
-    *slow(('turbulence-weak', 5), ('rates-1x1', 5))])
-def test_states_that_imitate_disturbances_are_not_believed(family, number):
+@pytest.mark.parametrize(('family', 'number'), [*slow(('turbulence-weak', 5)), pytest.param(
+    'rates-1x1', 5, marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='two states, that imitate nothing, are GOOD and right')])])
+def test_states_that_imitate_disturbances_are_not_called_good(family, number):
     """Nine and eight of them simulated 97 % of the window, and of another flight much less."""
     given = experiment(family, 6, number)
-    estimate = identify(given.record, given.settings)
-    assert not score(given, estimate, Reach(None).of(given), 0.0).wrong
+    assert identify(given.record, given.settings).verdict.grade is not Grade.GOOD
+
+
+@pytest.mark.slow
+def test_what_imitated_disturbances_is_not_wrong():
+    given = experiment('rates-1x1', 6, 5)
+    row = score(given, identify(given.record, given.settings), Reach(None).of(given), 0.0)
+    assert row.order < 4
+    assert not row.wrong
 
 
 def test_a_dead_time_does_not_stand_in_for_a_state_that_is_certain():

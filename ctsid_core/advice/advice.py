@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import pi
 
 import numpy as np
@@ -111,26 +112,23 @@ def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float 
 def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:
     """Return what it takes to know pole k."""
     now = of.deviation(k)
-    larger = 1.0 if now <= wanted else float(brentq(
-        lambda size: of.deviation(k, size) - wanted, 1.0, 2.0 * (now / wanted) ** of.poles.size))
+    larger = _least(partial(of.deviation, k), wanted, 1.0, 2.0 * (now / wanted) ** len(of.poles))
     bands = sorted(((replace(band, ratio=of.with_band(k, i, seconds) / now), i)
                     for i, band in enumerate(of.bands)), key=lambda x: x[0].ratio)
     return PoleAdvice(
         complex(of.poles[k]), now, wanted, larger ** 2, larger,
         tuple(band for band, _ in bands),
         0.0 if now <= wanted else _least(
-            lambda t: of.with_band(k, bands[0][1], t) <= wanted, 1e-3 * seconds))
+            partial(of.with_band, k, bands[0][1]), wanted, 1e-3 * seconds, 1e-3 * seconds * _MOST))
 
 
-def _least(good: Callable[[float], bool], start: float) -> float:
-    """Return the least number from `start` upwards that is good, to 1 %; infinite if none is."""
-    low, high = start, start * _MOST
-    if not good(high):
+def _least(deviation: Callable[[float], float], wanted: float, low: float, high: float) -> float:
+    """Return the least number from `low` upwards that is enough; infinite if `high` is not."""
+    if deviation(low) <= wanted:
+        return low
+    if not deviation(high) <= wanted:
         return np.inf
-    while high > 1.01 * low:
-        middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if good(middle) else (middle, high)
-    return high
+    return float(brentq(lambda x: deviation(x) - wanted, low, high))
 
 
 def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:

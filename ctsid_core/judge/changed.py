@@ -43,7 +43,7 @@ from ctsid_core.linear.types import Array, Mask
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
 _CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
-_LOOK = 1e7           # work of looking for them, beside the triangles
+_LOOK = 1e7           # work of looking for them, beside the basis
 _NOTHING = 1e-9       # of a direction: less of it is rounding
 _EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at

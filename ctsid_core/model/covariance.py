@@ -212,7 +212,7 @@ def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
     parts = np.stack((change.real, change.imag), axis=-1)
     found = np.einsum('rik,ril->ikl', parts, parts)
     total = np.trace(found, axis1=1, axis2=2)
-    size = pole_deviation(covariance, model) ** 2 / np.where(total > 0.0, total, 1.0)
+    size = scatter_of_poles(model.poles, change) ** 2 / np.where(total > 0.0, total, 1.0)
     return np.asarray(found * size[:, np.newaxis, np.newaxis])
 
 

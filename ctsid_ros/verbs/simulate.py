@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+import math
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import StorageError
@@ -146,7 +147,7 @@ def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
 
 
 def _unsimulated(simulated: Validation) -> tuple[str, ...]:
-    return () if any(fit == fit for fit in simulated.fit.tolist()) else (
+    return () if any(map(math.isfinite, simulated.fit.tolist())) else (
         'the plant grows by itself and cannot be simulated for so long: predictions tell how good '
         'the model is, at the horizons that matter to you (`--horizon`)',)
 
