@@ -15,6 +15,8 @@ from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.rules import unusable_estimate
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.search.corrupt import agreed
+from ctsid_core.search.solution import Solution
 from ctsid_core.search.solve import solve
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
@@ -105,8 +107,13 @@ def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -
 def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             effort: Effort) -> Estimate:
     method = METHODS[settings.method]
-    solution = solve(part, settings, effort) if method.refines and settings.refine else \
-        solve_by(method, part, settings, effort)
+
+    def found(part: Joint) -> Solution | None:
+        if method.refines and settings.refine:
+            return solve(part, settings, effort)
+        return solve_by(method, part, settings, effort)
+
+    solution = agreed(part, found, effort)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
     return conclude(solution)

@@ -6,15 +6,18 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 from pathlib import Path
+import shlex
 
 from bag_fixtures import IMU, START, Sent, array, header, imu, joints, make, vector, write_mcap
 from flights import S, at, flight, spoilt, stamp_of
 from marks import slow
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from tangled_bags import KINDS, tangled, write_tangled
 import yaml
 
+from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.parameter_file import parse_config, read_config
@@ -163,6 +166,30 @@ def test_a_step_comes_before_its_response(tmp_path, columns, duration, at, pole,
     np.savetxt(path, np.transpose(table), delimiter=',', comments='',
                header=f'time,{",".join(columns)}')
     assert keys(guessed(path))[0] == (('run', 'u'), ('run', 'y'))
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, capsys, seed):
+    """An angle tells its rate all but exactly, but no names tell which column is which."""
+    rng, step = np.random.default_rng(seed), expm(0.01 * np.array(
+        [[0.0, 1.0, 0.0], [-20.0, -1.5, 40.0], [0.0, 0.0, 0.0]]))
+    u, x = np.repeat(rng.standard_normal(300), 20), np.zeros((6001, 2))
+    for k, value in enumerate(u):
+        x[k + 1] = step[:2, :2] @ x[k] + step[:2, 2] * value
+    x = x[:-1] + rng.standard_normal((6000, 2)) * [0.01, 0.03]
+    table = np.column_stack((0.01 * np.arange(6000), x[:, 0], u, x[:, 1]))
+    np.savetxt(tmp_path / 'run.csv', table, delimiter=',', comments='', header='time,a,b,c')
+    found = guessed(tmp_path / 'run.csv')
+    assert set(keys(found)[:2]) == {(('run', 'b'), ('run', 'a')), (('run', 'b'), ('run', 'c'))}
+    assert main(['init', str(tmp_path / 'run.csv'), '-o', str(tmp_path / 'p.yaml')]) == 0
+    told = capsys.readouterr().err
+    line = next(line for line in told.splitlines() if 'one model of them all' in line)
+    assert 'run b moves 2 outputs' in line
+    words = shlex.split(line.partition('all: ')[2])
+    assert main(['try', str(tmp_path / 'run.csv'), *words, '--out', str(tmp_path / 'res')]) == 0
+    model = load_estimate(tmp_path / 'res' / 'model.json').model
+    assert model.C.shape == (2, 2)
+    assert np.sort(model.poles) == pytest.approx(np.sort(np.roots([1.0, 1.5, 20.0])), abs=0.02)
 
 
 def test_switches_modes_clocks_and_constants_are_no_signals():

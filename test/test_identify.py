@@ -247,7 +247,7 @@ def test_trim_is_estimated_not_averaged_away():
     # A mode that takes the trim's place seems to grow, and is put on the axis.
     axis = identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=2))
     assert any(c.value == 'disturbed' for c in axis.choices)
-    assert 0.0 in either(axis).poles
+    assert np.abs(either(axis).poles).min() < 1e-12
     assert not axis.ok
 
 

@@ -9,10 +9,11 @@ from marks import slow
 import numpy as np
 from plants import PLANTS, asynchronous, held, held_response, match, noisy, paper, random_plant
 import pytest
+from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.preparation import usable
-from ctsid_core.signals.outliers import spikes
+from ctsid_core.signals.outliers import no_spikes, spikes
 
 
 def uneven(rng, count: int, rate: float = 200.0):
@@ -93,11 +94,41 @@ def test_an_output_that_follows_pulses_is_honest():
     t = np.arange(0.005, 9.9, 0.005)
     y = noisy(rng, held_response(PLANTS['hd52'], t_u, u, t), 30)[:, 3:]
     kept = t_u > -0.5
-    part = usable(Record.from_arrays(t_u[kept], u[kept], t, y, input_hold='zoh'), Settings())
-    assert not part.corrupt_y[0].any
+    clean = identify(Record.from_arrays(t_u[kept], u[kept], t, y, input_hold='zoh'))
+    assert clean.statistics['corrupt_samples'] == 0
+    assert not any('far from their neighbours' in note for note in clean.notes)
     y[700] += 5.0 * np.std(y)
-    part = usable(Record.from_arrays(t_u[kept], u[kept], t, y, input_hold='zoh'), Settings())
-    assert np.flatnonzero(part.corrupt_y[0].mask).tolist() == [700]
+    found = identify(Record.from_arrays(t_u[kept], u[kept], t, y, input_hold='zoh'))
+    assert found.statistics['corrupt_samples'] == 1
+    assert f'at {t[700] - t[0]:.4g} s' in next(n for n in found.notes if 'corrupt' in n)
+    assert found.model.n == clean.model.n
+    assert found.model.D == pytest.approx(clean.model.D, rel=1e-3)
+
+
+@pytest.mark.parametrize('feedthrough', [True, False])
+def test_what_a_model_explains_is_not_corrupt(feedthrough):
+    """A rate bends where the torque jumps, by more than its noise."""
+    rng, step = np.random.default_rng(1), expm(0.01 * np.array(
+        [[0.0, 1.0, 0.0], [-20.0, -1.5, 40.0], [0.0, 0.0, 0.0]]))
+    t, u, x = 0.01 * np.arange(6000), np.repeat(rng.standard_normal(300), 20), np.zeros((6001, 2))
+    for k, value in enumerate(u):
+        x[k + 1] = step[:2, :2] @ x[k] + step[:2, 2] * value
+    y = x[:-1] + rng.standard_normal((6000, 2)) * [0.01, 0.03]
+    record = Record.from_arrays(t, u[:, np.newaxis], t, y, input_hold='zoh')
+    settings = Settings(feedthrough=feedthrough)
+    looked = usable(record, settings)
+    assert looked.corrupt_y[0].any                        # its neighbours say so
+    found = identify(record, settings)
+    assert found.statistics['corrupt_samples'] == 0
+    assert not any('corrupt' in note for note in found.notes)
+    spoiled = y.copy()
+    spoiled[[500, 1000], [0, 1]] += [0.3, 3.0]
+    found = identify(replace(record, outputs=(replace(record.outputs[0], values=spoiled),)),
+                     settings)
+    assert found.statistics['corrupt_samples.y1'] == found.statistics['corrupt_samples.y2'] == 1
+    again = looked.with_corrupt([no_spikes(y)])           # as it was measured
+    assert again.record.outputs[0].values == pytest.approx(
+        record.outputs[0].values - looked.y_level, abs=1e-12)
 
 
 EXPERIMENTS = {
@@ -133,7 +164,7 @@ def test_corrupt_samples_do_not_move_the_estimate(name, length):
 
 
 def test_a_clean_record_is_used_as_it_is():
-    clean = held(np.random.default_rng(1), PLANTS['hd52'], 50.0, 200.0, snr=30)
+    clean = paper(np.random.default_rng(1), 'hd51', 30)
     part = usable(clean, Settings(trim=False))
     assert part.record.outputs[0] is clean.outputs[0]
 

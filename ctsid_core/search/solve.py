@@ -56,10 +56,10 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
+from ctsid_core.search.corrupt import Corrupt, corrupt_rows
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
-from ctsid_core.signals.outliers import spikes
 from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import realise
 
@@ -78,11 +78,9 @@ _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
-_STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 
 _PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 1.5e7      # work of HD-PBSID
 
-Corrupt = list[list[Mask | None]]
 Other = tuple[float, Tried]              # advantage over the choice, and the model
 Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
 
@@ -120,7 +118,6 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
-    samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     disturbed, grows = None, False
     if own.feedthrough and not effort.beyond(SEARCH) and (
             left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
@@ -131,11 +128,11 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
-        return replace(solved, hidden=hidden)
+        return solved
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
     if disturbed is not None and not settings.order and (solved := _disturbed(
-            part, settings, seen, samples, best, disturbed, free, found, hidden)):
+            part, settings, seen, samples, best, disturbed, free, found)):
         return solved
     others = _with(others, climbed, best)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
@@ -152,14 +149,14 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bounds(part, best, free)),
                     doubt=_doubt(best.fit.model.poles, samples, free, own, grows),
-                    whole=whole, hidden=hidden,
+                    whole=whole,
                     smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
 def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
-               found: PredictionFit, free: Free, orders: dict[int, Tried],
-               hidden: int) -> Solution | None:
+               found: PredictionFit, free: Free, orders: dict[int, Tried]
+               ) -> Solution | None:
     """
     Return the plant that predictions found, as it simulates, if likelier in errors of any colour.
 
@@ -174,7 +171,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not solved.whole else best
     return replace(
-        solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
+        solved, simulating=(solved.samples, best.fit, free),
         smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
 
 
@@ -209,10 +206,11 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     if late > 0.0:
         samples = seen(late)
         one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
+    domain = 'disturbed' if _unexplained(samples, one.fit) > _UNEXPLAINED else 'simulation'
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
-        (Choice('domain', 'disturbed', "the plant that predictions from the outputs' own past "
+        (Choice('domain', domain, "the plant that predictions from the outputs' own past "
                 'found is likelier than that of output error'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
@@ -315,16 +313,6 @@ def _left_out(found: Container[int], order: int, settings: Settings,
         return ()
     return (f'the budget of {settings.budget:.3g} s ended the search at order {order}; raise '
             '`budget`, or set `order`',)
-
-
-def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
-                      seen: Seen) -> tuple[Samples, Tried, int]:
-    """Return samples and model without what stands out in its errors, and how many do."""
-    hidden = _hide_outliers(part, corrupt, samples, best.fit)
-    if hidden:
-        samples = seen()
-        best = _climbed(samples, best, free)
-    return samples, best, hidden
 
 
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
@@ -497,11 +485,6 @@ def _names(part: Joint) -> list[str]:
     return [names[j] for j in part.parts[0].u]
 
 
-def corrupt_rows(part: Joint) -> Corrupt:
-    """Return which rows of each output signal of each record have a corrupt sample."""
-    return [[f.mask.any(axis=1) if f.any else None for f in p.corrupt_y] for p in part.parts]
-
-
 def free_of(samples: Samples, own: Settings) -> Free:
     """Return what is free, and within which bounds."""
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
@@ -560,28 +543,6 @@ class _Subspace:
         with suppress(np.linalg.LinAlgError):
             self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
-
-
-def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:
-    """Mark the rows whose errors stand out, and return how many there are."""
-    count = 0
-    for errors, p, marks, record in zip(residuals(samples, fit), part.parts, corrupt,
-                                        samples.records, strict=True):
-        for k, (e, s, signal) in enumerate(zip(errors, record.streams, p.record.outputs,
-                                               strict=True)):
-            middle = np.median(np.abs(e), axis=0) * 1.4826
-            if not (np.max(np.abs(e), axis=0) > _STANDING_OUT * middle).any():
-                continue
-            seen = spikes(s.times, e, closely=True)
-            if not seen.any:
-                continue
-            rows = np.searchsorted(signal.time, s.times[seen.mask.any(axis=1)])
-            mask = marks[k]
-            if mask is None:
-                mask = np.zeros(len(signal.time), dtype=bool)
-            mask[rows] = True
-            marks[k], count = mask, count + len(rows)
-    return count
 
 
 def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:

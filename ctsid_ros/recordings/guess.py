@@ -40,6 +40,7 @@ _FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself h
 # Outputs that may answer at once: of an accelerometer, as ROS, PX4, ArduPilot and people name it.
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
+_AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
 # Packages whose messages are in SI units, by their definition; accelerations have other fields.
 _SAYS_UNIT = re.compile('(ackermann|geometry|nav|sensor)_msgs/msg/(?!Accel)')
@@ -196,7 +197,8 @@ def scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
 def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool,
            named: Named = NOBODY) -> Guess:
     pair = pairs[pick - 1]
-    reasons = [f'{_BY_NAMES}; {_turned(pair)}' if by_names else _why(pair)]
+    reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
+        _why(pair), *(() if named.outputs else _moved_as_well(pair, pairs))]
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
@@ -218,6 +220,17 @@ def _why(pair: Pair) -> str:
     return sentence if found.past > found.future else (
         f'{sentence}; but its future would explain {100 * found.future:.0f} %: a loop may be '
         f'closed around them, or the roles are the other way round; {_turned(pair)}')
+
+
+def _moved_as_well(pair: Pair, pairs: Sequence[Pair]) -> list[str]:
+    """Say how to get one model of all the outputs that an input moves, if they are several."""
+    outputs = [words(p.output) for p in pairs if p.input is pair.input
+               and p.explained.past >= _AS_WELL * pair.explained.past]
+    if len(outputs) < 2:
+        return []
+    named = [word for output in outputs for word in ('--output', output)]
+    return [f'{words(pair.input)} moves {len(outputs)} outputs; one model of them all: '
+            + shlex.join(('--input', words(pair.input), *named))]
 
 
 def _turned(pair: Pair) -> str:

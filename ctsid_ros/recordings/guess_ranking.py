@@ -43,6 +43,7 @@ _AS_LIKELY = 0.8  # a copy is preferred for its stamps if it is as likely a comm
 _ECHO = 0.9995  # of an input and what only repeats it
 _SHIFTS = np.arange(-0.25, 0.2501, 0.025)  # s: by which a copy may be late
 _TIE = 0.92  # factor if past and future explain the same: in a loop they nearly do
+_CAUSAL = 0.1  # the past explains more than the future by so much, where that alone tells a plant
 _LONG = 20.0  # s of overlap that are enough
 _NO_HEADER = 0.97  # factor for stamps of the recording: among copies the stamped one is first
 _APART = 0.97  # factor for different name spaces: among twins the pair of one robot is first
@@ -155,6 +156,7 @@ def rank(bag: Bag, survey: Survey, named_inputs: Collection[Key] = (),
     pairs = [replace(pair, score=in_order(pair) * pair.score) for pair in pairs]
     pairs = [_in_crowd(pair, pairs) for pair in pairs]
     pairs = [_behind(pair, pairs, listed, inputs, shares) for pair in pairs]
+    pairs = [_same_motion(pair, pairs) for pair in pairs]
     pairs = sorted(pairs, key=lambda p: -p.score)
     likely = [p for p in pairs if p.score >= _LIKELY]
     return Ranking(tuple(_once(likely, alike)), tuple(pairs), tuple(found), clock)
@@ -293,6 +295,27 @@ def _behind(pair: Pair, pairs: Sequence[Pair], listed: Sequence[Candidate],
                 and shares[number, listed.index(other.input)] >= _DRIVES):
             return replace(pair, score=_BEHIND * pair.score, nearer=other.input.key[0])
     return pair
+
+
+def _same_motion(pair: Pair, pairs: Sequence[Pair]) -> Pair:
+    """
+    Put two measurements of one motion behind what moves both: an angle explains its rate.
+
+    They tell each other forwards as well as backwards, which a plant does only in a loop; and
+    another input tells both of them from its past alone.
+    """
+    u, found = pair.input, pair.explained
+    if _one_way(found) or u.acts > u.measures:
+        return pair
+    moved = {p.input for p in pairs if p.output is u and _one_way(p.explained)}
+    both = any(p.input in moved and p.output is pair.output and _one_way(p.explained)
+               and p.explained.past >= _NEARER * found.past for p in pairs)
+    return replace(pair, score=_BEHIND * pair.score) if both else pair
+
+
+def _one_way(found: Explained) -> bool:
+    """Whether the past of an input tells clearly more than its future."""
+    return found.past - found.future >= _CAUSAL
 
 
 def _once(pairs: Sequence[Pair], alike: Alike) -> list[Pair]:
