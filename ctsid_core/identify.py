@@ -13,6 +13,7 @@ from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import conclude
 from ctsid_core.judge.cross_check import cross_checked
 from ctsid_core.judge.rules import unusable_estimate
+from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import agreed
@@ -86,10 +87,11 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     check_alike(records)
     settings = settings or Settings()
     effort = Effort(settings.budget, cancelled)
-    result = _identify(records, settings, effort)
-    result = replace(result, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
-                     end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
-    return cross_checked(result, settings, lambda other: _identify(records, other, effort))
+    with one_thread():
+        result = _identify(records, settings, effort)
+        result = replace(result, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+                         end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
+        return cross_checked(result, settings, lambda other: _identify(records, other, effort))
 
 
 def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -> Estimate:

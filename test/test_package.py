@@ -80,7 +80,8 @@ def test_package_xml_names_what_setup_requires(manifest):
     comment = (ROOT / 'package.xml').read_text()
     assert {key for key in keys if key.startswith('python3-')} == set(ROSDEP.values())
     assert set(ROSDEP) < names
-    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich', 'plotly', 'isal'}
+    assert names - set(ROSDEP) == {*BAG_PACKAGES, 'rich', 'plotly', 'isal',
+                                      'threadpoolctl'}
     assert [n for n in names - set(ROSDEP) if f'`{n}`' not in comment] == []
 
 

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""BLAS has one thread while a model is identified, and as many as before when it is not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from threading import Barrier, Thread
+
+import numpy as np
+from plants import paper
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from ctsid_core import identify
+from ctsid_core.effort import Cancelled
+
+
+def threads() -> set[int]:
+    return {own['num_threads'] for own in threadpool_info() if own['user_api'] == 'blas'}
+
+
+@pytest.fixture(autouse=True)
+def several():
+    with threadpool_limits(limits=3, user_api='blas'):
+        if threads() != {3}:
+            pytest.skip('this BLAS has no threads')
+        yield
+
+
+def test_while_a_model_is_identified():
+    seen = set()
+
+    def look() -> bool:
+        seen.update(threads())
+        return False
+
+    record = paper(np.random.default_rng(0), 'hd51', 20)
+    found = identify(record, cancelled=look)
+    assert seen == {1}
+    assert threads() == {3}
+    with threadpool_limits(limits=2, user_api='blas'):
+        again = identify(record)
+    for name in 'ABCDK':
+        np.testing.assert_array_equal(getattr(again.model, name), getattr(found.model, name))
+    with pytest.raises(Cancelled):
+        identify(record, cancelled=lambda: True)
+    assert threads() == {3}
+
+
+def test_other_threads_leave_what_they_found():
+    record, ready = paper(np.random.default_rng(0), 'hd51', 20), Barrier(3)
+
+    def other() -> None:
+        ready.wait()
+        identify(record)
+
+    several = [Thread(target=other) for _ in range(2)]
+    for thread in several:
+        thread.start()
+    ready.wait()
+    for thread in several:
+        thread.join()
+    assert threads() == {3}
+
+
+def test_without_the_package():
+    done = subprocess.run([sys.executable, '-c', """
+import sys
+sys.modules['threadpoolctl'] = None
+import numpy as np
+from ctsid_core import Record, identify
+t = np.linspace(0.0, 10.0, 1001)
+u = np.sign(np.sin(2.0 * t) + np.sin(5.1 * t))
+y = np.zeros(1001)
+for k in range(1000):
+    y[k + 1] = u[k] + (y[k] - u[k]) * np.exp(-0.03)
+print(identify(Record.from_arrays(t, u, t, y, input_hold='zoh')).model.poles.real.round(2))
+"""], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == '[-3.]'
