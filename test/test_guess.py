@@ -14,6 +14,7 @@ from marks import slow
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import chirp
 from tangled_bags import KINDS, tangled, write_tangled
 import yaml
 
@@ -232,6 +233,15 @@ def test_excited_stretches():
     assert first.energy + second.energy > 0.95
     assert excited(moves(rng, len(ticks.time)), ticks) == ()      # all the time
     assert excited(np.zeros(len(ticks.time)), ticks) == ()
+    # A sweep begins slowly, a staircase holds, and neither is cut where it moves; what rests is.
+    sweep = chirp(ticks.time, 0.02, 200.0, 4.0, method='logarithmic', phi=-90)
+    assert excited(sweep, ticks) == ()
+    sweep = np.where(ticks.time < 100, 1.0, chirp(ticks.time - 100, 0.02, 100.0, 4.0,
+                                                  method='logarithmic'))
+    assert [s.start for s in excited(sweep, ticks)] == pytest.approx([100.0], abs=5.0)
+    steps = np.array([float(t // 3 % 3) if 30 < t < 45 or 100 < t < 115 else 7.0 * (t > 60)
+                      for t in ticks.time])
+    assert [s.start for s in excited(steps, ticks)] == pytest.approx([28.0, 98.0], abs=1.5)
     late = np.where(ticks.time > 100, moves(rng, len(ticks.time)), np.nan)
     assert [s.start for s in excited(late, ticks)] == pytest.approx([98.5], abs=1.5)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_ros.recordings.excerpts import Clock
 from ctsid_ros.recordings.guess_pairs import moving_sum
 
@@ -19,6 +19,7 @@ _SHORTEST = 5.0  # s
 _BEFORE, _AFTER = 1.0, 3.0  # s: added, for the trim and for the response to the last move
 _CONTRAST = 10.0  # loud over quiet power, below which all is one experiment
 _FLOOR = 1e-4  # of the loud power: what is quieter counts as at rest
+_STILL = 0.3  # of the deviation where it moves fast: what keeps nearer to its mean rests
 _ALL = 0.8  # of the time: an experiment that lasts longer is all of the recording
 
 
@@ -63,7 +64,7 @@ def excited(u: Array, clock: Clock) -> tuple[Stretch, ...]:
     quiet = max(float(quiet), _FLOOR * float(loud))
     if loud <= 0.0 or loud < _CONTRAST * quiet:
         return ()
-    active = power > np.sqrt(loud * quiet)
+    active = _and_slow_motion(u, power > np.sqrt(loud * quiet), clock)
     found = []
     for part in clock.parts:
         for start, end in _merged(clock.time[part][active[part]], clock.step):
@@ -75,6 +76,23 @@ def excited(u: Array, clock: Clock) -> tuple[Stretch, ...]:
     found = [s for s in found if s.end - s.start >= _SHORTEST]
     total = len(clock.time) * clock.step
     return () if sum(s.end - s.start for s in found) > _ALL * total else tuple(found)
+
+
+def _and_slow_motion(u: Array, active: Mask, clock: Clock) -> Mask:
+    """
+    Return where an input moves fast, and between that where it moves as far, only slower.
+
+    A sweep of one amplitude begins so. What is held rests, wherever that is.
+    """
+    found, size = active.copy(), _STILL * float(np.nanstd(u[active]))
+    pieces = np.floor((clock.time - clock.time[0]) / _MERGE)
+    for part in clock.parts:
+        edges = np.flatnonzero(np.diff(active[part]) | (np.diff(pieces[part]) > 0)) + 1
+        for rest in np.split(np.arange(part.start, part.stop), edges):
+            known = u[rest][np.isfinite(u[rest])]
+            if len(known) and not active[rest[0]]:
+                found[rest] = np.std(known) > size
+    return found
 
 
 def _power(u: Array, clock: Clock) -> Array:
