@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.preparation import usable
-from ctsid_core.signals.outliers import no_spikes, spikes
+from ctsid_core.signals.outliers import spikes
 
 
 def uneven(rng, count: int, rate: float = 200.0):
@@ -117,7 +117,7 @@ def test_what_a_model_explains_is_not_corrupt(feedthrough):
     record = Record.from_arrays(t, u[:, np.newaxis], t, y, input_hold='zoh')
     settings = Settings(feedthrough=feedthrough)
     looked = usable(record, settings)
-    assert looked.corrupt_y[0].any                        # its neighbours say so
+    assert feedthrough or looked.corrupt_y[0].any         # its neighbours say so
     found = identify(record, settings)
     assert found.statistics['corrupt_samples'] == 0
     assert not any('corrupt' in note for note in found.notes)
@@ -126,9 +126,37 @@ def test_what_a_model_explains_is_not_corrupt(feedthrough):
     found = identify(replace(record, outputs=(replace(record.outputs[0], values=spoiled),)),
                      settings)
     assert found.statistics['corrupt_samples.y1'] == found.statistics['corrupt_samples.y2'] == 1
-    again = looked.with_corrupt([no_spikes(y)])           # as it was measured
+    again = looked.with_honest([looked.corrupt_y[0].mask])
+    assert not again.corrupt_y[0].any                     # as it was measured
     assert again.record.outputs[0].values == pytest.approx(
         record.outputs[0].values - looked.y_level, abs=1e-12)
+
+
+@pytest.mark.parametrize('pole', [-400.0, -120.0])
+def test_jumps_of_a_fast_pole_are_told_from_spikes(pole):
+    """The current of a motor jumps with the voltage, within one sample."""
+    for seed in range(3):
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 30.0, 0.005)
+        u = 3.0 * np.repeat(rng.integers(-2, 4, 60), 100)
+        x, y = np.zeros(2), np.empty(len(t))
+        decay = np.exp(np.array([-3.0, pole]) * 0.005)
+        gains = np.array([0.3, 0.5])
+        for k, value in enumerate(u):
+            y[k] = gains @ x
+            x = decay * x + (1.0 - decay) * value
+        y += 0.02 * rng.standard_normal(len(t))
+        spikes_at = np.sort(rng.choice(len(t), 5, replace=False))
+        y[spikes_at] += rng.choice([-1, 1], 5) * rng.uniform(0.4, 1.5, 5)
+        found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                         Settings(feedthrough=False))
+        assert found.statistics['corrupt_samples'] == 5
+        told = next(note for note in found.notes if 'corrupt' in note)
+        seen = told.partition(' not used: at ')[2].removesuffix(' s').split(', ')
+        assert len(seen) >= 4                             # the other one by the model alone
+        assert set(seen) <= {f'{v:.4g}' for v in t[spikes_at]}
+        assert found.model.n == 2
+        off = np.abs(np.sort(found.model.poles.real) - [pole, -3.0])
+        assert (off < 4.0 * np.sort(found.pole_std)[::-1]).all()
 
 
 EXPERIMENTS = {

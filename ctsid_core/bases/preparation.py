@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.quadrature import gap_time
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
 from ctsid_core.settings import Settings
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
@@ -51,12 +51,13 @@ class Usable:
         return notes, counts
 
 
-    def with_corrupt(self, found: Sequence[Spikes]) -> Usable:
-        """Return the record with other samples of the output signals taken for corrupt."""
-        return replace(self, corrupt_y=tuple(found), record=replace(self.record, outputs=tuple(
-            replace(s, values=s.values + np.where(was.mask, was.off, 0.0)
-                    - np.where(own.mask, own.off, 0.0))
-            for s, was, own in zip(self.record.outputs, self.corrupt_y, found, strict=True))))
+    def with_honest(self, honest: Sequence[Mask]) -> Usable:
+        """Return the record with samples (N, m) of each output signal that are not corrupt."""
+        given = list(zip(self.record.outputs, self.corrupt_y, honest, strict=True))
+        return replace(self, record=replace(self.record, outputs=tuple(
+            replace(s, values=s.values + np.where(own, spiky.off, 0.0))
+            for s, spiky, own in given)),
+            corrupt_y=tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
 
 
 def moving(record: Record) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -100,8 +101,9 @@ def usable(record: Record, settings: Settings,
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
-    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT)
-    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE)
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
+    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
+                                   _held_at(record, outputs, settings))
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
@@ -139,11 +141,27 @@ def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[s
     return (replace(record, outputs=tuple(outputs)) if notes else record), tuple(notes)
 
 
-def _despiked(signals: list[Signal], holds: tuple[str, ...],
-              sure: float) -> tuple[list[Signal], tuple[Spikes, ...]]:
+def _held_at(record: Record, signals: list[Signal],
+             settings: Settings) -> tuple[Array | None, ...]:
+    """Return the held inputs, after their dead times, at the stamps of each signal."""
+    if not settings.feedthrough:
+        return (None,) * len(signals)
+    delays = settings.delays(record.nu)
+    held = [(signal.time + delay, row)
+            for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True)
+            if signal.hold == 'zoh'
+            for delay, row in zip(delays[channels], signal.values.T, strict=True)]
+    return tuple(np.array([row[np.maximum(np.searchsorted(t, s.time, side='right') - 1, 0)]
+                           for t, row in held]).reshape(len(held), len(s.time)).T
+                 for s in signals)
+
+
+def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
+              inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
-    found = tuple(spikes(s.time, s.values, sure) if s.hold in holds else no_spikes(s.values)
-                  for s in signals)
+    found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
+                  no_spikes(s.values)
+                  for s, direct in zip(signals, inputs, strict=True))
     return [replace(s, values=own.instead) if own.any else s
             for s, own in zip(signals, found, strict=True)], found
 

@@ -69,6 +69,7 @@ def conclude(solution: Solution) -> Estimate:
                          deviation, curves)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
+    counts['corrupt_samples'] += float(solution.hidden)
     accepted = status is Status.OK
     return Estimate(
         status=status, settings=solution.settings,

@@ -56,10 +56,11 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
-from ctsid_core.search.corrupt import Corrupt, corrupt_rows
+from ctsid_core.search.corrupt import STANDING_OUT, Corrupt, corrupt_rows
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
+from ctsid_core.signals.outliers import spikes
 from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import realise
 
@@ -118,6 +119,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
+    samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     disturbed, grows = None, False
     if own.feedthrough and not effort.beyond(SEARCH) and (
             left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
@@ -128,11 +130,18 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
-        return solved
+        return replace(solved, hidden=hidden)
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
+    # A simulation takes modes that last for what a controller, or something else, keeps up.
+    if own.feedthrough and not effort.beyond(SEARCH) and _steady(
+            best.fit.model.poles, samples) > 1:
+        disturbed = disturbed or _predicted(part, settings, corrupt, samples, free)
+        if disturbed is not None and (solved := _likelier(
+                part, settings, corrupt, seen, samples, best, free, disturbed)):
+            return replace(solved, hidden=hidden)
     if disturbed is not None and not settings.order and (solved := _disturbed(
-            part, settings, seen, samples, best, disturbed, free, found)):
+            part, settings, seen, samples, best, disturbed, free, found, hidden)):
         return solved
     others = _with(others, climbed, best)
     whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
@@ -149,14 +158,14 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bounds(part, best, free)),
                     doubt=_doubt(best.fit.model.poles, samples, free, own, grows),
-                    whole=whole,
+                    whole=whole, hidden=hidden,
                     smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
 def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
-               found: PredictionFit, free: Free, orders: dict[int, Tried]
-               ) -> Solution | None:
+               found: PredictionFit, free: Free, orders: dict[int, Tried],
+               hidden: int) -> Solution | None:
     """
     Return the plant that predictions found, as it simulates, if likelier in errors of any colour.
 
@@ -171,7 +180,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not solved.whole else best
     return replace(
-        solved, simulating=(solved.samples, best.fit, free),
+        solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
         smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
 
 
@@ -290,12 +299,16 @@ def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
         'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
 
 
+def _steady(poles: Array | ComplexArray, samples: Samples) -> int:
+    """Return how many modes neither grow nor decay within the record; a pair is more than one."""
+    near = poles.real * samples.length >= -_STEADY
+    return int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
+
+
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
            grows: bool = False) -> Doubt | None:
     """Return what a model looks like if the setting of D is not right, and that setting."""
-    near = poles.real * samples.length >= -_STEADY
-    steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
-    if own.feedthrough and (grows or steady > 1):
+    if own.feedthrough and (grows or _steady(poles, samples) > 1):
         what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
         return (f'{what}, as when a controller keeps an unstable plant in place',
                 'feedthrough: false')
@@ -313,6 +326,16 @@ def _left_out(found: Container[int], order: int, settings: Settings,
         return ()
     return (f'the budget of {settings.budget:.3g} s ended the search at order {order}; raise '
             '`budget`, or set `order`',)
+
+
+def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
+                      seen: Seen) -> tuple[Samples, Tried, int]:
+    """Return samples and model without what stands out in its errors, and how many do."""
+    hidden = _hide_outliers(part, corrupt, samples, best.fit)
+    if hidden:
+        samples = seen()
+        best = _climbed(samples, best, free)
+    return samples, best, hidden
 
 
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
@@ -543,6 +566,28 @@ class _Subspace:
         with suppress(np.linalg.LinAlgError):
             self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
+
+
+def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:
+    """Mark the rows whose errors stand out, and return how many there are."""
+    count = 0
+    for errors, p, marks, record in zip(residuals(samples, fit), part.parts, corrupt,
+                                        samples.records, strict=True):
+        for k, (e, s, signal) in enumerate(zip(errors, record.streams, p.record.outputs,
+                                               strict=True)):
+            middle = np.median(np.abs(e), axis=0) * 1.4826
+            if not (np.max(np.abs(e), axis=0) > STANDING_OUT * middle).any():
+                continue
+            seen = spikes(s.times, e, closely=True)
+            if not seen.any:
+                continue
+            rows = np.searchsorted(signal.time, s.times[seen.mask.any(axis=1)])
+            mask = marks[k]
+            if mask is None:
+                mask = np.zeros(len(signal.time), dtype=bool)
+            mask[rows] = True
+            marks[k], count = mask, count + len(rows)
+    return count
 
 
 def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
