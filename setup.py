@@ -46,7 +46,7 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=['numpy>=1.26', 'scipy', 'mcap', 'rosbags', 'lz4', 'zstandard',
-                      'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly', 'threadpoolctl',
+                      'PyYAML', 'rich', 'jinja2', 'matplotlib', 'plotly', 'threadpoolctl>=3.8',
                       # Faster checksums than zlib's, which serve where there is no wheel of it.
                       'isal; platform_machine in "x86_64 AMD64 aarch64 arm64"'],
     extras_require={

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 import json
 import re
+import shlex
 import struct
 
 from bag_fixtures import START, Sent, array, imu, make, vector, write_mcap
@@ -253,3 +254,29 @@ def test_a_table_of_a_loop_has_the_command_that_is_held(tmp_path, monkeypatch, c
                  '--json']) == 0
     told = json.loads(capsys.readouterr().out)
     assert any('cannot be simulated for so long' in note for note in told['notes'])
+
+
+@pytest.mark.parametrize('names', ['ref,cmd,theta,omega', 'r,a,b,c'])
+def test_of_a_loop_it_is_said_what_the_model_is_of(tmp_path, capsys, names):
+    rng, step = np.random.default_rng(1), expm(0.01 * np.array(
+        [[0.0, 1.0, 0.0], [9.0, -0.5, 30.0], [0.0, 0.0, 0.0]]))
+    x, rows = np.zeros(2), []
+    goals = np.repeat(rng.uniform(-0.3, 0.3, 40), 100)
+    for k, goal in enumerate(goals):
+        y = x + rng.standard_normal(2) * [1e-3, 5e-3]
+        u = 3.0 * (goal - y[0]) - 0.4 * y[1]
+        rows.append(f'{0.01 * k:.2f},{goal:.9g},{u:.9g},{y[0]:.9g},{y[1]:.9g}')
+        x = step[:2, :2] @ x + step[:2, 2] * u
+    (tmp_path / 'loop.csv').write_text('\n'.join([f't,{names}', *rows]) + '\n')
+    assert main(['init', str(tmp_path / 'loop.csv'), '-o', str(tmp_path / 'p.yaml')]) == 0
+    told = capsys.readouterr().err
+    reference, command, *_ = (f'loop {name}' for name in names.split(','))
+    chosen = {c.role: f'loop {c.field}' for c in read_config(tmp_path / 'p.yaml').channels}
+    assert chosen['input'] == reference
+    if 'ref' in names:
+        # A command that a controller makes is no output of the plant.
+        assert f'--output {shlex.quote(command)}' not in told
+        assert f'{reference} is named like a set point: the model is of the closed loop' in told
+        assert shlex.join(('--input', command, '--output', chosen['output'])) in told
+    else:
+        assert 'closed loop' not in told

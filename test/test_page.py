@@ -325,6 +325,22 @@ def test_a_gain_that_is_known_to_be_nothing_is_not_said_to_be_unknown():
     assert 'not even its sign' not in str(gain_section(rate, known).parts)
 
 
+def test_what_integrates_is_told_by_how_fast_it_moves():
+    """From a torque to angle and rate: the angle has no gain, and the rate has one."""
+    A = np.array([[-1e-6, 1.0], [0.0, -2.0]])
+    plant = StateSpace(A, np.array([[0.0], [3.0]]), np.array([[1.0, 0.0], [0.0, 1.0]]),
+                       input_names=('u',), output_names=('angle', 'rate'))
+    root = np.zeros((1, Covariance.entry_count(2, 1, 2)))
+    root[0, 0] = 1e-4
+    said = str(gain_section(plant, Covariance(root, 2, 1, 2)).parts[1])
+    assert 'cannot be told from 0' in said
+    assert 'angle moves by 1.500 in a second for each unit of u' in said
+    assert 'the gain from u to rate is 1.500 without it' in said
+    root[0, 0] = 1e-7
+    parts = gain_section(plant, Covariance(root, 2, 1, 2)).parts
+    assert not any('cannot be told from 0' in str(part) for part in parts)
+
+
 @pytest.mark.parametrize(('status', 'said'), [(Status.UNEXPLAINED, True),
                                               (Status.CHANGED, False)])
 def test_better_signals_are_the_way_out_of_wrong_ones_only(status, said):

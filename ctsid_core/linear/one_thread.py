@@ -18,8 +18,8 @@ def one_thread() -> AbstractContextManager[Any]:
     Return a context in which BLAS has one thread, and after which it has as many as before.
 
     It is of the process: BLAS of other threads has one as long, too. Where several threads
-    identify at once, it ends with the first of them. Without the package threadpoolctl nothing is
-    limited.
+    identify at once, it ends with the first of them; before version 3.8 of threadpoolctl BLAS may
+    keep one thread then. Without that package nothing is limited.
     """
     libraries = _libraries()
     return nullcontext() if libraries is None else libraries.limit(limits=1, user_api='blas')

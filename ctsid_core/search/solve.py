@@ -219,8 +219,8 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
-        (Choice('domain', domain, "the plant that predictions from the outputs' own past "
-                'found is likelier than that of output error'),),
+        (Choice('domain', domain, "predictions from the outputs' own past found the plant, and "
+                'are likelier than those of the one that simulates best; it is judged as others'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
         doubt=_doubt(fit.model.poles, samples, plant.free, settings),

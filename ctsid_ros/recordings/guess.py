@@ -22,10 +22,10 @@ from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excited import Stretch, excited, together
-from ctsid_ros.recordings.guess_candidates import Candidate
+from ctsid_ros.recordings.guess_candidates import Candidate, is_wanted
 from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
-from ctsid_ros.recordings.guess_ranking import Pair, Ranking, in_order, rank
+from ctsid_ros.recordings.guess_ranking import Pair, Ranking, in_order, one_way, rank
 from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
 from ctsid_ros.recordings.survey import survey as look_at
 
@@ -198,7 +198,8 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
            named: Named = NOBODY) -> Guess:
     pair = pairs[pick - 1]
     reasons = [f'{_BY_NAMES}; {_turned(pair)}'] if by_names else [
-        _why(pair), *(() if named.outputs else _moved_as_well(pair, pairs))]
+        _why(pair), *_followed(pair, ranking.found),
+        *(() if named.outputs else _moved_as_well(pair, pairs, ranking.compared))]
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
@@ -222,15 +223,38 @@ def _why(pair: Pair) -> str:
         f'closed around them, or the roles are the other way round; {_turned(pair)}')
 
 
-def _moved_as_well(pair: Pair, pairs: Sequence[Pair]) -> list[str]:
+def _moved_as_well(pair: Pair, pairs: Sequence[Pair], compared: Sequence[Pair]) -> list[str]:
     """Say how to get one model of all the outputs that an input moves, if they are several."""
     outputs = [words(p.output) for p in pairs if p.input is pair.input
+               and p.output.acts <= p.output.measures and not _drives(p.output, compared)
                and p.explained.past >= _AS_WELL * pair.explained.past]
     if len(outputs) < 2:
         return []
     named = [word for output in outputs for word in ('--output', output)]
     return [f'{words(pair.input)} moves {len(outputs)} outputs; one model of them all: '
             + shlex.join(('--input', words(pair.input), *named))]
+
+
+def _drives(signal: Candidate, pairs: Sequence[Pair]) -> bool:
+    """Whether a signal moves another one, from its past alone, as a controller's command does."""
+    return any(p.input is signal and one_way(p.explained) for p in pairs)
+
+
+def _followed(pair: Pair, found: Sequence[Candidate]) -> list[str]:
+    """Say that a set point is one, and which commands there are."""
+    if not _set_point(pair.input):
+        return []
+    commands = sorted((c for c in found if c.acts > c.measures and not _set_point(c)),
+                      key=lambda c: -c.acts)
+    named = '; of the plant alone it is from the command that acts on it' + ''.join(
+        f': {shlex.join(("--input", words(c), "--output", words(pair.output)))}'
+        for c in commands[:1])
+    return [f'{words(pair.input)} is named like a set point: the model is of the closed loop, '
+            f'controller and plant{named}']
+
+
+def _set_point(signal: Candidate) -> bool:
+    return any(is_wanted(word) for word in signal.key)
 
 
 def _turned(pair: Pair) -> str:

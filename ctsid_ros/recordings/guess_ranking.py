@@ -305,15 +305,15 @@ def _same_motion(pair: Pair, pairs: Sequence[Pair]) -> Pair:
     another input tells both of them from its past alone.
     """
     u, found = pair.input, pair.explained
-    if _one_way(found) or u.acts > u.measures:
+    if one_way(found) or u.acts > u.measures:
         return pair
-    moved = {p.input for p in pairs if p.output is u and _one_way(p.explained)}
-    both = any(p.input in moved and p.output is pair.output and _one_way(p.explained)
+    moved = {p.input for p in pairs if p.output is u and one_way(p.explained)}
+    both = any(p.input in moved and p.output is pair.output and one_way(p.explained)
                and p.explained.past >= _NEARER * found.past for p in pairs)
     return replace(pair, score=_BEHIND * pair.score) if both else pair
 
 
-def _one_way(found: Explained) -> bool:
+def one_way(found: Explained) -> bool:
     """Whether the past of an input tells clearly more than its future."""
     return found.past - found.future >= _CAUSAL
 

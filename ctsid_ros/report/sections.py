@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctsid_core.linear.types import Array
-from ctsid_core.model.covariance import Covariance, gain_deviation
+from ctsid_core.model.covariance import Covariance, gain_deviation, pole_deviation
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
+_TOLD = 3.0  # standard deviations from 0: a pole nearer to it may integrate
+_SETTLED = 10.0  # time constants of the slowest other mode
 _NOTHING = 0.1     # of the largest response: a gain known to less is known
 _DOMAINS = {            # what the choice of a domain means to whoever uses the model
     'predictions': 'The fits of this model are of predictions, which know the outputs before as '
@@ -198,8 +200,34 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
     unknown = ('Where the standard deviation is larger than the gain, not even its sign is known: '
                'the data are too short for what happens slowly, or the inputs do not move slowly '
                'enough.',) if (std > np.maximum(np.abs(gain), _NOTHING * most)).any() else ()
+    integrates = () if covariance is None else _integrates(model, covariance)
     return Section('DC gain: output per input', (
-        Table(('output', *heads), rows, ('output',)), *unknown))
+        Table(('output', *heads), rows, ('output',)), *(integrates or unknown)))
+
+
+def _integrates(model: StateSpace, covariance: Covariance) -> tuple[str, ...]:
+    """Say what a pole does that cannot be told from 0: how fast outputs move, and what rests."""
+    poles, vectors = np.linalg.eig(model.A)
+    std = pole_deviation(covariance, model)
+    known = [float(std[np.argmin(np.abs(model.poles - p))]) for p in poles]
+    near = [k for k, p in enumerate(poles) if p.imag == 0.0
+            and abs(p) < _TOLD * known[k] < np.inf]
+    if len(near) != 1:
+        return ()
+    (k,) = near
+    rate = np.outer(model.C @ vectors[:, k], np.linalg.solve(vectors, model.B.astype(complex))[k])
+    # While the other modes settle, and for some time more, it moves an output so far.
+    far = _SETTLED * rate.real / np.min(np.abs(np.delete(poles, k)), initial=np.inf)
+    rest = model.dc_gain - (rate / -poles[k]).real if poles[k] else np.full_like(far, np.nan)
+    words = []
+    for i, y in enumerate(model.output_names):
+        for j, u in enumerate(model.input_names):
+            words.append(f'the gain from {u} to {y} is {number(rest[i, j], 4)} without it'
+                         if abs(far[i, j]) < abs(rest[i, j]) else
+                         f'{y} moves by {number(rate[i, j].real, 4)} in a second for each unit of '
+                         f'{u}')
+    return (f'The pole of {number(poles[k].real, 3)} rad/s cannot be told from 0. If it '
+            f'integrates, {"; ".join(words)}.',)
 
 
 def bode_section(model: StateSpace, points: int = 13, covariance: Covariance | None = None,
