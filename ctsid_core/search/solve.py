@@ -133,13 +133,6 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return replace(solved, hidden=hidden)
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
-    # A simulation takes modes that last for what a controller, or something else, keeps up.
-    if own.feedthrough and not effort.beyond(SEARCH) and _steady(
-            best.fit.model.poles, samples) > 1:
-        disturbed = disturbed or _predicted(part, settings, corrupt, samples, free)
-        if disturbed is not None and (solved := _likelier(
-                part, settings, corrupt, seen, samples, best, free, disturbed)):
-            return replace(solved, hidden=hidden)
     if disturbed is not None and not settings.order and (solved := _disturbed(
             part, settings, seen, samples, best, disturbed, free, found, hidden)):
         return solved
@@ -220,7 +213,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
         (Choice('domain', domain, "predictions from the outputs' own past found the plant, and "
-                'are likelier than those of the one that simulates best; it is judged as others'),),
+                'are likelier than those of the one that simulates best; judged as others'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
         doubt=_doubt(fit.model.poles, samples, plant.free, settings),
@@ -299,16 +292,12 @@ def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
         'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
 
 
-def _steady(poles: Array | ComplexArray, samples: Samples) -> int:
-    """Return how many modes neither grow nor decay within the record; a pair is more than one."""
-    near = poles.real * samples.length >= -_STEADY
-    return int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
-
-
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
            grows: bool = False) -> Doubt | None:
     """Return what a model looks like if the setting of D is not right, and that setting."""
-    if own.feedthrough and (grows or _steady(poles, samples) > 1):
+    near = poles.real * samples.length >= -_STEADY
+    steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
+    if own.feedthrough and (grows or steady > 1):
         what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
         return (f'{what}, as when a controller keeps an unstable plant in place',
                 'feedthrough: false')
