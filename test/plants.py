@@ -265,3 +265,14 @@ def match(found, truth) -> np.ndarray:
     out = np.full(len(truth), np.nan, dtype=complex)
     out[columns] = found[rows]
     return out
+
+
+def moved_before(rng: np.random.Generator, duration: float, delay: float) -> Record:
+    """Return a record that begins in an experiment: 2 exp(-s delay) / (s + 2), u held for 1 s."""
+    t, early = np.arange(0.0, duration, 0.02), round(delay / 0.02)
+    u = np.repeat(rng.standard_normal(int(duration + delay) + 2), 50)
+    x, y = 0.0, np.empty(len(t))
+    for k in range(len(t)):
+        y[k] = x + 0.02 * rng.standard_normal()
+        x = u[k] + (x - u[k]) * np.exp(-0.04)
+    return Record.from_arrays(t, u[early:early + len(t)], t, y, input_hold='zoh')

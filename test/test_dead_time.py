@@ -14,6 +14,7 @@ from plants import (
     held_response,
     jittered,
     match,
+    moved_before,
     noisy,
     paper,
     plant,
@@ -267,3 +268,14 @@ def test_a_pole_that_is_as_fast_as_any_looked_for_is_noted():
                   for n in (2, 1))
     assert any('the pole of 101 rad/s is about the fastest' in note for note in fast.notes)
     assert not any('fastest' in note for note in slow.notes)
+
+
+@pytest.mark.parametrize('delay', [0.3, 1.0, 3.0])
+def test_an_experiment_that_is_cut_out_of_another_has_the_order_of_its_plant(delay):
+    """Inputs before the record act until the dead time has passed; no state is to imitate them."""
+    for seed in range(4):
+        found = identify(moved_before(np.random.default_rng(seed), 60.0, delay))
+        assert found.good
+        assert found.model.n == 1
+        assert found.model.delay == pytest.approx([delay], abs=0.02)
+        assert found.model.poles.real == pytest.approx([-2.0], abs=4.0 * found.pole_std[0])

@@ -8,7 +8,7 @@ from dataclasses import replace
 from bounds import Experiment, pole_bound
 from marks import slow
 import numpy as np
-from plants import PLANTS, held, match, plant, random_signal, running
+from plants import PLANTS, held, match, moved_before, plant, random_signal, running
 import pytest
 from scipy.linalg import expm
 
@@ -396,3 +396,12 @@ def test_records_are_worth_what_they_tell(durations, rates, snr, limit):
     ratio = np.sqrt(np.mean(np.square(errors), axis=0))
     print(durations, rates, snr, ratio)
     assert (ratio < limit).all()
+
+
+def test_a_record_shorter_than_a_dead_time_does_no_harm():
+    """Its inputs have not acted yet; the other one tells the dead time."""
+    rng = np.random.default_rng(3)
+    found = identify([moved_before(rng, duration, 3.0) for duration in (60.0, 2.0)])
+    assert found.ok
+    assert found.model.delay == pytest.approx([3.0], abs=0.02)
+    assert found.model.poles.real == pytest.approx([-2.0], abs=0.05)

@@ -82,7 +82,9 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     """
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
-    places, whole = range(len(samples.records)), (fit.model, free)
+    # Of a record shorter than a dead time nothing is left.
+    places = [k for k, record in enumerate(samples.records) if record.end > record.start]
+    whole = fit.model, free
     # What is another plant as a whole is not divided.
     others = (_another(samples, whole, place) for place in places if len(places) > 1)
     other = max((Change(), *others), key=lambda change: change.cost)

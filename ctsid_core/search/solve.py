@@ -111,6 +111,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                           max_order=settings.max_order, known_delay=given)
     if not found or settings.order not in (0, *found):
         return None
+    samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
     order = settings.order or _neighbour(samples, found, counted)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
@@ -197,6 +198,26 @@ def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -
             share = found.found.parameters / (one.parameters + gains)       # 1, if it has climbed
             return _Plant(m, replace(one, parameters=round(share * one.parameters)), free)
     return None
+
+
+def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Free,
+                 settings: Settings) -> tuple[Samples, dict[int, Tried]]:
+    """
+    Return the samples, and the models of each order, that the order is chosen by.
+
+    Before a delayed input is known, what it was before acts, which further states imitate. Where
+    a smaller order is enough for the rest, the rest is what counts.
+    """
+    chosen = settings.order or choose(found)
+    late = float(np.max(found[chosen].fit.model.delay, initial=0.0))
+    up_to = {n: one for n, one in found.items() if n <= chosen}
+    if late > 0.0 and len(up_to) > 1 and not samples.effort.beyond(SEARCH):
+        known = seen(late)
+        if np.min(known.counts.sum(axis=0)) > found[chosen].parameters:
+            rest = {n: _climbed(known, one, free) for n, one in up_to.items()}
+            if choose(rest) < chosen:
+                return known, rest
+    return samples, found
 
 
 def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Samples,
