@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 
+from ctsid_core.linear.one_thread import VARIABLES
+
 
 def use_one_thread() -> None:
     """
@@ -13,5 +15,5 @@ def use_one_thread() -> None:
     The matrices of an identification are small: several threads only wait for each other, make
     it up to ten times slower on a busy machine, and take the cores that the robot needs.
     """
-    for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
+    for name in VARIABLES:
         os.environ.setdefault(name, '1')

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 import subprocess
 import sys
 from threading import Barrier, Thread
@@ -14,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from ctsid_core import identify
 from ctsid_core.effort import Cancelled
+from ctsid_core.linear.one_thread import VARIABLES, one_thread
 
 
 def threads() -> set[int]:
@@ -21,7 +23,9 @@ def threads() -> set[int]:
 
 
 @pytest.fixture(autouse=True)
-def several():
+def several(monkeypatch):
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
     with threadpool_limits(limits=3, user_api='blas'):
         if threads() != {3}:
             pytest.skip('this BLAS has no threads')
@@ -46,6 +50,15 @@ def test_while_a_model_is_identified():
     with pytest.raises(Cancelled):
         identify(record, cancelled=lambda: True)
     assert threads() == {3}
+
+
+def test_where_the_environment_says_so_no_library_is_looked_for(monkeypatch):
+    """A Ctrl-C meanwhile would be lost; commands and node set these before BLAS is loaded."""
+    for name in VARIABLES:
+        monkeypatch.setenv(name, '1')
+    assert isinstance(one_thread(), nullcontext)
+    monkeypatch.setenv(VARIABLES[0], '2')
+    assert not isinstance(one_thread(), nullcontext)
 
 
 def test_other_threads_leave_what_they_found():

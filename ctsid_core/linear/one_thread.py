@@ -10,7 +10,10 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import cache
+import os
 from typing import Any
+
+VARIABLES = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS')
 
 
 def one_thread() -> AbstractContextManager[Any]:
@@ -21,7 +24,9 @@ def one_thread() -> AbstractContextManager[Any]:
     identify at once, it ends with the first of them; before version 3.8 of threadpoolctl BLAS may
     keep one thread then. Without that package nothing is limited.
     """
-    libraries = _libraries()
+    # Programs of ours say so before BLAS is loaded; to look for libraries would lose a Ctrl-C.
+    said = all(os.environ.get(name) == '1' for name in VARIABLES)
+    libraries = None if said else _libraries()
     return nullcontext() if libraries is None else libraries.limit(limits=1, user_api='blas')
 
 
