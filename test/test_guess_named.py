@@ -259,23 +259,24 @@ def test_a_table_of_a_loop_has_the_command_that_is_held(tmp_path, monkeypatch, c
 @pytest.mark.parametrize('names', ['ref,cmd,theta,omega', 'r,a,b,c'])
 def test_of_a_loop_it_is_said_what_the_model_is_of(tmp_path, capsys, names):
     rng, step = np.random.default_rng(1), expm(0.01 * np.array(
-        [[0.0, 1.0, 0.0], [9.0, -0.5, 30.0], [0.0, 0.0, 0.0]]))
-    x, rows = np.zeros(2), []
-    goals = np.repeat(rng.uniform(-0.3, 0.3, 40), 100)
-    for k, goal in enumerate(goals):
-        y = x + rng.standard_normal(2) * [1e-3, 5e-3]
-        u = 3.0 * (goal - y[0]) - 0.4 * y[1]
+        [[0.0, 1.0, 0.0, 0.0], [9.0, -0.5, 5.0, 0.0], [0.0, 0.0, -30.0, 30.0], [0.0] * 4]))
+    x, rows = np.zeros(3), []
+    goals = np.repeat(rng.uniform(-0.3, 0.3, 100), 40)
+    moves = np.repeat(rng.choice([-0.6, 0.6], 40), 100)         # an experiment
+    for k, (goal, more) in enumerate(zip(goals, moves, strict=True)):
+        y = x[:2] + rng.standard_normal(2) * [1e-3, 5e-3]
+        u = 8.0 * (goal - y[0]) - 1.6 * y[1] + more
         rows.append(f'{0.01 * k:.2f},{goal:.9g},{u:.9g},{y[0]:.9g},{y[1]:.9g}')
-        x = step[:2, :2] @ x + step[:2, 2] * u
+        x = step[:3, :3] @ x + step[:3, 3] * u
     (tmp_path / 'loop.csv').write_text('\n'.join([f't,{names}', *rows]) + '\n')
     assert main(['init', str(tmp_path / 'loop.csv'), '-o', str(tmp_path / 'p.yaml')]) == 0
     told = capsys.readouterr().err
     reference, command, *_ = (f'loop {name}' for name in names.split(','))
     chosen = {c.role: f'loop {c.field}' for c in read_config(tmp_path / 'p.yaml').channels}
     assert chosen['input'] == reference
+    # A command that a controller makes is no output of the plant.
+    assert f'--output {shlex.quote(command)}' not in told
     if 'ref' in names:
-        # A command that a controller makes is no output of the plant.
-        assert f'--output {shlex.quote(command)}' not in told
         assert f'{reference} is named like a set point: the model is of the closed loop' in told
         assert shlex.join(('--input', command, '--output', chosen['output'])) in told
     else:

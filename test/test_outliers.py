@@ -121,6 +121,7 @@ def test_what_a_model_explains_is_not_corrupt(feedthrough):
     found = identify(record, settings)
     assert found.statistics['corrupt_samples'] == 0
     assert not any('corrupt' in note for note in found.notes)
+    assert not any(c.value == 'disturbed' for c in found.choices)      # by nothing that matters
     spoiled = y.copy()
     spoiled[[500, 1000], [0, 1]] += [0.3, 3.0]
     found = identify(replace(record, outputs=(replace(record.outputs[0], values=spoiled),)),
@@ -130,6 +131,33 @@ def test_what_a_model_explains_is_not_corrupt(feedthrough):
     assert not again.corrupt_y[0].any                     # as it was measured
     assert again.record.outputs[0].values == pytest.approx(
         record.outputs[0].values - looked.y_level, abs=1e-12)
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_spikes_in_gusts_are_not_given_back(seed):
+    """Errors that are large and smooth hide no spike that is smaller than six of them."""
+    rng, step = np.random.default_rng(seed), expm(0.02 * np.array(
+        [[0.0, 1.0, 0.0], [-9.0, -1.2, 9.0], [0.0, 0.0, 0.0]]))
+    t, u, x = 0.02 * np.arange(3000), np.repeat(rng.standard_normal(150), 20), np.zeros((3001, 2))
+    gust = 0.0
+    for k, value in enumerate(u):
+        gust = 0.98 * gust + 0.2 * rng.standard_normal()
+        x[k + 1] = step[:2, :2] @ x[k] + step[:2, 2] * (value + 0.7 * gust)
+    y = x[:-1, 0] + 0.01 * rng.standard_normal(3000)
+    y[rng.choice(np.arange(30, 2970), 30, replace=False)] += 1.5 * np.std(y) * rng.choice(
+        [-1, 1], 30)
+    for settings in (Settings(), Settings(refine=False)):
+        found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), settings)
+        assert found.statistics['corrupt_samples'] == 30
+
+
+def test_samples_are_not_given_back_where_a_budget_would_not_last_for_it():
+    """A second search on what is left would be worse than the first."""
+    record = held(np.random.default_rng(3), PLANTS['hd52'], 50.0, 200.0, snr=30)
+    once = identify(record, Settings(feedthrough=False, budget=0.05))
+    looked = usable(record, Settings(feedthrough=False))
+    assert looked.corrupt_y[0].any
+    assert once.statistics['corrupt_samples'] >= np.count_nonzero(looked.corrupt_y[0].mask)
 
 
 @pytest.mark.parametrize('pole', [-400.0, -120.0])

@@ -50,7 +50,6 @@ class Usable:
             counts['corrupt_samples'] += sum(channels.values())
         return notes, counts
 
-
     def with_honest(self, honest: Sequence[Mask]) -> Usable:
         """Return the record with samples (N, m) of each output signal that are not corrupt."""
         given = list(zip(self.record.outputs, self.corrupt_y, honest, strict=True))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Which corrupt samples a model gives back, for it explains them.
+What a model says of corrupt samples: which stand out of its errors, and which it explains.
 
 Neighbours (`signals/spikes.py`) do not know the inputs: where these jump, an output may bend as
 well, or all but jump.
@@ -18,12 +18,13 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
-from ctsid_core.linear.types import Mask
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.by_order import SEARCH
 from ctsid_core.search.solution import Solution
 from ctsid_core.signals.outliers import spikes
+from ctsid_core.signals.spikes import MAD
 
-STANDING_OUT = 6.0    # robust deviations of an error, from which on it is looked at closely
+_STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
 
 Corrupt = list[list[Mask | None]]
@@ -32,6 +33,33 @@ Corrupt = list[list[Mask | None]]
 def corrupt_rows(part: Joint) -> Corrupt:
     """Return which rows of each output signal of each record have a corrupt sample."""
     return [[f.mask.any(axis=1) if f.any else None for f in p.corrupt_y] for p in part.parts]
+
+
+def hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:
+    """Mark the rows whose errors stand out, and return how many there are."""
+    count = 0
+    for errors, p, marks, record in zip(residuals(samples, fit), part.parts, corrupt,
+                                        samples.records, strict=True):
+        for k, (e, s, signal) in enumerate(zip(errors, record.streams, p.record.outputs,
+                                               strict=True)):
+            if not _stand_out(e).any():
+                continue
+            seen = spikes(s.times, e, closely=True)
+            if not seen.any:
+                continue
+            rows = np.searchsorted(signal.time, s.times[seen.mask.any(axis=1)])
+            mask = marks[k]
+            if mask is None:
+                mask = np.zeros(len(signal.time), dtype=bool)
+            mask[rows] = True
+            marks[k], count = mask, count + len(rows)
+    return count
+
+
+def _stand_out(errors: Array) -> Mask:
+    """Return which errors lie far from 0, for most of them."""
+    usual = MAD * np.median(np.abs(errors), axis=0)
+    return np.asarray(np.abs(errors) > _STANDING_OUT * usual)
 
 
 def given_back(part: Joint, found: Callable[[Joint], Solution | None],
@@ -69,9 +97,8 @@ def _honest(part: Joint, samples: Samples, fit: Fit) -> Joint | None:
             rows, mask = np.searchsorted(signal.time, s.times), np.zeros_like(spiky.mask)
             # Of what was measured: a spike stands out from errors that are large, but smooth.
             e = e + np.where(spiky.mask, spiky.off, 0.0)[rows] / samples.size[s.channels]
-            limit = STANDING_OUT * 1.4826 * np.median(np.abs(e), axis=0)
             seen = spikes(s.times, e, closely=True)
-            mask[rows] = spiky.mask[rows] & (np.abs(e) < limit) & ~seen.mask
+            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~seen.mask
             mask[:, list(seen.too_many)] = False
             honest.append(mask)
         parts.append(p.with_honest(honest))

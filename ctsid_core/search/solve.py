@@ -56,11 +56,10 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
-from ctsid_core.search.corrupt import STANDING_OUT, Corrupt, corrupt_rows
+from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
-from ctsid_core.signals.outliers import spikes
 from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import realise
 
@@ -341,7 +340,7 @@ def _left_out(found: Container[int], order: int, settings: Settings,
 def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
                       seen: Seen) -> tuple[Samples, Tried, int]:
     """Return samples and model without what stands out in its errors, and how many do."""
-    hidden = _hide_outliers(part, corrupt, samples, best.fit)
+    hidden = hide_outliers(part, corrupt, samples, best.fit)
     if hidden:
         samples = seen()
         best = _climbed(samples, best, free)
@@ -576,28 +575,6 @@ class _Subspace:
         with suppress(np.linalg.LinAlgError):
             self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
-
-
-def _hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:
-    """Mark the rows whose errors stand out, and return how many there are."""
-    count = 0
-    for errors, p, marks, record in zip(residuals(samples, fit), part.parts, corrupt,
-                                        samples.records, strict=True):
-        for k, (e, s, signal) in enumerate(zip(errors, record.streams, p.record.outputs,
-                                               strict=True)):
-            middle = np.median(np.abs(e), axis=0) * 1.4826
-            if not (np.max(np.abs(e), axis=0) > STANDING_OUT * middle).any():
-                continue
-            seen = spikes(s.times, e, closely=True)
-            if not seen.any:
-                continue
-            rows = np.searchsorted(signal.time, s.times[seen.mask.any(axis=1)])
-            mask = marks[k]
-            if mask is None:
-                mask = np.zeros(len(signal.time), dtype=bool)
-            mask[rows] = True
-            marks[k], count = mask, count + len(rows)
-    return count
 
 
 def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:

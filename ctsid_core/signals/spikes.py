@@ -38,7 +38,7 @@ _ROUNDS = 4             # smaller spikes come to light when the larger ones are 
 _SHARP = 0.3            # of how far off a run is, that its edges show
 _REST = 0.3             # of what stands out before, that may do so without the run
 _REWEIGHTED = 8         # rounds of reweighted least squares
-_MAD = 1.4826           # of a median absolute deviation: that of a normal distribution
+MAD = 1.4826            # of a median absolute deviation: that of a normal distribution
 _STILL = 0.25           # part of differences that vanish, beyond which the others give the scale
 
 
@@ -138,10 +138,10 @@ def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
 def _scale(off: Array) -> float:
     """Return the robust standard deviation; of what is not zero if much is (held, quantised)."""
     size = np.abs(off)
-    scale = _MAD * float(np.median(size))
+    scale = MAD * float(np.median(size))
     if not scale > 0.0:
         moving = size[size > 0.0]
-        scale = _MAD * float(np.median(moving)) if len(moving) > _STILL * len(off) else np.inf
+        scale = MAD * float(np.median(moving)) if len(moving) > _STILL * len(off) else np.inf
     return scale
 
 
@@ -150,7 +150,7 @@ def _local(off: Array, scale: float) -> Array:
     size, count = np.abs(off), max(len(off) // _BLOCK, 1)
     width, longer = divmod(len(off), count)                # blocks of two widths, side by side
     bounds = longer * (width + 1)
-    own = _MAD * np.concatenate([np.median(size[:bounds].reshape(longer, width + 1), axis=1),
+    own = MAD * np.concatenate([np.median(size[:bounds].reshape(longer, width + 1), axis=1),
                                  np.median(size[bounds:].reshape(-1, width), axis=1)])
     padded = np.pad(own, 1, mode='edge')
     largest = np.maximum(np.maximum(padded[:-2], padded[2:]), np.maximum(own, scale))
@@ -171,7 +171,7 @@ def followed(x: Array, inputs: Array, weights: Array) -> Array:
         root = np.sqrt(weight)
         found = np.linalg.lstsq(columns * root[:, np.newaxis], off * root, rcond=1e-10)[0]
         rest = np.abs(off - columns @ found)
-        limit = max(2.0 * _MAD * float(np.median(rest)), np.finfo(float).tiny)
+        limit = max(2.0 * MAD * float(np.median(rest)), np.finfo(float).tiny)
         weight = limit / np.maximum(rest, limit)
     return np.asarray(inputs @ found)
 
