@@ -253,6 +253,22 @@ def test_the_recording_that_a_model_is_of_is_no_test(ctsid, shared, identified):
         json.loads(out)['notes'])
 
 
+@pytest.mark.parametrize('gain', [1.0, 0.7])
+def test_a_plant_that_is_not_the_same_is_told(ctsid, identified, tmp_path, gain):
+    other = write_flight(tmp_path / 'other', spoilt(
+        '/imu', lambda _, s: at(s, stamp_of(s), gain * s.message.angular_velocity.x),
+        flight(10.0, seed=2)))
+    code, out, _ = ctsid('simulate', identified[0] / 'model.json', other, '--json')
+    found = json.loads(out)
+    assert code == 0
+    told = re.search(r'explains (\S+) % of rate here, (\S+) % of its own data: the plant is not',
+                     ' '.join(found['notes']))
+    assert (told is None) == (gain == 1.0)
+    if told:
+        assert float(told[1]) == pytest.approx(found['fit'][0], abs=0.06)
+        assert float(told[1]) < float(told[2]) - 20.0
+
+
 def test_trim_is_refitted_unless_told_otherwise(ctsid, identified, tmp_path):
     model = identified[0] / 'model.json'
     moved = write_flight(tmp_path / 'moved', spoilt(
@@ -593,7 +609,7 @@ def test_flights_of_different_plants_are_not_joined(ctsid, shared, tmp_path, day
     other = write_mcap(tmp_path / 'other.mcap', moved(weak, 3_600.0))
     code, out, _ = ctsid('identify', days[0], other, '--params', shared / 'params.yaml', '--quiet')
     assert code == 3
-    assert 'The plant changed' in ' '.join(out.split())
+    assert 'does not hold in all of record 1' in ' '.join(out.split())
 
 
 def test_the_same_recording_twice_is_refused(refusal, shared, tmp_path, days):
