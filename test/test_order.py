@@ -3,10 +3,21 @@ from collections import Counter
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, flown, match, paper, random_plant, running
+from plants import (
+    PLANTS,
+    Plant,
+    flown,
+    held_response,
+    match,
+    noisy,
+    paper,
+    plant,
+    random_plant,
+    running,
+)
 import pytest
 
-from ctsid_core import Settings, identify
+from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.hermite import project_record
 from ctsid_core.subspace.hd_pbsid import Subspaces
 
@@ -156,3 +167,34 @@ def test_poles_that_stand_for_feedthrough_give_way_to_it():
     found = [identify(running(np.random.default_rng(seed), p, 50)) for seed in range(2)]
     assert [e.settings.order for e in found] == [3, 3]
     assert all(e.model.D.any() for e in found)
+
+
+def slung_load(rng, duration: float) -> tuple[Plant, Record]:
+    """Return a multicopter's speed by its tilt command, with a load below it, and a record."""
+    p = plant([[-6.0, 0.0, 0.0, 0.0], [9.8, -0.3, 1.5, 0.0], [0.0, 0.0, 0.0, 1.0],
+               [-1.5, 0.05, -3.2, -0.1]], [[6.0], [0.0], [0.0], [0.0]], [[0.0, 1.0, 0.0, 0.0]])
+    t_u, t_y = np.arange(0.0, duration, 0.02), np.arange(0.0, duration, 0.01)
+    u = rng.choice([-1.0, 1.0], int(2.0 * duration) + 1)[(2.0 * t_u).astype(int)] + \
+        0.6 * rng.uniform(-1.0, 1.0, int(duration / 4.0) + 1)[(t_u / 4.0).astype(int)]
+    y = held_response(p, t_u, u[:, np.newaxis], t_y)
+    return p, Record.from_arrays(t_u, u, t_y, noisy(rng, y, 20), input_hold='zoh')
+
+
+@pytest.mark.parametrize(('feedthrough', 'duration', 'seed'), [
+    (False, 60.0, 1), (True, 120.0, 4),
+    *slow(*((d, t, s) for d, t in ((False, 60.0), (True, 120.0)) for s in range(2, 10)
+            if (t, s) != (120.0, 4)))])
+def test_a_resonance_of_little_damping_is_found(feedthrough, duration, seed):
+    """
+    It makes 6 % of the motion, beside noise of 10 %; a grid of poles steps over it.
+
+    Predictions from the past gave a model of two states, GOOD, that simulated another flight to 85
+    to 93 %.
+    """
+    p, record = slung_load(np.random.default_rng(seed), duration)
+    found = identify(record, Settings(feedthrough=feedthrough))
+    assert found.good
+    assert found.model.n == 4
+    near = match(found.model.poles, p.poles)
+    resonance = near[p.poles.imag != 0.0]
+    np.testing.assert_allclose(resonance, p.poles[p.poles.imag != 0.0], atol=0.05)

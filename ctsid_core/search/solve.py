@@ -99,9 +99,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
     predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
-    # In closed loop predictions say where a simulation may be that is as likely. What grows or
-    # decays hardly within the record may integrate, which simulations tell better.
-    if predicted is not None and abs(_growth(predicted, samples)) > _GROWS and (
+    # A plant that grows predictions tell at once: of closed loops many states simulate the record.
+    if predicted is not None and _growth(predicted, samples) > _GROWS and (
             rival := _beside(samples, predicted, free)) and (
             solved := _likelier(part, settings, corrupt, seen, samples, rival, free, predicted)):
         return solved
@@ -126,7 +125,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         predicted = _predicted(part, settings, corrupt, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
-        if left < _FAILS or not grows:
+        if not grows or min(left, *(_unexplained(samples, one.fit) for one in found.values())
+                            ) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
