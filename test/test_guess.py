@@ -571,6 +571,20 @@ def test_units_are_those_of_message_types_not_of_names(tmp_path):
     assert [c.unit for c in read_config(str(tmp_path / 'p.yaml')).channels] == ['V', "it's °/s"]
 
 
+@pytest.mark.parametrize('turn', [360.0, 2.0 * math.pi])
+def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, capsys, monkeypatch, turn):
+    rng, time = np.random.default_rng(11), np.arange(0.0, 60.0, 0.02)
+    u = moves(rng, len(time), 25)
+    yaw = lagged(u, 2.0, 0.02) * turn + 0.001 * turn * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, yaw % turn]), delimiter=',',
+               comments='', header='t,command,heading')
+    monkeypatch.chdir(tmp_path)
+    assert main(['try', 'run.csv', '--out', 'res', '--quiet']) == 0
+    assert read_config('res/params.yaml').outputs[0].turn == turn
+    told = ''.join(capsys.readouterr())
+    assert f'it is unwrapped (`heading.turn: {turn!r}`; 0.0 would leave it as it is)' in told
+
+
 @pytest.mark.parametrize(('name', 'at_once'), [
     ('linear_acceleration.x', True), ('accelerometer_m_s2[0]', True), ('AccX', True),
     ('accel', True), ('acc', True), ('angular_velocity.x', False), ('account', False)])

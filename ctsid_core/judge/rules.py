@@ -53,8 +53,9 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
     weak = ((Status.OK, *one) for one in _weaknesses(evidence))
     for status, remedy, reason in chain(_rejections(evidence), weak):
-        if evidence.doubt and status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS):
-            what, setting = evidence.doubt
+        doubtful = status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS)
+        if doubt := evidence.wrapped or (evidence.doubt if doubtful else None):
+            what, setting = doubt
             remedy, reason = Remedy.SETTING, (
                 f'{what[0].upper()}{what[1:]}. If that is not so: {reason[0].lower()}{reason[1:]} '
                 f'If it is so, set `{setting}`.')

@@ -17,6 +17,7 @@ import shlex
 import numpy as np
 
 from ctsid_core.settings import Settings
+from ctsid_core.signals.wrapped import jumps_in_words
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
 from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
@@ -312,7 +313,10 @@ def _channels(inputs: Sequence[Candidate], outputs: Sequence[Candidate], reasons
     roles: list[tuple[Candidate, Role]] = [*((c, 'input') for c in inputs),
                                            *((c, 'output') for c in outputs)]
     channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
-                        c.key[1], _unit(c), stamp=stamp) for c, role in roles]
+                        c.key[1], _unit(c), stamp=stamp, turn=c.wraps[0]) for c, role in roles]
+    reasons += [f'{words(c)} jumps {jumps_in_words(*c.wraps)}: it is unwrapped '
+                f'(`{channel.name}.turn: {channel.turn!r}`; 0.0 would leave it as it is)'
+                for channel, c in zip(channels, both, strict=True) if channel.turn]
     return tuple(replace(channel, hold='smooth') if channel.role == 'input'
                  and _is_measured(c, outputs) else channel
                  for channel, c in zip(channels, both, strict=True))    # else held
