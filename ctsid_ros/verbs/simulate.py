@@ -167,7 +167,7 @@ def _worse(estimate: Estimate, model: StateSpace, simulated: Validation) -> tupl
         known = np.isfinite(simulated.y[:, i]) & np.isfinite(simulated.y_hat[:, i])
         y, e = simulated.y[known, i], (simulated.y - simulated.y_hat)[known, i, np.newaxis]
         # Noise is no fault of the model.
-        if np.mean(e ** 2) - white_part([[e]])[0] ** 2 > limit ** 2 * np.var(y):
+        if np.mean(e ** 2) - white_part(((e,),))[0] ** 2 > limit ** 2 * np.var(y):
             told.append(f'{percent(simulated.fit[i])} % of {model.output_names[i]} '
                         f'here, {percent(estimate.fit[i])} % of its own data')
     return () if not told else (
