@@ -272,6 +272,28 @@ def test_the_usual_experiments_are_good(signal):
     assert verdict.excitation[0].frequencies > 2.5
 
 
+@pytest.mark.parametrize(('pole', 'levels'), [
+    (-4.0, 'random'), (-0.2, 'random'), (-4.0, 'step'), (-4.0, 'staircase'),
+    *slow((-0.2, 'step'), (-4.0, 'switch'), (-0.2, 'switch'))])
+def test_levels_that_are_sent_when_they_change_excite_as_those_sent_again_and_again(pole, levels):
+    rng = np.random.default_rng(2)
+    t_u, t = np.append(-2.0, np.cumsum(rng.uniform(1.0, 6.0, 17))), np.arange(0.0, 50.0, 0.02)
+    at = np.arange(len(t_u))
+    u = {'random': rng.choice([-1.0, 0.0, 0.5, 1.0, 2.0], len(at)), 'switch': at % 2.0,
+         'step': 1.0 * (at > 3), 'staircase': np.abs(at % 8 - 4.0)}[levels]
+    again = np.union1d(np.arange(-2.0, 50.0, 0.02), t_u)
+    often = u[np.searchsorted(t_u, again, side='right') - 1]
+    lag = plant([[pole]], [[-pole]], [[1.0]])
+    y = noisy(rng, held_response(lag, t_u, u[:, np.newaxis], t), 30)
+    seldom, often = (judged(Record.from_arrays(times, values, t, y, input_hold='zoh'),
+                            Settings(feedthrough=False)) for times, values in
+                     ((t_u, u), (again, often)))
+    assert seldom.grade is often.grade is Grade.GOOD
+    if levels != 'staircase':
+        assert seldom.excitation[0].frequencies == pytest.approx(
+            often.excitation[0].frequencies, rel=0.4)
+
+
 def test_a_slow_sweep_is_at_many_frequencies():
     """From 0.1 to 0.95 Hz in ten seconds; the middle of these alone is at hardly two."""
     def sweep(rng, t):
