@@ -204,7 +204,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
-        expected=everywhere(unseen.expected), driven=everywhere(
+        expected=everywhere(unseen.expected), untested=unseen.why, driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),

@@ -45,8 +45,7 @@ _MOVED = 3.0            # standard deviations by which a pole moves between wind
 
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
-UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
-            'samples are too few; test it on data that it has not seen.')
+UNTESTED = 'The model has not been tested on held-out data: '
 
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
@@ -167,7 +166,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
             f'{_percent(error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
-        yield Remedy.TEST, UNTESTED
+        yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
 
 
 def _of_motion(e: Evidence, i: int) -> str:
@@ -281,7 +280,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     model = estimate.model
     if model is None:
         return replace(estimate, verdict=verdict)
-    if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
+    if verdict.reason.startswith(UNTESTED) and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
         verdict = replace(verdict, grade=Grade.GOOD, remedy=Remedy.TEST,
                           reason='Every test is passed; the previous model simulates the new '
                           'data of this window well.')
