@@ -44,11 +44,11 @@ _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
 _AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
 # Packages whose messages are in SI units, by their definition; accelerations have other fields.
+# A JointState does not tell whether its joints turn or slide.
 _SAYS_UNIT = re.compile('(ackermann|geometry|nav|sensor)_msgs/msg/(?!Accel)')
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
           ('force', 'N'), (r'angular\.', 'rad/s'), (r'linear\.', 'm/s'), ('euler', 'rad'),
-          (r'position\.[xyz]$', 'm'), (r'^velocity\[', 'rad/s'), (r'^position\[', 'rad'),
-          (r'^effort\[', 'N m'), ('steering_angle', 'rad'), ('speed$', 'm/s'))
+          (r'position\.[xyz]$', 'm'), ('steering_angle', 'rad'), ('speed$', 'm/s'))
 
 
 @dataclass(frozen=True)
