@@ -170,6 +170,10 @@ def test_an_integrator_has_no_steady_gain():
     m = StateSpace([[0.0, 1.0], [0.0, -2.0]], [[0.0], [6.0]], [[1.0, 0.0]])
     known = Covariance.of_entries(changes(1, m), m)
     assert np.isinf(gain_deviation(known, m)).all()
+    turned = m.transform(np.array([[1.0, 0.3], [-0.7, 2.0]]))    # singular but for rounding
+    assert np.isinf(turned.dc_gain).all()
+    known_turned = Covariance.of_entries(changes(1, turned), turned)
+    assert np.isinf(gain_deviation(known_turned, turned)).all()
     found = response_deviation(known, m, np.array([0.0, 1.0]))
     assert np.isnan(found.magnitude[0]).all()
     assert np.isfinite(found.magnitude[1]).all()

@@ -343,9 +343,10 @@ def test_joints_with_commands(tmp_path):
         stamp = START + k * S // 50
         sent += [Sent('/a', kind, stamp, joints(stamp, y[:, k])),
                  Sent('/b', kind, stamp, joints(stamp, u[:, k]))]
-    found = keys(guessed(write_mcap(tmp_path / 'bag.mcap', sent)))
-    assert {(u[0], y[0], u[1][-2], y[1][-2]) for u, y in found[:2]} == {
+    guess = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+    assert {(u[0], y[0], u[1][-2], y[1][-2]) for u, y in keys(guess)[:2]} == {
         ('/b', '/a', '0', '0'), ('/b', '/a', '1', '1')}      # whatever the names
+    assert {c.unit for c in guess.config.channels} == {''}   # they may slide or turn
 
 
 @pytest.mark.parametrize(('noise', 'hold'), [(1e-3, 'smooth'), (0.0, 'zoh')])
@@ -569,6 +570,20 @@ def test_units_are_those_of_message_types_not_of_names(tmp_path):
     assert [(c.field, c.unit) for c in found.channels] == [('voltage', 'V'), ('x[0]', "it's °/s")]
     (tmp_path / 'p.yaml').write_text(dump_brief(found), encoding='utf-8')
     assert [c.unit for c in read_config(str(tmp_path / 'p.yaml')).channels] == ['V', "it's °/s"]
+
+
+@pytest.mark.parametrize('turn', [360.0, 2.0 * math.pi])
+def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, capsys, monkeypatch, turn):
+    rng, time = np.random.default_rng(11), np.arange(0.0, 60.0, 0.02)
+    u = moves(rng, len(time), 25)
+    yaw = lagged(u, 2.0, 0.02) * turn + 0.001 * turn * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, yaw % turn]), delimiter=',',
+               comments='', header='t,command,heading')
+    monkeypatch.chdir(tmp_path)
+    assert main(['try', 'run.csv', '--out', 'res', '--quiet']) == 0
+    assert read_config('res/params.yaml').outputs[0].turn == turn
+    told = ''.join(capsys.readouterr())
+    assert f'it is unwrapped (`heading.turn: {turn!r}`; 0.0 would leave it as it is)' in told
 
 
 @pytest.mark.parametrize(('name', 'at_once'), [

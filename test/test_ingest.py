@@ -236,6 +236,25 @@ def test_angles_are_unwrapped_in_the_order_of_stamps():
     assert ingest.counts().windows == 1
 
 
+@pytest.mark.parametrize('turn', [360.0, 2.0 * np.pi, 4096.0])
+def test_plain_angles_are_unwrapped_where_a_turn_is_given(turn):
+    """Windows that begin later agree but for full turns."""
+    heading = Channel('heading', 'output', '/compass', '', 'data', turn=turn)
+    ingest = make(U, heading, replace(P, topic='/compass'))
+    true = turn * (0.3 + 0.9 * np.sin(0.01 * np.arange(600)))
+    for k, angle in enumerate(true % turn):
+        ingest.push('/compass', EPOCH + k * S // 100, 0, None, (angle, angle))
+        ingest.push('/cmd', EPOCH + k * S // 100, 0, None, (0.0,))
+    records = list(ingest.flush())
+    assert len(records) > 3
+    for record in records:
+        signal = record.outputs[0]
+        rows = np.round((record.epoch_ns - EPOCH) / S * 100 + 100 * signal.time).astype(int)
+        turns = (signal.values[:, 0] - true[rows]) / turn
+        np.testing.assert_allclose(turns, round(turns[0]), atol=1e-9)
+        assert (signal.values[:, 1] == true[rows] % turn).all()      # left alone
+
+
 def test_dead_time_gives_inputs_their_history():
     record = play(make(replace(U, delay=0.5), P))[0]
     assert record.epoch_ns == EPOCH + 3_000_000 + S // 2

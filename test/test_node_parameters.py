@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 import time
 
 import pytest
@@ -100,8 +101,11 @@ def test_a_file_means_the_same_to_node_and_command_line(make, tmp_path, kind, au
 
 
 def test_a_generated_file_suits_the_node(make):
-    node = make(dump_config(example()))
-    assert read(node) == example()
+    config = example()
+    config = config.with_channels([*config.inputs, *(
+        replace(channel, turn=360.0) for channel in config.outputs)])
+    node = make(dump_config(config))
+    assert read(node) == config
     names = set(node.list_parameters([], 0).names)
     assert {*SETTINGS_KEYS, *NODE_KEYS} - {'delay'} <= names
     assert {f'torque.{key}' for key in CHANNEL_KEYS} <= names

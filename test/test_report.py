@@ -86,6 +86,7 @@ def test_numbers_have_significant_digits(value, digits, text):
 
 def test_deviations_stand_beside_their_numbers():
     assert plus_minus(12.3456, 0.04321) == '12.35 ± 0.043'
+    assert plus_minus(math.inf, math.inf) == plus_minus(math.inf, 1e24) == 'inf'
     assert plus_minus(12.3456, 0.0) == plus_minus(12.3456, math.nan) == '12.35'
 
 

@@ -36,8 +36,9 @@ from ctsid_core.search.by_prediction import (
     in_record,
 )
 from ctsid_core.search.held_out import HeldOut, held_out
-from ctsid_core.search.solution import Solution
+from ctsid_core.search.solution import Doubt, Solution
 from ctsid_core.signals.stuck import stuck_outputs
+from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
 def conclude(solution: Solution) -> Estimate:
@@ -80,7 +81,7 @@ def conclude(solution: Solution) -> Estimate:
         choices=solution.choices, orders=solution.orders,
         notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
-                   None, (solution.doubt,)) if setting not in verdict.reason),
+                   None, (evidence.wrapped, solution.doubt)) if setting not in verdict.reason),
                *_spent(effort)),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
         records=_shares(solution) if part.several else ())
@@ -203,12 +204,21 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
-        expected=everywhere(unseen.expected), driven=everywhere(
+        expected=everywhere(unseen.expected), untested=unseen.why, driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        doubt=solution.doubt)
+        doubt=solution.doubt, wrapped=_wrapped(part))
+
+
+def _wrapped(part: Joint) -> Doubt | None:
+    """Return that a channel is an angle which wraps, and what to set of it, if one does."""
+    for one in (found for usable in part.parts for found in wrapped_channels(usable.whole)):
+        channel = one.name.partition('[')[0]
+        return (f'the signal {one.name} jumps {jumps_in_words(one.turn, one.jumps)}',
+                f'{channel}.turn: {one.turn!r}')
+    return None
 
 
 def _spread_out(values: Array, places: tuple[int, ...], count: int) -> Array:

@@ -30,6 +30,8 @@ class Evidence:
     where: str                      # which window, or record, changed, and when
     worst: str                      # which of several records is explained least
     numbers: Verdict                # with the numbers that have a place in it
+    untested: str = ''              # why nothing was held out, in words
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     unproven: bool = False          # modes grow of which the data do not show that they do
     doubt: Doubt | None = None      # what it looks like if a setting is not right
+    wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it

@@ -11,6 +11,8 @@ other frequencies in the mean.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ctsid_core.likelihood.samples import RecordSamples, Samples
@@ -19,6 +21,7 @@ from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.modal import steps_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
+from ctsid_core.signals.record import Signal
 
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
 _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
@@ -37,7 +40,7 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     Of inputs with delays (nu,) [s]: what further ones `samples` has does not count. The covariance
     is that of the model of the moving channels.
     """
-    omega, weight, lines, inputs, frequencies = _input_spectra(samples, delay)
+    omega, weight, lines, inputs, sent = _input_spectra(samples, delay)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, moved = _uncertain(samples, covariance, moving, omega, lines)
     own = _uncorrelated(inputs)
@@ -46,14 +49,14 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
         seen = weight[:, j] * np.sum(np.abs(response[:, :, j]) ** 2, axis=1)
         total = float(seen.sum())
         if not total > 0.0 or not np.isfinite(total):
-            found.append(Excitation(name, frequencies=float(frequencies[j]), own=float(own[j])))
+            found.append(Excitation(name, frequencies=sent.count(j), own=float(own[j])))
             continue
         part = np.cumsum(seen) / total
         low, high = (float(omega[min(int(np.searchsorted(part, share)), len(omega) - 1)])
                      for share in (_TAIL, 1.0 - _TAIL))
         unsure = float(np.sqrt((weight[:, j, np.newaxis] * variance[:, :, j]).sum() / total)) \
             if own[j] > _ALONE else np.inf
-        found.append(Excitation(name, low, high, float(frequencies[j]), float(own[j]), unsure))
+        found.append(Excitation(name, low, high, sent.count(j, high), float(own[j]), unsure))
     seen = np.einsum('fij,jf->fi', response, lines)
     with np.errstate(invalid='ignore', divide='ignore'):
         by_output = np.sqrt(moved / np.sum(np.abs(seen) ** 2, axis=0))
@@ -101,13 +104,46 @@ def _uncorrelated(u: Array) -> Array:
     return own
 
 
-def _input_spectra(samples: Samples,
-                   delay: Array) -> tuple[Array, Array, ComplexArray, Array, Array]:
+@dataclass(frozen=True)
+class _Sent:
+    """Spectra of the inputs without dead times: omega (M,), power (nu, M), half rates (nu,)."""
+
+    omega: Array
+    power: Array
+    half_rate: Array
+
+    def count(self, j: int, answered: float = 0.0) -> float:
+        """
+        Return the effective number of frequencies of an input.
+
+        The edges of its hold count as far as the plant answers to them [rad/s].
+        """
+        power = self.power[j, self.omega < max(self.half_rate[j], answered)]
+        return float(power.sum() ** 2 / max(np.sum(power ** 2), 1e-300) / _LOBE)
+
+
+def _half_rates(signal: Signal) -> list[float]:
+    """
+    Return half the rate of each channel [rad/s]: beyond it are the edges of its hold.
+
+    Infinite where changes turn around at least as often as they go on, as those of levels, pulses
+    and noise, in however few messages: these are no samples of a motion that is smooth between.
+    """
+    found = []
+    for steps in np.diff(signal.values, axis=0).T:
+        steps = steps[steps != 0.0]     # a value that is sent again is no change
+        turns = np.count_nonzero(steps[1:] * steps[:-1] < 0.0)
+        found.append(np.inf if 2 * turns >= len(steps) - 1 else np.pi / signal.period)
+    return found
+
+
+def _input_spectra(samples: Samples, delay: Array
+                   ) -> tuple[Array, Array, ComplexArray, Array, _Sent]:
     """
     Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
 
     Of the record in which inputs change most, the strongest lines only. Further the inputs at
-    uniform instants, without dead times, and the effective number of frequencies of each.
+    uniform instants, and the spectra of their differences, without dead times.
     """
     record = max(samples.records, key=_motion)
     finest = min(s.period for s in record.streams)
@@ -125,11 +161,9 @@ def _input_spectra(samples: Samples,
     inside = np.minimum(np.arange(count - 1), np.arange(count - 1)[::-1]) / (_TAPERED * count)
     taper = 0.5 - 0.5 * np.cos(np.pi * np.minimum(inside, 1.0))
     tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * taper, axis=1))[:, 1:] ** 2 / omega
-    # What lies beyond half the rate of an input are the edges of its hold.
-    tapered *= omega < np.pi / np.array([[s.period] for s in inputs for _ in range(s.width)])
-    breadth = tapered.sum(axis=1) ** 2 / np.maximum(np.sum(tapered ** 2, axis=1), 1e-300)
+    half_rates = np.array([rate for s in inputs for rate in _half_rates(s)])
     return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), as_sent,
-            breadth / _LOBE)
+            _Sent(omega, tapered, half_rates))
 
 
 def _motion(record: RecordSamples) -> float:

@@ -45,16 +45,16 @@ _MOVED = 3.0            # standard deviations by which a pole moves between wind
 
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
-UNTESTED = ('The model has not been tested on held-out data: `validation.held_out` is 0, or the '
-            'samples are too few; test it on data that it has not seen.')
+UNTESTED = 'The model has not been tested on held-out data: '
 
 
 def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
     weak = ((Status.OK, *one) for one in _weaknesses(evidence))
     for status, remedy, reason in chain(_rejections(evidence), weak):
-        if evidence.doubt and status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS):
-            what, setting = evidence.doubt
+        doubtful = status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS)
+        if doubt := evidence.wrapped or (evidence.doubt if doubtful else None):
+            what, setting = doubt
             remedy, reason = Remedy.SETTING, (
                 f'{what[0].upper()}{what[1:]}. If that is not so: {reason[0].lower()}{reason[1:]} '
                 f'If it is so, set `{setting}`.')
@@ -166,7 +166,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
             f'{_percent(error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
-        yield Remedy.TEST, UNTESTED
+        yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
 
 
 def _of_motion(e: Evidence, i: int) -> str:
@@ -280,7 +280,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
     model = estimate.model
     if model is None:
         return replace(estimate, verdict=verdict)
-    if verdict.reason == UNTESTED and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
+    if verdict.reason.startswith(UNTESTED) and np.nanmin(fresh_fit, initial=np.inf) < np.inf:
         verdict = replace(verdict, grade=Grade.GOOD, remedy=Remedy.TEST,
                           reason='Every test is passed; the previous model simulates the new '
                           'data of this window well.')

@@ -270,12 +270,13 @@ def _radial(covariance: Covariance, model: StateSpace) -> ComplexArray:
 
 def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
     """
-    Return the standard deviation of the DC gain, (ny, nu); infinite for a pole at 0.
+    Return the standard deviation of the DC gain, (ny, nu); infinite as the gain at a pole at 0.
 
     Of the model's own entries: no record tells which of several models is right at 0 Hz.
     """
     try:
-        return _deviation(covariance.response_changes(model, np.zeros(1))[:, 0].real)
+        found = _deviation(covariance.response_changes(model, np.zeros(1))[:, 0].real)
+        return np.where(np.isfinite(model.dc_gain), found, np.inf)
     except np.linalg.LinAlgError:
         return np.full((model.ny, model.nu), np.inf)
 

@@ -183,7 +183,7 @@ class Estimate:
 
     @property
     def dc_gain_std(self) -> Array:
-        """Standard deviation of the DC gain, (ny, nu)."""
+        """Standard deviation of the DC gain, (ny, nu); infinite where the gain is."""
         return self._derived(known.gain_deviation, 'ny', 'nu')
 
     @property

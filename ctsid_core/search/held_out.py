@@ -23,6 +23,7 @@ from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import GAUGE, modal_of
 from ctsid_core.linear.least_squares import orthonormal
+from ctsid_core.linear.matrix_functions import SOUND
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.by_prediction import plant_of
 
@@ -32,6 +33,7 @@ _SEARCHED = 2000      # samples of a stream that are looked at
 _MORE = 3.0           # times its own error, that a model may err on data held out ...
 _LEAST = 0.05         # ... or this part of the motion; no test if ...
 _EXPECTED = 2.0       # ... so many deviations that the rest of the data leaves are more
+_NO_MODEL = 'the rest of them alone gives no such model'
 _GAP = 5.0            # sample intervals, from which on samples are not neighbours
 
 Part = Callable[[Samples], Samples]     # what takes some of the samples
@@ -46,6 +48,7 @@ class HeldOut:
     # uncertain: after the only step nobody can tell what the step would have shown
     expected: Array
     unseen: Mask     # whether most of the motion is in what is held out
+    why: str = ''    # nothing was held out, in words
 
 
 def held_out(samples: Samples, fit: Fit, free: Free, share: float,
@@ -60,9 +63,10 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     predictions. `refit` makes the model of the first part, by default output error does, or
     predictions by which the plant was found: their `predictor`.
     """
-    nothing = _nothing(samples)
-    if share == 0.0 or not len(fit.model.poles):
-        return nothing
+    if share == 0.0:
+        return _nothing(samples, 'none are asked for (`validation.held_out`, or `hermite.edges`)')
+    if not len(fit.model.poles):
+        return _nothing(samples, 'it has no states')
     samples = samples.thinned(_SEARCHED)
 
     def of(early: Samples, part: Part) -> Fit | None:
@@ -74,7 +78,8 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         top = climb(rest, fit_at(rest, top.model.poles, top.model.delay, own), own,
                     least=ROUGHLY)
         m = plant_of(top, rest, 0, False)
-        plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu])
+        # Two integrators hardly differ; here six digits are enough.
+        plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu], SOUND)
         return None if plant is None else fit_states(early, plant, free)
 
     try:
@@ -86,20 +91,20 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
             return _parts(whole, share, False, count)
         early, late = kept(samples), _parts(samples, share, True, count)
         if np.min(early.counts) < 4 * fit.model.n + 4:
-            return nothing
+            return _nothing(samples, 'too few samples would be left for the model')
         own = refit(early) if refit is not None else of(early, kept)
         if own is None:
-            return nothing
+            return _nothing(samples, _NO_MODEL)
         there, everywhere = (_motion(part, fit) for part in (late, samples))
         return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
                        _expected(early, late, own, free), there > 0.5 * everywhere)
     except np.linalg.LinAlgError:
-        return nothing
+        return _nothing(samples, _NO_MODEL)
 
 
-def _nothing(samples: Samples) -> HeldOut:
+def _nothing(samples: Samples, why: str) -> HeldOut:
     none = np.full(samples.ny, np.nan)
-    return HeldOut(none, none, np.zeros(samples.ny, dtype=bool))
+    return HeldOut(none, none, np.zeros(samples.ny, dtype=bool), why)
 
 
 def allowed(error: Array) -> Array:
@@ -145,7 +150,7 @@ def _by_records(samples: Samples, of: Callable[[Samples, Part], Fit | None],
             r for i, r in enumerate(whole.records) if i not in held))
     own = of(kept(samples), kept)
     if own is None:
-        return _nothing(samples)
+        return _nothing(samples, _NO_MODEL)
     rest = replace(samples, records=tuple(
         r for i, r in enumerate(samples.records) if i in held))
     return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
+import math
 import re
 from typing import Literal
 
@@ -29,7 +30,7 @@ class Channel:
 
     Parameters
     ----------
-    name, role, topic, type, field, unit, hold, stamp, delay
+    name, role, topic, type, field, unit, hold, stamp, delay, turn
         See the sentences of the declaration. `hold='auto'` becomes 'zoh' for an input and
         'smooth' for an output.
 
@@ -65,6 +66,12 @@ class Channel:
         'auto', 'Dead time from this input to the outputs; auto: estimated from the data.',
         unit='s', low=0.0, high=60.0, words=('auto',), structural=True,
         when='Set it to 0.0 where commands act at once, or to a known value.')
+    turn: float = parameter(
+        0.0, 'A full turn, of an angle that wraps: of two neighbours the second is moved by as '
+        'many turns as bring it nearest to the first; 0.0 leaves the values as they are. Angles '
+        'of a quaternion are unwrapped anyway.', low=0.0, high=1e12, structural=True,
+        when='Set it to 360.0 for a heading in degrees, 6.283185307179586 for an angle in rad, '
+        'or the number of ticks of an encoder.')
 
     def __post_init__(self) -> None:
         faults = [fault for declared in fields(self) for fault in
@@ -79,6 +86,11 @@ class Channel:
     def path(self) -> FieldPath:
         """The parsed field."""
         return parse_field(self.field)
+
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """A full turn of each of its scalars, in its unit; 0.0 for what is not unwrapped."""
+        return tuple(math.tau if angle else self.turn for angle in self.path.angles)
 
     @property
     def width(self) -> int:

@@ -31,7 +31,7 @@ _ZEROS = 3  # messages with a zero header stamp after which a topic is known to 
 _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float]]
-_Columns = NDArray[np.intp]
+_Turns = list[tuple[int, float]]  # column, and a full turn of its angle
 
 
 class _Topic:
@@ -105,10 +105,10 @@ class Ingest:
             [_group(name, run) for name, run in groups.items()], settings.window_length,
             settings.window_stride, settings.window_max_delay, max(settings.delays(nu)))
         self._push = self._window.push
-        self._angles: dict[str, list[_Columns]] = {'input': [], 'output': []}
+        self._turns: dict[str, list[_Turns]] = {'input': [], 'output': []}
         for run in runs:
-            flags = [angle for channel in run for angle in channel.path.angles]
-            self._angles[run[0].role].append(np.flatnonzero(flags))
+            turns = [turn for channel in run for turn in channel.turns]
+            self._turns[run[0].role].append([(i, turn) for i, turn in enumerate(turns) if turn])
 
     @property
     def fields(self) -> dict[str, tuple[FieldPath, ...]]:
@@ -288,8 +288,8 @@ class Ingest:
 
     def _join_angles(self, record: Record) -> Record:
         """Unwrap the angles, now that the samples are in order."""
-        return replace(record, inputs=_unwrapped(record.inputs, self._angles['input']),
-                       outputs=_unwrapped(record.outputs, self._angles['output']))
+        return replace(record, inputs=_unwrapped(record.inputs, self._turns['input']),
+                       outputs=_unwrapped(record.outputs, self._turns['output']))
 
 
 def _messages(rows: Columns) -> Iterator[tuple[str, int, int, int | None, tuple[float, ...]]]:
@@ -320,12 +320,13 @@ def _group(name: str, channels: Sequence[Channel]) -> Group:
     return Group(name, len(names), first.role, first.hold, names, units)
 
 
-def _unwrapped(signals: tuple[Signal, ...], angles: Sequence[_Columns]) -> tuple[Signal, ...]:
+def _unwrapped(signals: tuple[Signal, ...], turns: Sequence[_Turns]) -> tuple[Signal, ...]:
     joined = []
-    for signal, columns in zip(signals, angles, strict=True):
-        if len(columns):
+    for signal, angles in zip(signals, turns, strict=True):
+        if angles:
             values = signal.values.copy()
-            values[:, columns] = np.unwrap(values[:, columns], axis=0)
+            for column, turn in angles:
+                values[:, column] = np.unwrap(values[:, column], period=turn)
             signal = replace(signal, values=values)
         joined.append(signal)
     return tuple(joined)

@@ -17,6 +17,7 @@ import shlex
 import numpy as np
 
 from ctsid_core.settings import Settings
+from ctsid_core.signals.wrapped import jumps_in_words
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
 from ctsid_ros.decoding.field_path import FieldPath
 from ctsid_ros.errors import BagError
@@ -43,11 +44,11 @@ _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
 _AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
 # Packages whose messages are in SI units, by their definition; accelerations have other fields.
+# A JointState does not tell whether its joints turn or slide.
 _SAYS_UNIT = re.compile('(ackermann|geometry|nav|sensor)_msgs/msg/(?!Accel)')
 _UNITS = (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s^2'), ('torque', 'N m'),
           ('force', 'N'), (r'angular\.', 'rad/s'), (r'linear\.', 'm/s'), ('euler', 'rad'),
-          (r'position\.[xyz]$', 'm'), (r'^velocity\[', 'rad/s'), (r'^position\[', 'rad'),
-          (r'^effort\[', 'N m'), ('steering_angle', 'rad'), ('speed$', 'm/s'))
+          (r'position\.[xyz]$', 'm'), ('steering_angle', 'rad'), ('speed$', 'm/s'))
 
 
 @dataclass(frozen=True)
@@ -312,7 +313,10 @@ def _channels(inputs: Sequence[Candidate], outputs: Sequence[Candidate], reasons
     roles: list[tuple[Candidate, Role]] = [*((c, 'input') for c in inputs),
                                            *((c, 'output') for c in outputs)]
     channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
-                        c.key[1], _unit(c), stamp=stamp) for c, role in roles]
+                        c.key[1], _unit(c), stamp=stamp, turn=c.wraps[0]) for c, role in roles]
+    reasons += [f'{words(c)} jumps {jumps_in_words(*c.wraps)}: it is unwrapped '
+                f'(`{channel.name}.turn: {channel.turn!r}`; 0.0 would leave it as it is)'
+                for channel, c in zip(channels, both, strict=True) if channel.turn]
     return tuple(replace(channel, hold='smooth') if channel.role == 'input'
                  and _is_measured(c, outputs) else channel
                  for channel, c in zip(channels, both, strict=True))    # else held

@@ -15,6 +15,7 @@ import re
 import numpy as np
 
 from ctsid_core.linear.types import Array
+from ctsid_core.signals.wrapped import wraps
 from ctsid_ros.decoding.field_path import FieldPath, parse_field
 from ctsid_ros.decoding.message_types import FieldType, MessageType
 from ctsid_ros.recordings.bag import Bag
@@ -78,6 +79,9 @@ class Candidate:
         Whether most samples equal the one before, as those of a command that is held do.
     unit : str
         As the title of a column says it.
+    wraps : (float, int)
+        A full turn of an angle that wraps, and by how many of these its samples jump; here it is
+        unwrapped. (0.0, 0) if it is none.
     """
 
     topic: TopicSurvey
@@ -92,6 +96,7 @@ class Candidate:
     rate: float
     stays: bool
     unit: str = ''
+    wraps: tuple[float, int] = (0.0, 0)
 
     @property
     def key(self) -> Key:
@@ -183,11 +188,14 @@ def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath],
                 len(time) < FEWEST or no_signal(time, values, counts=i in whole))):
             continue
         acts, measures = likely_roles(topic, str(path))
+        turn, _ = wrapped = wraps(values)
+        if turn:
+            values = np.unwrap(values, period=turn)
         found.append(Candidate(
             topic, stats[str(path)], path, acts, measures, held(time, values, clock),
             averaged(time, values, clock), float(time[0]), float(time[-1]), _rate(time),
             bool(2 * np.count_nonzero(np.diff(values)) < len(values) - 1),
-            '' if path.euler else types[i].unit))
+            '' if path.euler else types[i].unit, wrapped))
     return found
 
 

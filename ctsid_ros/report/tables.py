@@ -78,8 +78,8 @@ def number(value: float, digits: int = 4) -> str:
 
 def plus_minus(value: float, std: float, digits: int = 4) -> str:
     """Return a number and its standard deviation: 12.35 ± 0.04; the number alone if that is 0."""
-    shown = number(value, digits)
-    return shown if math.isnan(std) or std == 0 else f'{shown} ± {number(std, 2)}'
+    shown, alone = number(value, digits), math.isnan(std) or std == 0 or math.isinf(value)
+    return shown if alone else f'{shown} ± {number(std, 2)}'
 
 
 def percent(value: float) -> str:
