@@ -208,7 +208,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        doubt=solution.doubt)
+        doubt=solution.doubt, faults=part.numbered([p.whole.faults for p in part.parts]))
 
 
 def _spread_out(values: Array, places: tuple[int, ...], count: int) -> Array:

@@ -33,3 +33,4 @@ class Evidence:
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     unproven: bool = False          # modes grow of which the data do not show that they do
     doubt: Doubt | None = None      # what it looks like if a setting is not right
+    faults: tuple[str, ...] = ()    # of the samples, see `Record`
