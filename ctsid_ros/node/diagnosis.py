@@ -9,7 +9,7 @@ since the activation are among the numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from ctsid_core.linear.types import Array
@@ -150,17 +150,28 @@ def diagnose_identification(progress: Progress) -> Health:
     return Health(IDENTIFICATION, level, '; '.join(troubles) or verdict.reason, values)
 
 
+def with_cause(identification: Health, ingest: Health, troubles: Sequence[str]) -> Health:
+    """Return how the identification is, with what the ingest says of it; see `IngestDiagnosis`."""
+    if ingest.level is Level.STALE is not identification.level:
+        return replace(identification, level=Level.STALE, message=(
+            f'no messages come in, see ingest; of the last window: {identification.message}'))
+    if identification.level is Level.OK or not troubles:
+        return identification
+    return replace(identification, message=(
+        f'{identification.message.rstrip(".")}; the ingest may know why: {troubles[0]}'))
+
+
 def _without_result(progress: Progress, slow: str, values: dict[str, object]) -> Health:
     """Return how the identification is before its first result."""
     if progress.failure:
         return Health(IDENTIFICATION, Level.ERROR, progress.failure, values)
-    words, now = slow or 'no window is full yet', progress.under_way
+    words, now = slow, progress.under_way
     if now is not None and not slow:
         words = f'window {now.number} is being identified, for {now.seconds:.1f} s so far'
-    elif progress.windows and not slow:
+    elif progress.waiting and not slow:
         words = 'a window is about to be identified'
     return Health(IDENTIFICATION, Level.WARN if slow else Level.STALE,
-                  f'{words}; there is no result yet' if progress.windows else words, values)
+                  f'{words}; there is no result yet' if words else 'no window is full yet', values)
 
 
 def _slow(progress: Progress) -> str:
