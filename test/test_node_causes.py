@@ -108,20 +108,25 @@ def test_header_stamps_that_become_zero_are_told_with_a_cure_that_helps(live):
 
 
 def test_an_input_published_once_before_the_node_began_is_heard(live):
-    text = params('ingest.timeout: 60.0').replace(
+    text = params('ingest.timeout: 1.0').replace(
         'inputs: [torque]', 'inputs: [torque, load]\n'
         '    load: {topic: /load, type: std_msgs/msg/Float64, field: data}')
     load = live.node.create_publisher(Float64, '/load', LATCHED)
     load.publish(Float64(data=0.5))
     node = live.identifier(text)
     node.wait_health('ingest', lambda h: h.values['load samples'] == '1', 'the latched sample')
+    said = node.wait_health('ingest', lambda h: float(h.values['/load age [s]']) > 1.5, 'its age')
+    assert '/load' not in said.message
     load.publish(Float64(data=0.6))
     node.wait_health('ingest', lambda h: h.values['load samples'] == '2', 'another')
+    assert node.trigger('reset')[0]
+    load.publish(Float64(data=0.65))
+    node.wait_health('ingest', lambda h: h.values['load samples'] == '3', 'all of them again')
     other, = live.publishers({'/load': Float64}, RELIABLE, node.name)
 
     def both(health) -> bool:
         other.publish(Float64(data=0.7))
-        return int(health.values['load samples']) > 3
+        return int(health.values['load samples']) > 5
 
     assert 'so its messages do not come' not in node.wait_health('ingest', both, 'both').message
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,10 +35,10 @@ class Mixing:
 
     def take_rows(self, publishers: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> None:
         """Take many samples: the same as `take` of one after another."""
-        ends = np.flatnonzero(np.diff(publishers, append=0))  # numbers begin at 1
-        for first, last in zip((0, *(ends[:-1] + 1).tolist()), ends.tolist(), strict=True):
+        ends = 1 + np.flatnonzero(np.diff(publishers, append=0))  # numbers begin at 1
+        for first, end in pairwise((0, *ends.tolist())):
             self.take(int(publishers[first]), int(stamps_ns[first]))
-            self._stamp_ns = int(stamps_ns[last])
+            self._stamp_ns = int(stamps_ns[end - 1])
 
     def forget(self, before_ns: int) -> None:
         """Forget what no window from a time on [ns] needs."""

@@ -134,8 +134,14 @@ class Intake:
             return
         kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
                    and qos.reliability == ReliabilityPolicy.RELIABLE for qos in own)
-        late = self._used[topic] is self._late_qos or not self._feed.topics[topic].messages
+        state = self._feed.topics[topic]
+        state.kept = kept
+        late = self._used[topic] is self._late_qos or not state.messages
         self._wanted[topic] = self._late_qos if kept and late else self._qos
+
+    def begin_anew(self) -> None:
+        """Ask again for what was published before: the feed has forgotten it."""
+        self._used = dict.fromkeys(self._used, self._qos)
 
     def _adapt(self) -> None:
         """Subscribe anew where another quality of service is wanted."""
