@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages as they arrive on a robot, against the same messages played from a recording."""
 
+from collections import Counter
 from dataclasses import replace
 import math
 
@@ -121,6 +122,59 @@ def test_a_recording_gives_the_same_windows_however_the_messages_were_drained(tm
     assert bits(replayed(writer.path)) == bits(records)
     other = run(Feed(CONFIG, TYPES, lambda _: 1), arriving(), seed + 10)
     assert bits(other) == bits(records)
+
+
+def numbered(publishers):
+    """Return publishers and what `arriving` gives; those of /cmd count their own messages."""
+    counts, messages = Counter(), []
+    for taken in arriving():
+        who = publishers((taken.arrival_ns - EPOCH) / S, taken.sequence) \
+            if taken.topic == '/cmd' else 0
+        counts[who] += 1
+        messages.append((who, taken._replace(sequence=counts[who])))
+    return messages
+
+
+def between(second, every):
+    """A second publisher sends one of so many messages from 1.8 to 2.2 s."""
+    return lambda t, k: second if 1.8 < t < 2.2 and k % every == 0 else 1
+
+
+@pytest.mark.parametrize(('publishers', 'mixed'), [
+    (lambda t, k: 1, []), (lambda t, k: 1 if t < 2.0 else 2, []),  # one takes over
+    (between(2, 2), [1.0, 1.5, 2.0]), (between(2, 19), [1.0, 1.5])])
+def test_windows_of_two_publishers_are_told_live_and_of_a_recording(tmp_path, publishers, mixed):
+    writer = BagWriter(tmp_path / 'flight.mcap', TYPES)
+    records = run(Feed(CONFIG, TYPES, lambda _: 2, writer),
+                  [taken for _, taken in numbered(publishers)])
+    writer.close()
+    starts = [round((r.epoch_ns - EPOCH) / S, 1) for r in records if r.faults]
+    assert starts == mixed
+    again = replayed(writer.path)
+    assert bits(again) == bits(records)
+    assert [r.faults for r in again] == [r.faults for r in records]
+    for record in records:
+        assert not record.faults or record.faults == (
+            'Samples of several publishers are mixed in u, of /cmd; stop all but one of them, or '
+            'give them topics of their own.',)
+
+
+@pytest.mark.parametrize('spoilt', [[2], [1, 2]])
+@pytest.mark.parametrize('values', [[], [math.nan, 0.0]])
+def test_a_publisher_of_which_no_sample_is_kept_mixes_nothing(tmp_path, values, spoilt):
+    writer = BagWriter(tmp_path / 'flight.mcap', TYPES)
+    records = run(Feed(CONFIG, TYPES, lambda _: 2, writer), [
+        taken._replace(raw=command(values)) if who in spoilt else taken
+        for who, taken in numbered(between(2, 2))])
+    writer.close()
+    again = replayed(writer.path)
+    assert bits(again) == bits(records)
+    assert not any(r.faults for r in (*records, *again))
+
+
+def test_losses_beside_a_silent_publisher_mix_nothing():
+    messages = [t for t in arriving() if t.sequence % 7 or t.sequence % 11 == 0]
+    assert not any(r.faults for r in run(Feed(CONFIG, TYPES, lambda _: 2), messages))
 
 
 def test_windows_are_those_of_the_ingest_by_itself():

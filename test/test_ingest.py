@@ -213,7 +213,8 @@ def test_a_silent_channel_and_a_restart_and_empty_windows_are_reported():
     assert (counts.resets, counts.empty) == (1, 12)
     # four; two that reach into the gap, and six with the samples after it; four once more
     assert counts.windows == 4 + 2 + 6 + 4
-    assert [line.split()[0] for line in ingest.report()] == ['the', '12']
+    assert [line.split()[0] for line in ingest.report()] == ['the', 'the']
+    assert 'jumped ahead over 12 windows' in ingest.report()[1]
 
 
 def test_angles_are_unwrapped_in_the_order_of_stamps():

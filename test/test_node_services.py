@@ -46,7 +46,7 @@ def test_identify_save_and_reset(live, tmp_path):
 
     success, said = node.trigger('save')
     assert success
-    path = Path(said.removeprefix('written to '))
+    path = Path(said.removeprefix('GOOD: window 2 is written to '))
     assert path.parent == folder
     assert to_json(load_estimate(path)) == to_json(requested)
 

@@ -36,6 +36,23 @@ def test_many_restarts_take_no_memory():
     assert len(counter._next) <= 16
 
 
+def test_a_series_is_told_for_each_message():
+    counter = SequenceNumbers(lambda: 1)
+    assert [counter.take(n) for n in (50, 51, 52, 1, 53, 2, 3, 54)] == [1, 1, 1, 2, 1, 2, 2, 1]
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_many_numbers_at_once_are_those_one_after_another(seed):
+    rng = np.random.default_rng(seed)
+    numbers = np.concatenate([np.arange(first, first + rng.integers(1, 9)) for first in
+                              rng.integers(1, 30, 40)])
+    at_once, single = SequenceNumbers(lambda: 1), SequenceNumbers(lambda: 1)
+    parts = np.split(numbers, np.sort(rng.integers(0, len(numbers), 30)))
+    assert np.concatenate([at_once.take_all(part) for part in parts]).tolist() == [
+        single.take(number) for number in numbers.tolist()]
+    assert at_once.lost == single.lost
+
+
 @pytest.mark.parametrize('seed', range(5))
 def test_two_publishers_in_any_order(seed):
     rng = np.random.default_rng(seed)

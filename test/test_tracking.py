@@ -17,7 +17,7 @@ from ctsid_core.identify import identify
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
-from ctsid_core.model.verdict import EXPLAINED, Verdict
+from ctsid_core.model.verdict import EXPLAINED, Grade, Verdict
 from ctsid_core.sequence import tracking
 from ctsid_core.sequence.alignment import aligning
 from ctsid_core.sequence.tracking import Tracked, Tracker
@@ -226,6 +226,31 @@ def test_once_a_change_is_known_no_window_that_straddles_it_is_accepted():
     alone = identify(records[late], SETTINGS)
     assert found[late].rejected_model is not None
     assert alone.status is Status.CHANGED or 'earlier window' in found[late].notes[-1]
+
+
+def test_faults_of_samples_are_the_reason_and_no_change_of_the_plant():
+    """The samples change for 2 s, which looks like a change of the plant."""
+    whole, fault = changing(12.0, 26.0), 'Samples are mixed; stop one.'
+    faulty = replace(whole.between(8.0, 16.0), faults=(fault,))
+    tracker = Tracker(SETTINGS)
+    found = tracker.take(faulty).estimate
+    assert found.status is Status.CHANGED
+    assert found.verdict.reason == fault
+    short = replace(whole.between(11.6, 19.6), faults=(fault,))
+    assert tracker.take(short).estimate.verdict.reason == fault
+    found = tracker.take(whole.between(13.0, 21.0)).estimate
+    assert 'earlier window' not in found.verdict.reason
+    found = tracker.take(replace(whole.between(15.0, 23.0), faults=(fault,))).estimate
+    assert (found.verdict.grade, found.verdict.reason) == (Grade.WEAK, fault)
+
+
+def test_an_order_that_was_set_meanwhile_is_no_reason(steady):
+    tracker = Tracker(Settings(order=1))
+    before = tracker.take(steady[0]).estimate
+    tracker.settings = Settings(order=2)
+    found = tracker.take(steady[1]).estimate
+    assert 'order has changed' not in found.verdict.reason
+    assert before.model is None or before.model.n != found.model.n
 
 
 @pytest.mark.slow

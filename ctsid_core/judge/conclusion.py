@@ -209,7 +209,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        doubt=solution.doubt, wrapped=_wrapped(part))
+        doubt=solution.doubt, wrapped=_wrapped(part),
+        faults=part.numbered([p.whole.faults for p in part.parts]))
 
 
 def _wrapped(part: Joint) -> Doubt | None:

@@ -35,3 +35,4 @@ class Evidence:
     unproven: bool = False          # modes grow of which the data do not show that they do
     doubt: Doubt | None = None      # what it looks like if a setting is not right
     wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it
+    faults: tuple[str, ...] = ()    # of the samples, see `Record`

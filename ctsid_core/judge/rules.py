@@ -44,6 +44,7 @@ _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
+_FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = 'The model has not been tested on held-out data: '
 
@@ -53,7 +54,9 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     weak = ((Status.OK, *one) for one in _weaknesses(evidence))
     for status, remedy, reason in chain(_rejections(evidence), weak):
         doubtful = status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS)
-        if doubt := evidence.wrapped or (evidence.doubt if doubtful else None):
+        if evidence.faults and status in _FAULTY:
+            remedy, reason = Remedy.SIGNALS, evidence.faults[0]
+        elif doubt := evidence.wrapped or (evidence.doubt if doubtful else None):
             what, setting = doubt
             remedy, reason = Remedy.SETTING, (
                 f'{what[0].upper()}{what[1:]}. If that is not so: {reason[0].lower()}{reason[1:]} '
@@ -114,6 +117,8 @@ def change_note(e: Evidence) -> tuple[str, ...]:
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
+    for fault in e.faults:
+        yield Remedy.SIGNALS, fault
     if e.unproven:
         yield Remedy.SETTING, (
             f'The model is unstable (a mode grows as exp({np.max(e.poles.real):.2g} t)), and a '
@@ -287,7 +292,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         verdict = weakened(verdict)
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
-                   *_moves(model.n, before, moved)]
+                   *_moves(model.n, estimate.settings.order or before, moved)]
         if reasons:
             remedy, reason = reasons[0]
             verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)

@@ -124,7 +124,8 @@ class Tracker:
     def _joined(self, past: _Past, settings: Settings, record: Record,
                 estimate: Estimate) -> Tracked:
         test = _fresh(past, record, settings)
-        estimate = self._reject_straddling(estimate)
+        if not record.faults:  # else the samples changed, not the plant
+            estimate = self._reject_straddling(estimate)
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
                                past.model.n if past.model else 0)
         if estimate.model is None:

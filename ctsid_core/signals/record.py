@@ -99,6 +99,9 @@ class Record:
         The interval, relative to `epoch_ns` [s].
     epoch_ns : int
         Absolute time of relative time 0 [ns].
+    faults : tuple of str
+        What whoever made it knows to be wrong with its samples, a sentence each, with the cure: a
+        model of it is WEAK at most.
     """
 
     inputs: tuple[Signal, ...]
@@ -106,6 +109,7 @@ class Record:
     start: float
     end: float
     epoch_ns: int = 0
+    faults: tuple[str, ...] = ()
 
     @classmethod
     def from_arrays(

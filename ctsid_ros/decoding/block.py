@@ -37,6 +37,9 @@ class Located(NamedTuple):
     places : ndarray of int, shape (N,), optional
         Order among messages of equal log time, where it is not that of buffers and offsets; all
         that a block is made of have it, or none.
+    sequences : ndarray of int64, shape (N,), optional
+        Numbers that the publishers gave the messages, where the recording keeps them; 0 where it
+        does not.
     """
 
     slot: int
@@ -46,6 +49,7 @@ class Located(NamedTuple):
     log_ns: Stamps
     publish_ns: Stamps
     places: Index | None = None
+    sequences: Stamps | None = None
 
 
 class Decoded(NamedTuple):
@@ -81,6 +85,8 @@ class Columns:
     log_ns, publish_ns : ndarray of int64, shape (N,)
     header_ns, values, sound
         As a decoder gives them, see `Decoded`.
+    sequences : ndarray of int64, shape (N,), or None
+        As a reader gives them, see `Located`.
     """
 
     topic: str
@@ -89,6 +95,7 @@ class Columns:
     header_ns: Stamps | None
     values: NDArray[Any]
     sound: NDArray[np.bool_]
+    sequences: Stamps | None = None
 
     def __len__(self) -> int:
         return len(self.log_ns)
@@ -96,18 +103,19 @@ class Columns:
     def __getitem__(self, rows: slice | Index) -> Columns:
         return replace(self, log_ns=self.log_ns[rows], publish_ns=self.publish_ns[rows],
                        header_ns=None if self.header_ns is None else self.header_ns[rows],
-                       values=self.values[rows], sound=self.sound[rows])
+                       values=self.values[rows], sound=self.sound[rows],
+                       sequences=None if self.sequences is None else self.sequences[rows])
 
     def followed_by(self, other: Columns) -> Columns:
         """Return the rows of both."""
         if not len(self) or not len(other):
             return self if len(self) else other
-        headers = None if self.header_ns is None or other.header_ns is None else \
-            np.concatenate((self.header_ns, other.header_ns))
         return Columns(self.topic, np.concatenate((self.log_ns, other.log_ns)),
-                       np.concatenate((self.publish_ns, other.publish_ns)), headers,
+                       np.concatenate((self.publish_ns, other.publish_ns)),
+                       _all_of((self.header_ns, other.header_ns)),
                        np.concatenate((self.values, other.values)),
-                       np.concatenate((self.sound, other.sound)))
+                       np.concatenate((self.sound, other.sound)),
+                       _all_of((self.sequences, other.sequences)))
 
 
 @dataclass(frozen=True)
@@ -145,7 +153,8 @@ class Block:
         for slot, (topic, decode) in enumerate(zip(topics, decoders, strict=True)):
             own = [part for part in found if part.slot == slot]
             columns.append(Columns(topic, joined([part.log_ns for part in own]),
-                                   joined([part.publish_ns for part in own]), *decode(own)))
+                                   joined([part.publish_ns for part in own]), *decode(own),
+                                   _all_of([part.sequences for part in own])))
         buffers: dict[int, int] = {}
         places: list[list[Index]] = [[] for _ in topics]
         for part in found:
@@ -200,6 +209,12 @@ class Block:
                        np.flatnonzero(other.which == number) + len(self)]
         pairs = [np.concatenate(places[i:i + 2]) for i in range(0, len(places), 2)]
         return self._sorted(columns, pairs)
+
+
+def _all_of(parts: Sequence[Stamps | None]) -> Stamps | None:
+    """Return the rows of all parts; None if one has none."""
+    known = [part for part in parts if part is not None]
+    return joined(known) if len(known) == len(parts) else None
 
 
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -40,6 +40,7 @@ _ALL = {
     'wrong_width': 'could be decoded, or its arrays are too short; check `{name}.type` and '
                    '`{name}.field`',
 }
+SET = 'it is set so'  # why stamps come from where they do, if `stamp` is not auto
 _NO_CLOCK = ('has a time, for simulated time is not known; check that /clock is published, or set '
              '`use_sim_time` to false')
 
@@ -106,8 +107,9 @@ def complaints(counts: IngestCounts, config: Config, when: str = '') -> list[str
                      'or a bag played in a loop); each time the windows started again; check the '
                      'clocks unless that is intended')
     if counts.empty:
-        lines.append(f'{counts.empty} windows were skipped because no channel had any sample '
-                     'in them; check that all topics are published')
+        lines.append(f'the time stamps jumped ahead over {counts.empty} windows, in which no '
+                     'channel has a sample (a clock set ahead, or all topics silent); check the '
+                     'clocks, and that all topics are published')
     return lines
 
 
@@ -145,7 +147,9 @@ def _hopeless(key: str, counts: ChannelCounts) -> str:
         return ('can be used: their stamps are {late} behind those of other channels, so the '
                 'clocks are not one; set `stamp` to log for all channels, or correct the clock')
     if key == 'bad_stamp' and counts.source == 'header':
-        return 'has a stamp in its header; set `{name}.stamp` to auto or log'
+        return 'has a stamp in its header' + (
+            '; set `{name}.stamp` to auto or log' if counts.why == SET else
+            ', though the first ones had; correct the publisher, or set `{name}.stamp` to log')
     return _NO_CLOCK if key == 'bad_stamp' and counts.source == 'log' else _ALL[key]
 
 

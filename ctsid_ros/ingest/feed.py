@@ -72,6 +72,7 @@ class TopicState:
     numbers: SequenceNumbers
     messages: int = 0
     last_ns: int = 0  # arrival of the last message
+    kept: bool = False  # by its publishers for who comes late: one message may be all
 
 
 class Feed:
@@ -113,7 +114,7 @@ class Feed:
                        for topic in dict.fromkeys(c.topic for c in self.config.channels)}
         self.largest_batch = 0  # messages taken at once
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_TIMES)  # newest stamp, arrival
-        self._waiting: deque[tuple[str, int, int, bytes]] = deque(maxlen=_WAITING)
+        self._waiting: deque[tuple[str, int, int, bytes, int]] = deque(maxlen=_WAITING)
         self._ingest: Ingest | None = None
         self._bound: dict[str, str] = {}  # fields whose open ranges are closed
         self._open_ingest()
@@ -208,16 +209,17 @@ class Feed:
         state = self.topics[taken.topic]
         state.messages += 1
         state.last_ns = taken.arrival_ns
-        if taken.sequence is not None:
-            state.numbers.take(taken.sequence)
+        number = taken.sequence or 0
+        if number:
+            state.numbers.take(number)
         log_ns = self._log_time(taken.arrival_ns)
         if self._recorder is not None:
             self._record(taken, log_ns)
         if self._ingest is None:
-            self._wait(taken.topic, log_ns, taken.source_ns, taken.raw)
+            self._wait(taken.topic, log_ns, taken.source_ns, taken.raw, number)
         else:
             self._ingest.push(taken.topic, log_ns, taken.source_ns,
-                              *decoded(self._extract[taken.topic], taken.raw))
+                              *decoded(self._extract[taken.topic], taken.raw), number)
 
     def _record(self, taken: Taken, log_ns: int) -> None:
         assert self._recorder is not None
@@ -242,9 +244,9 @@ class Feed:
         self._last_ns = log_ns
         return log_ns
 
-    def _wait(self, topic: str, log_ns: int, publish_ns: int, raw: bytes) -> None:
+    def _wait(self, topic: str, log_ns: int, publish_ns: int, raw: bytes, number: int) -> None:
         """Keep a message until all arrays have shown how long they are."""
-        self._waiting.append((topic, log_ns, publish_ns, raw))
+        self._waiting.append((topic, log_ns, publish_ns, raw, number))
         try:
             self._bound |= {c.name: str(bind(self._types[topic], c.path, raw))
                             for c in self.config.channels
@@ -260,8 +262,9 @@ class Feed:
         self._ingest = Ingest(self.config)
         self._extract = {topic: Extractor(self._types[topic], fields)
                          for topic, fields in self._ingest.fields.items()}
-        for topic, log_ns, publish_ns, raw in self._waiting:
-            self._ingest.push(topic, log_ns, publish_ns, *decoded(self._extract[topic], raw))
+        for topic, log_ns, publish_ns, raw, number in self._waiting:
+            self._ingest.push(topic, log_ns, publish_ns, *decoded(self._extract[topic], raw),
+                              number)
         self._waiting.clear()
 
 

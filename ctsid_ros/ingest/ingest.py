@@ -25,12 +25,15 @@ from ctsid_ros.decoding.block import Block, Columns
 from ctsid_ros.decoding.cdr import DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
-from ctsid_ros.ingest.counts import ChannelCounts, IngestCounts, complaints
+from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
+from ctsid_ros.ingest.mixing import Mixing
+from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
 _ZEROS = 3  # messages with a zero header stamp after which a topic is known to have none
 _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
-_Message = tuple[_Times, Sequence[float]]
+_Message = tuple[_Times, Sequence[float], int]  # and the number of the publisher, 0: not known
+_Columns = NDArray[np.intp]
 _Turns = list[tuple[int, float]]  # column, and a full turn of its angle
 
 
@@ -51,6 +54,8 @@ class _Topic:
                        for name, members in groups.items()]
         self.undivided = len(self.groups) == 1
         self.non_finite = dict.fromkeys(self.parts, 0)
+        # How many publishers there are now a recording does not tell.
+        self.numbers = SequenceNumbers(lambda: 1)
         self.source = self.why = ''  # of the channels whose stamp is 'auto'
         self.routes: list[tuple[str, slice, int]] = []  # group, its values, its source
         self.held: list[_Message] = []  # messages that wait for the source to be known
@@ -65,10 +70,15 @@ class _Topic:
         held, self.held = self.held, []
         return held
 
+    def publishers(self, sequences: NDArray[np.int64] | None) -> NDArray[np.int64] | None:
+        """Return the publishers of messages with these numbers; None if they are not known."""
+        return None if sequences is None or not sequences.all() else \
+            self.numbers.take_all(sequences)
+
     def source_of(self, channel: str) -> tuple[str, str]:
         """Return the source of the stamps of a channel, and why."""
         stamp = self.stamps[channel]
-        return (self.source, self.why) if stamp == 'auto' else (stamp, 'it is set so')
+        return (self.source, self.why) if stamp == 'auto' else (stamp, SET)
 
 
 class Ingest:
@@ -99,6 +109,7 @@ class Ingest:
             topic: _Topic([c for run in runs for c in run if c.topic == topic],
                           {name: run for name, run in groups.items() if run[0].topic == topic})
             for topic in dict.fromkeys(run[0].topic for run in runs)}
+        self._mixing = {name: Mixing() for name in groups}
         settings = config.settings
         nu = sum(channel.width for channel in config.inputs)
         self._window = SlidingWindow(
@@ -126,7 +137,7 @@ class Ingest:
         return self._window.filled
 
     def push(self, topic: str, log_ns: int, publish_ns: int, header_ns: int | None,
-             values: Sequence[float]) -> None:
+             values: Sequence[float], sequence: int = 0) -> None:
         """
         Take one message.
 
@@ -142,6 +153,8 @@ class Ingest:
         values : sequence of float
             The scalars of `fields[topic]`, one after another; empty for a message that could not
             be decoded: it is counted.
+        sequence : int
+            Its number among those of its publisher; 0 if that is not known.
 
         Raises
         ------
@@ -152,10 +165,11 @@ class Ingest:
         if target is None:
             raise DataError(f'no channel is of topic {topic!r}'
                             f'{nearest(topic, list(self._topics))}')
+        publisher = target.numbers.take(sequence) if sequence else 0
         if target.routes:
-            self._route(target, (log_ns, publish_ns, header_ns), values)
+            self._route(target, (log_ns, publish_ns, header_ns), values, publisher)
         else:
-            self._choose(target, (log_ns, publish_ns, header_ns), values)
+            self._choose(target, (log_ns, publish_ns, header_ns), values, publisher)
 
     def push_block(self, block: Block) -> None:
         """
@@ -171,8 +185,11 @@ class Ingest:
         routes: list[tuple[_Topic, slice]] = []
         parts: list[Rows] = []
         places: list[NDArray[np.intp]] = []
+        publishers: list[NDArray[np.int64] | None] = []
         for number, rows in enumerate(block.columns):
             topic = self._topics[rows.topic]
+            own = topic.publishers(rows.sequences)
+            publishers += [own] * len(topic.routes) if len(rows) else []
             for group, part, source in topic.routes if len(rows) else ():
                 stamps = (rows.log_ns, rows.publish_ns, rows.header_ns)[source]
                 routes.append((topic, part))
@@ -181,9 +198,15 @@ class Ingest:
                 places.append(np.flatnonzero(block.which == number))
         if not parts:
             return
-        which = np.repeat(np.arange(len(parts)), [len(own) for own in places])
+        which = np.repeat(np.arange(len(parts)), [len(at) for at in places])
         order = which[np.argsort(np.concatenate(places), kind='stable')]
-        for number, row in self._window.push_rows(order, parts):
+        dropped = self._window.push_rows(order, parts)
+        for number, who in enumerate(publishers):
+            if who is not None:
+                rest = [row for at, row in dropped if at == number]
+                self._mixing[parts[number].group].take_rows(
+                    *(np.delete(column, rest) for column in (who, parts[number].stamps)))
+        for number, row in dropped:
             topic, part = routes[number]
             if parts[number].sound[row]:
                 self._count_non_finite(topic, part, parts[number].values[row])
@@ -205,12 +228,12 @@ class Ingest:
 
     def due(self) -> Iterator[Record]:
         """Hand out the windows that the stamps have passed, oldest first."""
-        return map(self._join_angles, self._window.due())
+        return map(self._due, self._window.due())
 
     def flush(self) -> Iterator[Record]:
         """Hand out all windows that the samples reach the end of: no more will come."""
         self._settle_all()
-        return map(self._join_angles, self._window.flush())
+        return map(self._finished, self._window.flush())
 
     def whole(self) -> Record | None:
         """
@@ -221,7 +244,7 @@ class Ingest:
         """
         self._settle_all()
         record = self._window.whole()
-        return record and self._join_angles(record)
+        return record and self._finished(record)
 
     def latest(self) -> Record | None:
         """
@@ -230,7 +253,7 @@ class Ingest:
         The windows that are due are not affected.
         """
         record = self._window.latest()
-        return record and self._join_angles(record)
+        return record and self._finished(record)
 
     def counts(self) -> IngestCounts:
         """Return what became of messages and windows so far."""
@@ -250,7 +273,8 @@ class Ingest:
         """Return a sentence on each fault, and its cure."""
         return complaints(self.counts(), self._config)
 
-    def _route(self, topic: _Topic, times: _Times, values: Sequence[float]) -> None:
+    def _route(self, topic: _Topic, times: _Times, values: Sequence[float], publisher: int
+               ) -> None:
         if len(values) != topic.width:
             values = ()  # nobody knows which of them are whose: a wrong width for all
         for group, part, source in topic.routes:
@@ -258,6 +282,8 @@ class Ingest:
             own = values if topic.undivided else values[part]
             if not self._push(group, times[source] or 0, own):
                 self._count_non_finite(topic, part, values[part])
+            elif publisher:
+                self._mixing[group].take(publisher, times[source] or 0)
 
     def _count_non_finite(self, topic: _Topic, dropped: slice, values: Sequence[float]) -> None:
         for name, part in topic.parts.items():
@@ -265,9 +291,10 @@ class Ingest:
                 own = slice(part.start - dropped.start, part.stop - dropped.start)
                 topic.non_finite[name] += not all(map(isfinite, values[own]))
 
-    def _choose(self, topic: _Topic, times: _Times, values: Sequence[float]) -> None:
+    def _choose(self, topic: _Topic, times: _Times, values: Sequence[float], publisher: int
+                ) -> None:
         """Settle where the stamps of a topic come from, once and for all its messages."""
-        topic.held.append((times, values))
+        topic.held.append((times, values, publisher))
         header_ns = times[2]
         if header_ns is None:
             held = topic.settle('log', 'its messages have no header')
@@ -286,18 +313,36 @@ class Ingest:
                 for message in topic.settle('log', 'the stamps in its headers are zero'):
                     self._route(topic, *message)
 
-    def _join_angles(self, record: Record) -> Record:
-        """Unwrap the angles, now that the samples are in order."""
+    def _due(self, record: Record) -> Record:
+        finished = self._finished(record)
+        for mixing in self._mixing.values():
+            mixing.forget(record.epoch_ns)  # the next windows begin later
+        return finished
+
+    def _finished(self, record: Record) -> Record:
+        """Unwrap the angles, now that the samples are in order; tell of mixed samples."""
         return replace(record, inputs=_unwrapped(record.inputs, self._turns['input']),
-                       outputs=_unwrapped(record.outputs, self._turns['output']))
+                       outputs=_unwrapped(record.outputs, self._turns['output']),
+                       faults=tuple(self._faults(record)))
+
+    def _faults(self, record: Record) -> Iterator[str]:
+        mixed = [group for signal, (group, mixing) in zip(
+                     (*record.inputs, *record.outputs), self._mixing.items(), strict=True)
+                 if mixing.within(signal, record)]
+        for name, topic in self._topics.items():
+            if own := [group for group, _, _ in topic.groups if group in mixed]:
+                yield (f'Samples of several publishers are mixed in {", ".join(own)}, of {name}; '
+                       'stop all but one of them, or give them topics of their own.')
 
 
-def _messages(rows: Columns) -> Iterator[tuple[str, int, int, int | None, tuple[float, ...]]]:
+def _messages(rows: Columns
+              ) -> Iterator[tuple[str, int, int, int | None, tuple[float, ...], int]]:
     """Yield messages as `Ingest.push` takes them."""
     headers = [None] * len(rows) if rows.header_ns is None else rows.header_ns.tolist()
     for i, header_ns in enumerate(headers):
         yield (rows.topic, int(rows.log_ns[i]), int(rows.publish_ns[i]), header_ns,
-               tuple(rows.values[i].tolist()) if rows.sound[i] else ())
+               tuple(rows.values[i].tolist()) if rows.sound[i] else (),
+               0 if rows.sequences is None else int(rows.sequences[i]))
 
 
 def decoded(extract: Extractor, raw: Raw) -> Extracted:

@@ -57,5 +57,5 @@ SHARED: Mapping[str, Topic] = {
 SERVICES: Mapping[str, str] = {
     'identify': 'Identify the last window now, out of turn, unless a newer one is due first.',
     'reset': 'Forget data and models.',
-    'save': 'Write the last accepted model to the folder save.folder.',
+    'save': 'Write the last accepted model to the folder save.folder, and tell its grade.',
 }

@@ -9,7 +9,7 @@ since the activation are among the numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from ctsid_core.linear.types import Array
@@ -75,10 +75,12 @@ class IngestDiagnosis:
             The last fault of the ingest itself, if any.
         """
         silent: list[str] = []
+        regular = [topic for topic, state in feed.topics.items()
+                   if not (state.kept and state.messages == 1)]  # others are published once
         values: dict[str, object] = {}
         for topic, state in feed.topics.items():
             age = (now_ns - (state.last_ns or self._start_ns)) * 1e-9
-            if age > timeout:
+            if age > timeout and topic in regular:
                 silent.append(f'{topic} has been silent for {age:.1f} s; check its '
                               'publisher' if state.messages
                               else f'no message has come on {topic}; check its name, and that '
@@ -97,8 +99,9 @@ class IngestDiagnosis:
         troubles += [line for line in feed.report(recent, f' of the last {self._length:g} s')
                      if 'no message has come' not in line]
         self.troubles = troubles
-        level = (Level.ERROR if failure else Level.STALE if len(silent) == len(feed.topics)
-                 else Level.WARN if troubles else Level.OK)
+        level = (Level.ERROR if failure else
+                 Level.STALE if silent and len(silent) == len(regular) else
+                 Level.WARN if troubles else Level.OK)
         return Health(INGEST, level, '; '.join(troubles) or 'messages come in', values)
 
     def _rate(self, topic: str, messages: int, now: float) -> float:
@@ -150,17 +153,28 @@ def diagnose_identification(progress: Progress) -> Health:
     return Health(IDENTIFICATION, level, '; '.join(troubles) or verdict.reason, values)
 
 
+def with_cause(identification: Health, ingest: Health, troubles: Sequence[str]) -> Health:
+    """Return how the identification is, with what the ingest says of it; see `IngestDiagnosis`."""
+    if ingest.level is Level.STALE and identification.level is not Level.STALE:
+        return replace(identification, level=Level.STALE, message=(
+            f'no messages come in, see ingest; of the last window: {identification.message}'))
+    if identification.level is Level.OK or not troubles:
+        return identification
+    return replace(identification, message=(
+        f'{identification.message.rstrip(".")}; the ingest may know why: {troubles[0]}'))
+
+
 def _without_result(progress: Progress, slow: str, values: dict[str, object]) -> Health:
     """Return how the identification is before its first result."""
     if progress.failure:
         return Health(IDENTIFICATION, Level.ERROR, progress.failure, values)
-    words, now = slow or 'no window is full yet', progress.under_way
+    words, now = slow, progress.under_way
     if now is not None and not slow:
         words = f'window {now.number} is being identified, for {now.seconds:.1f} s so far'
-    elif progress.windows and not slow:
+    elif progress.waiting and not slow:
         words = 'a window is about to be identified'
     return Health(IDENTIFICATION, Level.WARN if slow else Level.STALE,
-                  f'{words}; there is no result yet' if progress.windows else words, values)
+                  f'{words}; there is no result yet' if words else 'no window is full yet', values)
 
 
 def _slow(progress: Progress) -> str:

@@ -38,6 +38,8 @@ _PLAIN = {'name': 'a', 'role': 'input', 'topic': 'a', 'type': '', 'field': 'a'}
 _WHOLE = (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY)
 _FIXED = ('is fixed while the node is configured; clean it up first (ros2 lifecycle set '
           '{node} cleanup), or change the parameter file')
+_ELSEWHERE = ('no parameter of a file is for this node: the file has to name it, as `{node}:`, or '
+              'all, as `/**:`; or start the node by the name in the file, with `-r __node:=NAME`')
 
 
 def declare(node: Node) -> None:
@@ -68,6 +70,8 @@ def read(node: Node) -> Config:
         config = parse_parameters(_given(node))
     except SettingsError as error:
         faults = [*error.faults, *faults]
+    if faults and _overrides(node).keys().isdisjoint((*ROLE_LISTS, *OWN_KEYS)):
+        faults.append(_ELSEWHERE.format(node=node.get_fully_qualified_name()))
     if faults:
         raise SettingsError(faults)
     return config

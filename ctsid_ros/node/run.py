@@ -23,7 +23,7 @@ from ctsid_ros.ingest.feed import Feed
 from ctsid_ros.ingest.sim_clock import SimClock
 from ctsid_ros.messages.health import Health
 from ctsid_ros.messages.models import provenance
-from ctsid_ros.node.diagnosis import IngestDiagnosis, diagnose_identification
+from ctsid_ros.node.diagnosis import IngestDiagnosis, diagnose_identification, with_cause
 from ctsid_ros.node.intake import Intake
 from ctsid_ros.node.plan import Plan
 from ctsid_ros.node.session import Identified, Session
@@ -91,7 +91,8 @@ class Run:
         with self.intake.lock:
             ingest = self.diagnosis.look(self.feed, time.time_ns(), timeout, faults,
                                          self.intake.failure)
-        return [ingest, diagnose_identification(self.session.progress)]
+        return [ingest, with_cause(diagnose_identification(self.session.progress), ingest,
+                                   self.diagnosis.troubles)]
 
     def identify(self) -> Answer:
         """Identify the last window of data now, out of turn."""
@@ -108,11 +109,12 @@ class Run:
         """Forget all data and models."""
         with self.intake.lock:  # no window of before is handed over in between
             self.feed.reset()
+            self.intake.begin_anew()
             self.session.reset()
         return True, 'data and models are forgotten'
 
     def save(self, folder: Path) -> Answer:
-        """Write the last accepted model into a folder."""
+        """Write the last accepted model into a folder, and tell its grade."""
         accepted = self.session.progress.accepted
         if accepted is None:
             return False, 'there is no accepted model yet; see /diagnostics'
@@ -125,7 +127,10 @@ class Run:
             save_model(path, estimate, self.metadata(accepted), force=True)
         except (StorageError, OSError) as error:
             return False, f'not written: {error}'
-        return True, f'written to {path.absolute()}'
+        words = f'window {accepted.window.number} is written to {path.absolute()}'
+        return True, f'GOOD: {words}' if estimate.good else (
+            f'{words}, but it is {estimate.verdict.grade.name}: {estimate.verdict.reason} Save '
+            'again after a window that is GOOD')
 
 
 def begin(node: Node, plan: Plan, publish: Callable[[Identified], None],

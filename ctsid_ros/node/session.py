@@ -100,6 +100,8 @@ class Progress:
     failure : str
         The fault of the last window, if it broke off.
     under_way : UnderWay or None
+    waiting : bool
+        Whether a window waits to be identified.
     last, accepted : Identified or None
         The last window, and the last one with an accepted model.
     budget : float
@@ -111,6 +113,7 @@ class Progress:
     failures: int = 0
     failure: str = ''
     under_way: UnderWay | None = None
+    waiting: bool = False
     last: Identified | None = None
     accepted: Identified | None = None
     budget: float = math.nan
@@ -148,7 +151,7 @@ class Session:
         begun, skipped = self._begun, self._worker.skipped
         under_way = begun and UnderWay(begun[0], time.monotonic() - begun[1], skipped - begun[2])
         return replace(self._progress, skipped=skipped, under_way=under_way,
-                       budget=self._settings.budget)
+                       waiting=self._worker.waiting, budget=self._settings.budget)
 
     def submit(self, record: Record, arrival_ns: int | None, *, requested: bool = False) -> None:
         """Identify a window as soon as the present one is done; see `Window`."""

@@ -44,6 +44,11 @@ class Worker(Generic[Job]):
         """Begin."""
         self._thread.start()
 
+    @property
+    def waiting(self) -> bool:
+        """Whether a job waits."""
+        return self._pending is not None
+
     def submit(self, job: Job) -> None:
         """Let a job be done as soon as the present one is; an older one that waits is skipped."""
         with self._condition:

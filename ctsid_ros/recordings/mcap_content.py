@@ -25,8 +25,9 @@ from ctsid_ros.recordings.chunks import Held
 RECORD = struct.Struct('<BQ')  # opcode, length of what follows
 _INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entries
 _ENTRY = np.dtype([('log', '<i8'), ('offset', '<i8')])
-_HEAD = np.dtype({'names': ['opcode', 'length', 'channel', 'log', 'publish'],
-                  'formats': ['u1', '<i8', '<u2', '<i8', '<i8'], 'offsets': [0, 1, 9, 15, 23],
+_HEAD = np.dtype({'names': ['opcode', 'length', 'channel', 'sequence', 'log', 'publish'],
+                  'formats': ['u1', '<i8', '<u2', '<u4', '<i8', '<i8'],
+                  'offsets': [0, 1, 9, 11, 15, 23],
                   'itemsize': 31})  # of the record of a message, up to its data
 _MESSAGE, _MESSAGE_INDEX = Opcode.MESSAGE.value, Opcode.MESSAGE_INDEX.value
 _DEFINITIONS = (Opcode.SCHEMA.value, Opcode.CHANNEL.value)
@@ -86,7 +87,8 @@ class Messages(NamedTuple):
         """Return some of them as messages of one topic."""
         heads = self.heads[rows]
         return Located(slot, memory, self.offsets[rows], self.lengths[rows],
-                       np.ascontiguousarray(heads['log']), np.ascontiguousarray(heads['publish']))
+                       np.ascontiguousarray(heads['log']), np.ascontiguousarray(heads['publish']),
+                       sequences=heads['sequence'].astype(np.int64))
 
 
 Found = tuple[list[Located], list[int]]  # and how many messages there are in each source

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the running node says of the cause of bad models, and of what has ended."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip('rclpy')
+from live import LATCHED, RELIABLE, Live  # noqa: E402
+from robot import EPOCH, Robot, S, joint_message, motion, params  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+
+from ctsid_core.model.verdict import Grade  # noqa: E402
+from ctsid_ros.config.parameter_file import read_config  # noqa: E402
+from ctsid_ros.messages import Level  # noqa: E402
+from ctsid_ros.recordings.bag import open_bag  # noqa: E402
+from ctsid_ros.replay.replay import Replay  # noqa: E402
+
+MIXED = ('Samples of several publishers are mixed in torque, of /command; stop all but one of '
+         'them, or give them topics of their own.')
+
+
+@pytest.fixture
+def live(tmp_path):
+    with Live(tmp_path) as made:
+        yield made
+
+
+def test_windows_of_two_publishers_are_never_good(live, tmp_path):
+    path = tmp_path / 'flight.mcap'
+    node = live.identifier(params(
+        f"ingest.timeout: 60.0\nwindow.stride: 1.5\ningest.record: '{path}'"))
+    robot = Robot(live, motion(11.5), node.name)
+    idle, = live.publishers({'/command': JointState}, RELIABLE, node.name)
+    robot.send(4.7)
+    first, = node.wait_models(1)  # the second publisher is there, and silent
+    assert first.good
+    for k in range(100):
+        robot.send(4.7 + 0.02 * k)
+        idle.publish(joint_message(EPOCH + round((4.69 + 0.02 * k) * 1e9), [0.0]))
+    node.wait_models(2)
+    robot.feed(node, length=7.0, stride=1.5)
+    found = node.wait_models(5)
+    for estimate in found:
+        mixed = estimate.start_ns < EPOCH + 6.67 * S and estimate.end_ns > EPOCH + 4.72 * S
+        assert estimate.good != mixed, estimate.verdict
+        assert not mixed or estimate.verdict.reason == MIXED
+    said = node.wait_health('ingest', lambda h: 'publishers are on /command' in h.message, 'two')
+    assert said.level == Level.WARN
+    assert node.program.end()[0] == 0
+    with open_bag(path) as bag:
+        replay = Replay(bag, read_config(tmp_path / 'params0.yaml'))
+        replay.run()
+    again = {result.estimate.end_ns: result.estimate.verdict.reason for result in replay.results}
+    assert {e.end_ns: e.verdict.reason for e in found}.items() <= again.items()
+
+
+def test_a_weak_model_is_saved_with_its_reason(live, tmp_path):
+    node = live.identifier(params(f"validation.held_out: 0.0\nsave.folder: '{tmp_path}'"))
+    Robot(live, motion(4.6), node.name).send(4.6)
+    estimate, = node.wait_models(1)
+    assert estimate.verdict.grade is Grade.WEAK
+    live.wait(lambda: node.trigger('save')[0], 'a file')
+    said = node.trigger('save')[1]
+    assert f'but it is WEAK: {estimate.verdict.reason}' in said
+    assert said.endswith('Save again after a window that is GOOD')
+
+
+def test_topics_that_fell_silent_leave_nothing_that_is_well(live):
+    node = live.identifier(params('ingest.timeout: 1.0'))
+    Robot(live, motion(4.6), node.name).send(4.6)
+    assert node.wait_models(1)[0].good
+    said = node.wait_health('identification', lambda h: 'Every test' in h.message and
+                            h.level == Level.STALE, 'silence')
+    assert said.message.startswith('no messages come in, see ingest; of the last window: ')
+
+
+def test_a_cause_that_only_the_ingest_knows_is_told_beside_the_verdict(live):
+    node = live.identifier(params('ingest.timeout: 60.0'))
+    robot = Robot(live, motion(12.0), node.name)
+    robot.send(4.6)
+    node.wait_models(1)
+    while robot._rest:
+        t, name, values = robot._rest.pop(0)
+        robot.publish(name, EPOCH + round(t * 1e9) - (S if name == 'command' else 0), values)
+        live.wait(lambda: len(node.models) > t - 4.6 - 1.0, 'a window')  # noqa: B023
+    said = node.wait_health('identification', lambda h: 'came too late' in h.message or
+                            'not one of' in h.message, 'the cause')
+    assert said.level in (Level.WARN, Level.ERROR)
+    assert '; the ingest may know why: `torque`: ' in said.message
+    assert 'raise `window.max_delay`' in said.message
+
+
+def test_header_stamps_that_become_zero_are_told_with_a_cure_that_helps(live):
+    node = live.identifier(params('ingest.timeout: 60.0', length=2.0))
+    robot = Robot(live, motion(2.6), node.name)
+    robot.send(2.6)
+    node.wait_models(1)
+
+    def only_zeros(health) -> bool:
+        robot.publish('command', 0, [1.0])
+        return '`torque`: not one of' in health.message
+
+    said = node.wait_health('ingest', only_zeros, 'nothing but zeros')
+    assert ('has a stamp in its header, though the first ones had; correct the publisher, or set '
+            '`torque.stamp` to log') in said.message
+
+
+def test_an_input_published_once_before_the_node_began_is_heard(live):
+    text = params('ingest.timeout: 1.0').replace(
+        'inputs: [torque]', 'inputs: [torque, load]\n'
+        '    load: {topic: /load, type: std_msgs/msg/Float64, field: data}')
+    load = live.node.create_publisher(Float64, '/load', LATCHED)
+    load.publish(Float64(data=0.5))
+    node = live.identifier(text)
+    node.wait_health('ingest', lambda h: h.values['load samples'] == '1', 'the latched sample')
+    said = node.wait_health('ingest', lambda h: float(h.values['/load age [s]']) > 1.5, 'its age')
+    assert '/load' not in said.message
+    load.publish(Float64(data=0.6))
+    node.wait_health('ingest', lambda h: h.values['load samples'] == '2', 'another')
+    assert node.trigger('reset')[0]
+    load.publish(Float64(data=0.65))
+    node.wait_health('ingest', lambda h: h.values['load samples'] == '3', 'all of them again')
+    other, = live.publishers({'/load': Float64}, RELIABLE, node.name)
+
+    def both(health) -> bool:
+        other.publish(Float64(data=0.7))
+        return int(health.values['load samples']) > 5
+
+    assert 'so its messages do not come' not in node.wait_health('ingest', both, 'both').message
+
+
+def test_after_a_reset_no_window_is_full(live):
+    node = live.identifier(params('ingest.timeout: 60.0'))
+    Robot(live, motion(4.6), node.name).send(4.6)
+    node.wait_models(1)
+    assert node.trigger('reset')[0]
+    assert node.next_health('identification').message == 'no window is full yet'
+
+
+def test_a_parameter_file_for_another_node_is_said(live):
+    node = live.identifier(params().replace('/**:', 'tuner:'))
+    live.wait(lambda: 'not configured' in node.log, 'the refusal')
+    assert 'there is no input' in node.log
+    assert ('no parameter of a file is for this node: the file has to name it, as `/identifier:`, '
+            'or all, as `/**:`; or start the node by the name in the file, with `-r '
+            '__node:=NAME`') in node.log
