@@ -280,3 +280,26 @@ def test_an_experiment_that_is_cut_out_of_another_has_the_order_of_its_plant(del
         assert found.model.n == 1
         assert found.model.delay == pytest.approx([delay], abs=0.02)
         assert found.model.poles.real == pytest.approx([-2.0], abs=4.0 * found.pole_std[0])
+
+
+@pytest.mark.parametrize(('rate_u', 'rate_y', 'limits'), [
+    (200.0, 15.0, (0.5, 1.8)), *slow((1000.0, 10.0, (0.1, 1.8)))])
+def test_a_dead_time_is_known_to_the_interval_of_the_outputs(rate_u, rate_y, limits):
+    """
+    Commands that come more often than a camera sees tell no more: 13 to 17 ms were told as 5 and 1.
+
+    A zero of the model and its dead time stand in for each other here.
+    """
+    p, away = plant([[-5.0, 0.0], [1.0, 0.0]], [[5.0], [0.0]], [[0.0, 1.0]]), []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        t_u, t_y = np.arange(0.0, 30.0, 1.0 / rate_u), np.arange(0.5, 30.0, 1.0 / rate_y)
+        u = rng.uniform(-1.0, 1.0, 40)[(t_u / 0.9).astype(int), np.newaxis]
+        t_y = t_y + rng.uniform(0.0, 0.01, len(t_y))
+        y = held_response(p, t_u + 0.08, u, t_y) + 0.004 * rng.standard_normal((len(t_y), 1))
+        found = identify(Record.from_arrays(t_u, u, t_y, y, input_hold='zoh'),
+                         Settings(feedthrough=False))
+        away.append((found.model.delay[0] - 0.08) / found.delay_std[0])
+    rms = np.sqrt(np.mean(np.square(away)))
+    print(rms, np.round(away, 2))
+    assert limits[0] < rms < limits[1]

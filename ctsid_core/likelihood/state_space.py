@@ -115,7 +115,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
     moving = moving - basis @ (basis.T @ moving)
-    moving = np.vstack((moving, _intervals(samples, free, places, width)[:, wanted]))
+    moving = np.vstack((moving, _intervals(samples, places, width)[:, wanted]))
     turned = orthonormal(moving, GAUGE).T
     directions = np.zeros((width, apart.shape[1] + len(turned)))
     directions[nuisance, :apart.shape[1]] = apart
@@ -200,17 +200,16 @@ def _mean_around(values: NDArray[Any], reach: int) -> NDArray[Any]:
     return found
 
 
-def _intervals(samples: Samples, free: Free, places: Places, count: int) -> Array:
+def _intervals(samples: Samples, places: Places, count: int) -> Array:
     """
-    Return rows that say: dead times are known to a sample interval of the input, (delays, count).
+    Return rows that say: dead times are known to a sample interval of the outputs, (delays, count).
 
     Where a held input is sampled with the outputs, a small change of dead time is one of zeros,
     and nothing bounds it to first order; a change by more than an interval the samples do show.
     """
-    period = np.array([s.period for s in samples.records[0].inputs for _ in range(s.width)])
     found = np.zeros((places.delays, count))
     found[np.arange(places.delays), places.poles + np.arange(places.delays)] = \
-        1.0 / period[np.flatnonzero(free.delays)]
+        1.0 / samples.interval
     return found
 
 
