@@ -60,11 +60,14 @@ class Decoded(NamedTuple):
         The scalars; or whatever else a decoder makes of a message, shape (N,).
     sound : ndarray of bool, shape (N,)
         Which of the messages could be decoded; stamps and values of others mean nothing.
+    absent : ndarray of bool, shape (N, k), optional
+        Which scalars a message has no sample of, for it lacks their name; None if there is none.
     """
 
     header_ns: Stamps | None
     values: NDArray[Any]
     sound: NDArray[np.bool_]
+    absent: NDArray[np.bool_] | None = None
 
 
 Decode = Callable[[Sequence[Located]], Decoded]
@@ -79,7 +82,7 @@ class Columns:
     ----------
     topic : str
     log_ns, publish_ns : ndarray of int64, shape (N,)
-    header_ns, values, sound
+    header_ns, values, sound, absent
         As a decoder gives them, see `Decoded`.
     """
 
@@ -89,6 +92,7 @@ class Columns:
     header_ns: Stamps | None
     values: NDArray[Any]
     sound: NDArray[np.bool_]
+    absent: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.log_ns)
@@ -96,7 +100,8 @@ class Columns:
     def __getitem__(self, rows: slice | Index) -> Columns:
         return replace(self, log_ns=self.log_ns[rows], publish_ns=self.publish_ns[rows],
                        header_ns=None if self.header_ns is None else self.header_ns[rows],
-                       values=self.values[rows], sound=self.sound[rows])
+                       values=self.values[rows], sound=self.sound[rows],
+                       absent=None if self.absent is None else self.absent[rows])
 
     def followed_by(self, other: Columns) -> Columns:
         """Return the rows of both."""
@@ -104,10 +109,12 @@ class Columns:
             return self if len(self) else other
         headers = None if self.header_ns is None or other.header_ns is None else \
             np.concatenate((self.header_ns, other.header_ns))
+        absent = None if self.absent is None or other.absent is None else \
+            np.concatenate((self.absent, other.absent))
         return Columns(self.topic, np.concatenate((self.log_ns, other.log_ns)),
                        np.concatenate((self.publish_ns, other.publish_ns)), headers,
                        np.concatenate((self.values, other.values)),
-                       np.concatenate((self.sound, other.sound)))
+                       np.concatenate((self.sound, other.sound)), absent)
 
 
 @dataclass(frozen=True)
