@@ -22,7 +22,7 @@ from ctsid_core.signals.samples import Group, Rows
 from ctsid_core.signals.windows import SlidingWindow
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.block import Block, Columns
-from ctsid_ros.decoding.cdr import DecodeError, Extracted, Extractor
+from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import ChannelCounts, IngestCounts, complaints
@@ -32,6 +32,7 @@ _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of 
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float]]
 _Columns = NDArray[np.intp]
+_Kind = tuple[str, str, str, str]  # of a signal: role, topic, stamp, hold
 
 
 class _Topic:
@@ -50,6 +51,8 @@ class _Topic:
                                     self.parts[members[-1].name].stop), members[0].stamp)
                        for name, members in groups.items()]
         self.undivided = len(self.groups) == 1
+        self.by_name = any(path.elements for path in self.fields)
+        self.absent = dict.fromkeys(groups, 0)
         self.non_finite = dict.fromkeys(self.parts, 0)
         self.source = self.why = ''  # of the channels whose stamp is 'auto'
         self.routes: list[tuple[str, slice, int]] = []  # group, its values, its source
@@ -81,7 +84,7 @@ class Ingest:
     ----------
     config : Config
         Inputs and outputs keep its order in the records. Neighbours of one role, topic, stamp and
-        hold form one signal, with the same stamps.
+        hold form one signal if they have the same stamps.
 
     Raises
     ------
@@ -91,8 +94,9 @@ class Ingest:
 
     def __init__(self, config: Config) -> None:
         self._config = config
+        # Elements that are chosen by name come together only if a message has all of them.
         runs = [list(run) for _, run in groupby(
-            (*config.inputs, *config.outputs), key=lambda c: (c.role, c.topic, c.stamp, c.hold))]
+            (*config.inputs, *config.outputs), key=lambda c: (*_kind(c), c.path.elements))]
         groups = {', '.join(channel.name for channel in run): run for run in runs}
         self._group_of = {channel.name: name for name, run in groups.items() for channel in run}
         self._topics = {
@@ -109,6 +113,8 @@ class Ingest:
         for run in runs:
             flags = [angle for channel in run for angle in channel.path.angles]
             self._angles[run[0].role].append(np.flatnonzero(flags))
+        self._kinds = {role: [_kind(run[0]) for run in runs if run[0].role == role]
+                       for role in self._angles}
 
     @property
     def fields(self) -> dict[str, tuple[FieldPath, ...]]:
@@ -140,8 +146,8 @@ class Ingest:
         header_ns : int or None
             The stamp in its header [ns]; None if it has no header.
         values : sequence of float
-            The scalars of `fields[topic]`, one after another; empty for a message that could not
-            be decoded: it is counted.
+            The scalars of `fields[topic]`, one after another, `ABSENT` where it has no sample;
+            empty for a message that could not be decoded: it is counted.
 
         Raises
         ------
@@ -174,11 +180,18 @@ class Ingest:
         for number, rows in enumerate(block.columns):
             topic = self._topics[rows.topic]
             for group, part, source in topic.routes if len(rows) else ():
-                stamps = (rows.log_ns, rows.publish_ns, rows.header_ns)[source]
+                place = np.flatnonzero(block.which == number)
+                own = rows
+                if rows.absent is not None and (absent := rows.absent[:, part].any(axis=1)).any():
+                    topic.absent[group] += int(np.count_nonzero(absent))
+                    own, place = rows[np.flatnonzero(~absent)], place[~absent]
+                if not len(own):
+                    continue
+                stamps = (own.log_ns, own.publish_ns, own.header_ns)[source]
                 routes.append((topic, part))
-                parts.append(Rows(group, np.zeros_like(rows.log_ns) if stamps is None else stamps,
-                                  rows.values[:, part], rows.sound))
-                places.append(np.flatnonzero(block.which == number))
+                parts.append(Rows(group, np.zeros_like(own.log_ns) if stamps is None else stamps,
+                                  own.values[:, part], own.sound))
+                places.append(place)
         if not parts:
             return
         which = np.repeat(np.arange(len(parts)), [len(own) for own in places])
@@ -239,7 +252,8 @@ class Ingest:
             topic = self._topics[channel.topic]
             samples = replace(counts.groups[self._group_of[channel.name]],
                               non_finite=topic.non_finite[channel.name])
-            channels[channel.name] = ChannelCounts(*topic.source_of(channel.name), samples)
+            channels[channel.name] = ChannelCounts(*topic.source_of(channel.name), samples,
+                                                   topic.absent[self._group_of[channel.name]])
         return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
 
     def forget_worst(self) -> None:
@@ -256,6 +270,9 @@ class Ingest:
         for group, part, source in topic.routes:
             # A header stamp that is missing counts as zero: the window drops and counts it.
             own = values if topic.undivided else values[part]
+            if topic.by_name and any(value is ABSENT for value in own):
+                topic.absent[group] += 1
+                continue
             if not self._push(group, times[source] or 0, own):
                 self._count_non_finite(topic, part, values[part])
 
@@ -287,9 +304,11 @@ class Ingest:
                     self._route(topic, *message)
 
     def _join_angles(self, record: Record) -> Record:
-        """Unwrap the angles, now that the samples are in order."""
-        return replace(record, inputs=_unwrapped(record.inputs, self._angles['input']),
-                       outputs=_unwrapped(record.outputs, self._angles['output']))
+        """Unwrap the angles, now that the samples are in order, and join what came together."""
+        inputs, outputs = (
+            _together(_unwrapped(signals, self._angles[role]), self._kinds[role])
+            for role, signals in (('input', record.inputs), ('output', record.outputs)))
+        return replace(record, inputs=inputs, outputs=outputs)
 
 
 def _messages(rows: Columns) -> Iterator[tuple[str, int, int, int | None, tuple[float, ...]]]:
@@ -297,7 +316,15 @@ def _messages(rows: Columns) -> Iterator[tuple[str, int, int, int | None, tuple[
     headers = [None] * len(rows) if rows.header_ns is None else rows.header_ns.tolist()
     for i, header_ns in enumerate(headers):
         yield (rows.topic, int(rows.log_ns[i]), int(rows.publish_ns[i]), header_ns,
-               tuple(rows.values[i].tolist()) if rows.sound[i] else ())
+               _values(rows, i) if rows.sound[i] else ())
+
+
+def _values(rows: Columns, i: int) -> tuple[float, ...]:
+    values = rows.values[i].tolist()
+    if rows.absent is not None:
+        values = [ABSENT if absent else value
+                  for value, absent in zip(values, rows.absent[i].tolist(), strict=True)]
+    return tuple(values)
 
 
 def decoded(extract: Extractor, raw: Raw) -> Extracted:
@@ -318,6 +345,23 @@ def _group(name: str, channels: Sequence[Channel]) -> Group:
     names = tuple(scalar for channel in channels for scalar in channel.scalar_names)
     units = tuple(channel.unit for channel in channels for _ in range(channel.width))
     return Group(name, len(names), first.role, first.hold, names, units)
+
+
+def _kind(channel: Channel) -> _Kind:
+    return channel.role, channel.topic, channel.stamp, channel.hold
+
+
+def _together(signals: Sequence[Signal], kinds: Sequence[_Kind]) -> tuple[Signal, ...]:
+    """Make one signal of neighbours of one kind whose stamps are equal: that is less work."""
+    joined: list[Signal] = []
+    for i, signal in enumerate(signals):
+        if joined and kinds[i] == kinds[i - 1] and np.array_equal(joined[-1].time, signal.time):
+            last = joined[-1]
+            joined[-1] = replace(last, values=np.hstack((last.values, signal.values)),
+                                 names=last.names + signal.names, units=last.units + signal.units)
+        else:
+            joined.append(signal)
+    return tuple(joined)
 
 
 def _unwrapped(signals: tuple[Signal, ...], angles: Sequence[_Columns]) -> tuple[Signal, ...]:

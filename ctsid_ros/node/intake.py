@@ -79,6 +79,8 @@ class Intake:
             reliability=RELIABILITY[settings.ingest_reliability],
             durability=DurabilityPolicy.VOLATILE)
         self._classes = dict(classes)
+        self._mixing = {channel.topic for channel in feed.config.channels
+                        if not channel.path.elements}  # these take what anybody publishes
         self._names = {topic: node.resolve_topic_name(topic) for topic in classes}
         self._subscriptions = {
             topic: self._own.create_subscription(cls, self._names[topic], _not_called, self._qos,
@@ -112,7 +114,7 @@ class Intake:
                     yield f'{who} {fault}'
                 else:
                     heard.append(who.removesuffix(f' of {name}'))
-            if len(heard) > 1:
+            if len(heard) > 1 and topic in self._mixing:
                 yield (f'{len(heard)} publishers are on {name}, whose samples are mixed into the '
                        f'same channels: {", ".join(heard)}; stop all but one, or give them topics '
                        'of their own')

@@ -25,11 +25,12 @@ from types import TracebackType
 from typing import NamedTuple
 
 from ctsid_ros.decoding.block import Block, Decode
-from ctsid_ros.decoding.cdr import Extractor
+from ctsid_ros.decoding.cdr import ABSENT, Extractor
 from ctsid_ros.decoding.cdr_layout import DecodeError
 from ctsid_ros.decoding.field_path import FieldError, FieldPath, nearest
 from ctsid_ros.decoding.message_fields import bind, scalar_fields
 from ctsid_ros.decoding.message_types import MessageType
+from ctsid_ros.decoding.names import missing, mixed
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.files import find_files, scan_file
 from ctsid_ros.recordings.packed import raw, unpacking
@@ -109,9 +110,22 @@ class Bag:
         BagError
             If a topic or field is not in the bag, or it cannot be read on.
         """
-        return self._blocks({topic: unpacking(self.extractor(topic, [
-            self.bind(topic, path) for path in paths]).columns)
-            for topic, paths in fields.items()}, span_ns)
+        extractors = {topic: self.extractor(topic, [self.bind(topic, path) for path in paths])
+                      for topic, paths in fields.items()}
+        blocks = self._blocks({topic: unpacking(extract.columns)
+                               for topic, extract in extractors.items()}, span_ns)
+        return self._watched(blocks, extractors)
+
+    def _watched(self, blocks: Iterator[Block], extractors: Mapping[str, Extractor]
+                 ) -> Iterator[Block]:
+        """Note fields by index that are not always of the same name."""
+        try:
+            yield from blocks
+        finally:
+            for topic, extract in extractors.items():
+                for field in extract.fields:
+                    if fault := mixed(field, extract.called):
+                        self._note(f'topic {topic}: {fault}')
 
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
@@ -196,16 +210,19 @@ class Bag:
         """
         Close the open ranges of a field (`effort[:]`) by the first message that has elements.
 
+        A field by name (`velocity[elbow]`) is looked for in the messages.
+
         Raises
         ------
         BagError
-            If there is no such topic or field, or no message with elements.
+            If there is no such topic or field, or no message with elements, or with the name: it
+            says which names there are.
         """
         kind = self.message_type(topic)
         reason: Exception | str = 'there is no message'
         try:
             if not path.is_open:
-                Extractor(kind, [path])
+                self._look_for(topic, path)
                 return path
             with closing(self._stream_of(topic)) as messages:
                 for message in messages:
@@ -216,6 +233,21 @@ class Bag:
         except FieldError as error:
             raise BagError(f'topic {topic}: {error}') from None
         raise BagError(f'topic {topic}: the length of `{path}` is not known: {reason}')
+
+    def _look_for(self, topic: str, path: FieldPath) -> None:
+        extract = Extractor(self.message_type(topic), [path])
+        damaged = not path.elements or not self.topic(topic).count  # there is nothing to look for
+        with closing(self._stream_of(topic)) as messages:
+            for message in () if damaged else messages:
+                try:
+                    _, (first, *_) = extract(message.raw)
+                except DecodeError:
+                    damaged = True  # it is said later why there are no samples
+                    continue
+                if first is not ABSENT:
+                    return
+        if not damaged:
+            raise BagError(f'topic {topic}: {missing(path, extract.names)}')
 
     def scalar_fields(self, topic: str, most: int = 64) -> list[FieldPath]:
         """
