@@ -26,16 +26,20 @@ from test_columns import laid, one_by_one
 
 from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import Channel, Config
+from ctsid_ros.config.parameter_text import dump_config
 from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extractor
 from ctsid_ros.decoding.field_path import FieldError, parse_field
 from ctsid_ros.decoding.message_fields import bind
-from ctsid_ros.decoding.names import mixed
+from ctsid_ros.decoding.names import mixed, title
 from ctsid_ros.errors import BagError
 from ctsid_ros.ingest.feed import Feed, Taken
 from ctsid_ros.ingest.ingest import Ingest
 from ctsid_ros.ingest.recent import Recent
 from ctsid_ros.recordings.bag import open_bag
+from ctsid_ros.recordings.guess import by_names, guess
+from ctsid_ros.recordings.guess_named import named
 from ctsid_ros.recordings.playback import Interval, play, read_record
+from ctsid_ros.recordings.survey import survey
 from ctsid_ros.replay.replay import Replay
 
 S = 10**9
@@ -83,11 +87,11 @@ def test_an_element_is_found_wherever_its_name_is(little):
     fields = ('position[elbow]', 'velocity[elbow]', 'position[finger]', 'effort[0]')
     extract = extractor(JOINTS, *fields)
     rows = [extract(raw) for raw in raws]
-    for (named, message), (stamp, scalars) in zip(sent, rows, strict=True):
-        elbow, finger = (named.get(name, math.nan) for name in ('elbow', 'finger'))
+    for (values, message), (stamp, scalars) in zip(sent, rows, strict=True):
+        elbow, finger = (values.get(name, math.nan) for name in ('elbow', 'finger'))
         np.testing.assert_array_equal(scalars, [elbow, 10 * elbow, finger, message.effort[0]])
         assert [scalar is ABSENT for scalar in scalars] == [
-            'elbow' not in named, 'elbow' not in named, 'finger' not in named, False]
+            'elbow' not in values, 'elbow' not in values, 'finger' not in values, False]
         assert stamp == message.header.stamp.nanosec
     for again in (extractor(JOINTS, *fields), extract):
         columns = again.columns(laid(np.random.default_rng(1), raws))
@@ -337,3 +341,51 @@ def test_a_swap_between_two_looks_is_said_until_it_is_long_past():
             seconds in (2, 4))
     feed, _ = live(arm(), config('velocity[elbo]'))
     assert not any('no message has come' in line for line in feed.report())
+
+
+def test_guesses_name_joints(tmp_path):
+    """Of two publishers, whose joints change their order: the parameter file is by name."""
+    with open_bag(write_mcap(tmp_path / 'b.mcap', arm(20.0))) as bag:
+        found = survey(bag)
+        joint_states, = (topic for topic in found.topics if topic.info.name == JOINTS_TOPIC)
+        assert {f.field for f in joint_states.fields} == {
+            f'{what}[{joint}]' for what in ('position', 'velocity', 'effort')
+            for joint in ('elbow', 'shoulder', 'finger')}
+        assert all(f.finite == 1.0 for f in joint_states.fields)
+        assert not joint_states.undecodable
+        assert [f.index for f in joint_states.fields if f.field.startswith('velocity')] == [
+            'velocity[0]', 'velocity[1]', '']
+        chosen = guess(bag, found, named=named(found, ['/torque'], ['velocity[elbow]'])).config
+        by_index = named(found, ['data[0]'], ['velocity[0:2]', 'effort[{elbow,shoulder}]'])
+        assert by_names(bag, {(JOINTS_TOPIC, 'velocity[1]'), ('/torque', 'data[0]')}) == {
+            (JOINTS_TOPIC, 'velocity[elbow]'), ('/torque', 'data[0]')}
+        assert not bag.notes
+    output, = chosen.outputs
+    assert (output.name, output.field, output.unit) == (
+        'elbow_velocity', 'velocity[elbow]', 'rad/s')
+    assert "field: 'velocity[elbow]'" in dump_config(chosen)
+    assert [field for _, field in by_index.outputs] == [
+        'velocity[shoulder]', 'velocity[elbow]', 'effort[elbow]', 'effort[shoulder]']
+
+
+@pytest.mark.parametrize(('names', 'fields'), [
+    (['a', 'a'], ['position[0]', 'position[1]']), (['', 'b'], ['position[0]', 'position[b]']),
+    (['1', 'x y'], ["position['1']", "position['x y']"]), (['a]', 'b'], ['position[0]',
+                                                                         'position[b]'])])
+def test_names_that_cannot_be_chosen_are_left_as_indices(tmp_path, names, fields):
+    sent = [Sent('/j', JOINTS, START + k, joints(START + k, [1.0, 2.0], names)) for k in range(9)]
+    with open_bag(write_mcap(tmp_path / 'b.mcap', sent)) as bag:
+        found = bag.named_fields('/j', 9)
+        assert [str(path) for path in found][:2] == fields
+        assert list(found.values())[:2] == ['position[0]', 'position[1]']
+        for block in bag.blocks({'/j': [*found][:2]}):
+            assert (block.columns[0].values == [1.0, 2.0]).all()
+
+
+@pytest.mark.parametrize(('field', 'called'), [
+    ('velocity[elbow]', 'elbow_velocity'), ('interface_values[elbow].values[effort]',
+                                            'elbow_effort'),
+    ('pose[box].position.x', 'box_position_x'), ('velocity[0]', ''), ('twist.linear.x', ''),
+    ('euler(pose[box].orientation).roll', 'box_orientation_roll'), ("effort['2']", '2_effort')])
+def test_a_field_is_called_after_its_element(field, called):
+    assert title(parse_field(field)) == called

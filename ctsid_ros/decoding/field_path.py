@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import difflib
 from itertools import product
+import re
 from typing import Any
 
 from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION, Unwrapper, roll_pitch_yaw
@@ -25,7 +26,7 @@ from ctsid_ros.decoding.field_grammar import (
 )
 
 __all__ = ['FieldError', 'FieldPath', 'Leaf', 'Name', 'ParseError', 'Range', 'Step', 'Unwrapper',
-           'nearest', 'parse_field', 'path_text', 'roll_pitch_yaw']
+           'nearest', 'parse_field', 'path_text', 'plain', 'roll_pitch_yaw']
 
 Leaf = tuple[str | int | Name, ...]
 
@@ -179,6 +180,11 @@ def parse_field(text: str) -> FieldPath:
         If it does not follow the grammar.
     """
     return FieldPath(*parse_steps(text))
+
+
+def plain(text: str) -> str:
+    """Return a field without the names of elements: people give them, whatever it is."""
+    return re.sub(r'\[[^\]\d][^\]]*\]', '[]', text)
 
 
 def nearest(name: str, names: Sequence[str]) -> str:

@@ -12,7 +12,16 @@ from collections.abc import Iterable, Mapping, Sequence
 import re
 
 from ctsid_ros.decoding.cdr_layout import COUNT, Raw, Sizes, layout_of
-from ctsid_ros.decoding.field_path import FieldPath, Leaf, Name, Step, nearest, path_text
+from ctsid_ros.decoding.field_path import (
+    FieldPath,
+    Leaf,
+    Name,
+    ParseError,
+    Step,
+    nearest,
+    parse_field,
+    path_text,
+)
 from ctsid_ros.decoding.message_types import FieldType, MessageType
 
 _NAMES = re.compile(r'(\w+_)?names?')
@@ -30,6 +39,35 @@ def names_of(message_type: MessageType, steps: Sequence[Step]) -> tuple[Step, ..
             found = (*steps[:depth], own) if own else found
             kind = members.get(step, FieldType('')).base
     return found
+
+
+def by_name(message_type: MessageType, field: FieldPath, raw: Raw) -> FieldPath:
+    """
+    Return a scalar field by the names that a message has, if no two are alike; else as it is.
+
+    Raises
+    ------
+    DecodeError
+        If the message cannot be decoded.
+    """
+    names = Names(message_type, raw, {})
+    pair = names.resolve(field.leaves[0])
+    if pair is None or any(len({*own}) < len(own) for own in names.read.values()):
+        return field
+    named = FieldPath(pair[1][:len(field.steps)], field.euler)
+    try:
+        return parse_field(str(named))
+    except ParseError:
+        return field
+
+
+def title(field: FieldPath) -> str:
+    """Return what a field by name is of which element: elbow_velocity; '' if it is by index."""
+    at = max((i for i, step in enumerate(field.steps) if isinstance(step, Name)), default=0)
+    inner = [step for step in (*field.steps[at + 1:], *field.euler) if isinstance(step, str)]
+    if not inner and len(field.elements) == 1:
+        inner = [str(field.steps[at - 1])]
+    return '_'.join((*field.elements, *inner)) if at else ''
 
 
 def missing(field: FieldPath, names: Iterable[str], when: str = '') -> str:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
+from itertools import islice
 import os
 from pathlib import Path
 from types import TracebackType
@@ -30,7 +31,7 @@ from ctsid_ros.decoding.cdr_layout import DecodeError
 from ctsid_ros.decoding.field_path import FieldError, FieldPath, nearest
 from ctsid_ros.decoding.message_fields import bind, scalar_fields
 from ctsid_ros.decoding.message_types import MessageType
-from ctsid_ros.decoding.names import missing, mixed
+from ctsid_ros.decoding.names import by_name, missing, mixed
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.files import find_files, scan_file
 from ctsid_ros.recordings.packed import raw, unpacking
@@ -74,6 +75,7 @@ class Bag:
         joined = join_topics(self._recordings)
         self._types, self._names = joined.types, joined.names
         self._notes = dict.fromkeys([*notes, *joined.notes])
+        self._met: set[tuple[str, FieldPath]] = set()  # fields by name that messages have
         self.topics: Mapping[str, TopicInfo] = joined.infos
         filled = [recording for recording in self._recordings if recording.count]
         self.start_ns = min((recording.start_ns for recording in filled), default=0)
@@ -236,7 +238,8 @@ class Bag:
 
     def _look_for(self, topic: str, path: FieldPath) -> None:
         extract = Extractor(self.message_type(topic), [path])
-        damaged = not path.elements or not self.topic(topic).count  # there is nothing to look for
+        # Or there is nothing to look for.
+        damaged = not path.elements or (topic, path) in self._met or not self.topic(topic).count
         with closing(self._stream_of(topic)) as messages:
             for message in () if damaged else messages:
                 try:
@@ -245,6 +248,7 @@ class Bag:
                     damaged = True  # it is said later why there are no samples
                     continue
                 if first is not ABSENT:
+                    self._met.add((topic, path))
                     return
         if not damaged:
             raise BagError(f'topic {topic}: {missing(path, extract.names)}')
@@ -272,6 +276,52 @@ class Bag:
                 except DecodeError:
                     continue
         return scalar_fields(kind, None, most=most)
+
+    def named_fields(self, topic: str, most: int) -> dict[FieldPath, str]:
+        """
+        List the scalars of a topic that could be signals, by name where messages have names.
+
+        Parameters
+        ----------
+        topic : str
+        most : int
+            Of so many messages the names are looked at, since several publishers may have theirs.
+
+        Returns
+        -------
+        dict
+            Their fields, and what the first message that has one calls it by index.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic, or its messages cannot be decoded.
+        """
+        kind = self.message_type(topic)
+        found: dict[FieldPath, str] = {}
+        watch: Extractor | None = None  # it tells whether a message has names that are new
+        known = 0
+        with closing(self._stream_of(topic)) as messages:
+            for message in islice(messages, most):
+                try:
+                    if watch is not None:
+                        watch(message.raw)
+                        if len(watch.names) == known:
+                            continue
+                        known = len(watch.names)
+                    paths = [(by_name(kind, path, message.raw), str(path))
+                             for path in scalar_fields(kind, message.raw)]
+                except DecodeError:
+                    continue
+                taken = set(found.values())
+                found |= {path: '' if index in taken else index for path, index in paths
+                          if path not in found}
+                named = [path for path in found if path.elements]
+                if not named:
+                    return found
+                self._met |= {(topic, path) for path in named}
+                watch = watch or Extractor(kind, named[:1])
+        return found or {path: str(path) for path in scalar_fields(kind, None)}
 
     def problem(self, topic: str, fields: Sequence[FieldPath]) -> str:
         """
