@@ -291,7 +291,7 @@ def sensors(to: Recorder, motion: Motion, kind: str, truth: Tangled) -> None:
             start=rng.uniform(0, 3))
     if kind == 'wheel':
         topic = to.name('/joint_states', '/encoders', '/wheels')
-        truth.outputs += [(topic, 'velocity[1]'), (topic, 'position[1]')]
+        truth.outputs += [(topic, 'velocity[b]'), (topic, 'position[b]')]
         drift = rng.uniform(0.3, 2.0, 4)
 
         def wheels(k, t, h):

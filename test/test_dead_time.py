@@ -286,7 +286,7 @@ def test_an_experiment_that_is_cut_out_of_another_has_the_order_of_its_plant(del
     (200.0, 15.0, (0.5, 1.8)), *slow((1000.0, 10.0, (0.1, 1.8)))])
 def test_a_dead_time_is_known_to_the_interval_of_the_outputs(rate_u, rate_y, limits):
     """
-    Commands that come more often than a camera sees tell no more: 13 to 17 ms were told as 5 and 1.
+    Commands that come more often than a camera sees tell no more: 15 ms were told as 5 and 1.
 
     A zero of the model and its dead time stand in for each other here.
     """

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ctsid_ros.decoding.field_path import (
     FieldError,
+    Name,
     ParseError,
     Range,
     Unwrapper,
@@ -30,6 +31,12 @@ GOOD = {
     'effort[2:]': ('effort', Range(2, None)),
     'poses[1].position.x': ('poses', 1, 'position', 'x'),
     'm[1][2:3]': ('m', 1, Range(2, 3)),
+    'velocity[elbow]': ('velocity', Name('elbow')),
+    "velocity['1']": ('velocity', Name('1')),
+    'velocity["it\'s 2 m"]': ('velocity', Name("it's 2 m")),
+    'pose[robot::arm/link-1.a].position.x': ('pose', Name('robot::arm/link-1.a'), 'position', 'x'),
+    'values[joint_1].values[position]': (
+        'values', Name('joint_1'), 'values', Name('position')),
     'euler': ('euler',),
     'euler.x': ('euler', 'x'),
 }
@@ -57,7 +64,8 @@ def test_grammar_of_euler(text, euler):
     ('', 0), ('.x', 0), ('a.', 2), ('a..b', 2), ('a[', 2), ('a[]', 2), ('a[-1]', 2), ('a[1', 3),
     ('a[1.5]', 3), ('a[3:3]', 4), ('a[3:2]', 4), ('a[:0]', 3), ('a[0:5:2]', 5), ('a b', 2),
     ('/imu/x', 0), ('a/b', 1), ('2a', 0), ('norm(v)', 0), ('euler(q', 7), ('euler(q).rol', 9),
-    ('euler()', 6), ('euler(q).roll.x', 13), ('a[12345678]', 2), ('a[²]', 2), ('a)', 1)])
+    ('euler()', 6), ('euler(q).roll.x', 13), ('a[12345678]', 2), ('a[²]', 2), ('a)', 1),
+    ("a['']", 2), ("a['x]", 2), ('a[b c]', 4), ('a[b', 3), ('a[b]c', 4)])
 def test_bad_syntax_is_pointed_at(text, position):
     with pytest.raises(ParseError) as error:
         parse_field(text)
@@ -84,6 +92,8 @@ def test_absurd_ranges_are_refused():
 def test_width_and_angles():
     assert parse_field('a.b').angles == (False,)
     assert parse_field('a[1:4]').angles == (False,) * 3
+    assert parse_field('euler(pose[arm].q)').angles == (True,) * 3
+    assert parse_field('a[x].b[y]').elements == ('x', 'y')
     assert parse_field('euler(a).yaw').angles == (True,)
     assert parse_field('euler(a[0:2].q)').width == 6
     with pytest.raises(FieldError, match='bind'):

@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
-from live import Live  # noqa: E402
+from live import RELIABLE, Live  # noqa: E402
 from marks import slow  # noqa: E402
-from robot import EPOCH, Robot, S, motion, params  # noqa: E402
+from robot import EPOCH, Robot, S, joint_message, motion, params  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 
 from ctsid_core.model.model_json import to_json  # noqa: E402
 from ctsid_ros.config.parameter_file import read_config  # noqa: E402
 from ctsid_ros.decoding.message_types import definition, of_message_class  # noqa: E402
-from ctsid_ros.messages import decode_metadata, encode_model  # noqa: E402
+from ctsid_ros.messages import Level, decode_metadata, encode_model  # noqa: E402
 from ctsid_ros.recordings.bag import open_bag  # noqa: E402
 from ctsid_ros.replay.replay import Replay  # noqa: E402
 
@@ -63,6 +64,51 @@ def test_a_recording_of_the_node_gives_its_models_again(live, tmp_path, header, 
         for key, value in expected.items():
             np.testing.assert_array_equal(data[key], value, err_msg=key)
     assert 0 <= min(published) - 3 * S - robot.start_ns < (S // 5 if header else 180 * S)
+
+
+class Arm(Robot):
+    """Publish the outputs as the speeds of two joints that change their order, and a gripper."""
+
+    def __init__(self, live, made, reader):
+        super().__init__(live, made)
+        self.arm, self.gripper = (live.publishers({'/joints': JointState}, RELIABLE, reader)[0]
+                                  for _ in range(2))
+
+    def publish(self, name, stamp_ns, values):
+        if name == 'command':
+            super().publish(name, stamp_ns, values)
+            return
+        k = self.sent[name] = self.sent[name] + 1
+        pair = list(zip('pq', values, strict=True))[::1 if k % 3 else -1]
+        for publisher, joints in ((self.arm, pair), (self.gripper, [('finger', 0.0)])):
+            if publisher is self.arm or k % 20 == 0:
+                message = joint_message(stamp_ns, [])
+                message.name = [name for name, _ in joints]
+                message.velocity = [float(value) for _, value in joints]
+                publisher.publish(message)
+
+
+def test_joints_by_name_are_those_of_their_publisher_live_and_again(live, tmp_path):
+    path = tmp_path / 'arm.mcap'
+    text = params(f"order: 2\ningest.record: '{path}'", imu='/joints', length=3.0)
+    for name, axis in (('p', 'x'), ('q', 'y')):
+        text = text.replace(f'Imu, field: angular_velocity.{axis}',
+                            f"JointState, field: 'velocity[{name}]'")
+    node = live.identifier(text)
+    robot = Arm(live, motion(4.6), node.name)
+    robot.feed(node, length=3.0)
+    node.wait_models(1)
+    assert node.next_health('ingest').level == Level.OK
+    assert node.program.end()[0] == 0
+    with open_bag(path) as bag:
+        replay = Replay(bag, read_config(tmp_path / 'params0.yaml'))
+        replay.run()
+        assert not bag.notes
+    again = texts(result.estimate for result in replay.results)
+    published = texts(node.estimates())
+    assert {end: again.get(end) for end in published} == published
+    model = node.estimates()[0].model
+    np.testing.assert_allclose(np.sort_complex(model.poles), [-1 - 4j, -1 + 4j], atol=0.2)
 
 
 @pytest.mark.parametrize('name', [

@@ -14,6 +14,7 @@ import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rosgraph_msgs.msg import Clock as ClockMessage  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 
 from ctsid_core.settings import Settings  # noqa: E402
 from ctsid_ros.config.channels import Channel, Config  # noqa: E402
@@ -120,6 +121,11 @@ def test_two_publishers_of_one_topic_are_named(node):
                             'channels: the publisher `/')
     assert '`/left`' in fault
     assert '`/right`' in fault
+    by_name = made.config.with_fields({'u': 'effort[left]'})
+    other = Intake(node, Feed(by_name, made.types | {'/u': of_message_class(JointState)},
+                              lambda _: 1), made.classes, NodeSettings(), lambda _: None)
+    assert list(other.faults()) == []
+    assert other.stop(180.0)
     others[0].destroy_node()
     wait(lambda: len(node.get_publishers_info_by_topic('/u')) == 1, 'the end of one')
     assert list(intake.faults()) == []

@@ -202,7 +202,7 @@ def _mean_around(values: NDArray[Any], reach: int) -> NDArray[Any]:
 
 def _intervals(samples: Samples, places: Places, count: int) -> Array:
     """
-    Return rows that say: dead times are known to a sample interval of the outputs, (delays, count).
+    Return rows (delays, count) that say: dead times are known to an interval of the outputs.
 
     Where a held input is sampled with the outputs, a small change of dead time is one of zeros,
     and nothing bounds it to first order; a change by more than an interval the samples do show.

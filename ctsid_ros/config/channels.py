@@ -47,8 +47,9 @@ class Channel:
         MISSING, 'Type of its messages; bags contain it, the node needs it.',
         structural=True)
     field: str = parameter(
-        MISSING, 'Field of the message: twist.linear.x, position[2], position[0:6] for several '
-        'signals, or euler(pose.orientation).roll for an angle of a quaternion.',
+        MISSING, 'Field of the message: twist.linear.x, velocity[elbow] by the name of a joint, '
+        'position[2], position[0:6] for several signals, or euler(pose.orientation).roll for an '
+        'angle of a quaternion.',
         structural=True)
     unit: str = parameter('', 'Unit, for reports; nothing is converted.', structural=True)
     hold: Hold = parameter(

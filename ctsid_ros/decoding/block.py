@@ -64,11 +64,14 @@ class Decoded(NamedTuple):
         The scalars; or whatever else a decoder makes of a message, shape (N,).
     sound : ndarray of bool, shape (N,)
         Which of the messages could be decoded; stamps and values of others mean nothing.
+    absent : ndarray of bool, shape (N, k), optional
+        Which scalars a message has no sample of, for it lacks their name; None if there is none.
     """
 
     header_ns: Stamps | None
     values: NDArray[Any]
     sound: NDArray[np.bool_]
+    absent: NDArray[np.bool_] | None = None
 
 
 Decode = Callable[[Sequence[Located]], Decoded]
@@ -83,7 +86,7 @@ class Columns:
     ----------
     topic : str
     log_ns, publish_ns : ndarray of int64, shape (N,)
-    header_ns, values, sound
+    header_ns, values, sound, absent
         As a decoder gives them, see `Decoded`.
     sequences : ndarray of int64, shape (N,), or None
         As a reader gives them, see `Located`.
@@ -95,6 +98,7 @@ class Columns:
     header_ns: Stamps | None
     values: NDArray[Any]
     sound: NDArray[np.bool_]
+    absent: NDArray[np.bool_] | None = None
     sequences: Stamps | None = None
 
     def __len__(self) -> int:
@@ -104,7 +108,8 @@ class Columns:
         return replace(self, log_ns=self.log_ns[rows], publish_ns=self.publish_ns[rows],
                        header_ns=None if self.header_ns is None else self.header_ns[rows],
                        values=self.values[rows], sound=self.sound[rows],
-                       sequences=None if self.sequences is None else self.sequences[rows])
+                       sequences=None if self.sequences is None else self.sequences[rows],
+                       absent=None if self.absent is None else self.absent[rows])
 
     def followed_by(self, other: Columns) -> Columns:
         """Return the rows of both."""
@@ -115,6 +120,7 @@ class Columns:
                        _all_of((self.header_ns, other.header_ns)),
                        np.concatenate((self.values, other.values)),
                        np.concatenate((self.sound, other.sound)),
+                       _all_of((self.absent, other.absent)),
                        _all_of((self.sequences, other.sequences)))
 
 
@@ -211,7 +217,7 @@ class Block:
         return self._sorted(columns, pairs)
 
 
-def _all_of(parts: Sequence[Stamps | None]) -> Stamps | None:
+def _all_of(parts: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
     """Return the rows of all parts; None if one has none."""
     known = [part for part in parts if part is not None]
     return joined(known) if len(known) == len(parts) else None

@@ -13,7 +13,7 @@ CORBA 3.4 part 2, 9.3) and ROS 1 (little endian, packed).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 import struct
@@ -57,15 +57,19 @@ class Layout:
     table: Table
 
 
-_Wanted = dict[str | int, Any]  # tree of steps; an int at a leaf is its slot
+_Wanted = dict[Any, Any]  # tree of steps; an int at a leaf is its slot
 
 
-def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw, sizes: Sizes
-              ) -> Layout:
-    """Walk one message up to the last wanted leaf and return its layout."""
+def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw, sizes: Sizes,
+              same: Collection[Leaf] = ()) -> Layout:
+    """
+    Walk one message up to the last wanted leaf and return its layout.
+
+    Messages have it only if the leaves `same` hold what they hold in this one.
+    """
     stamp = STAMP if message_type.has_header else ()
     wanted: _Wanted = {}
-    slots = {leaf: slot for slot, leaf in enumerate(dict.fromkeys((*stamp, *leaves)))}
+    slots = {leaf: slot for slot, leaf in enumerate(dict.fromkeys((*stamp, *leaves, *same)))}
     for leaf, slot in slots.items():
         node = wanted
         for step in leaf[:-1]:
@@ -77,10 +81,11 @@ def layout_of(message_type: MessageType, leaves: Sequence[Leaf], raw: Raw, sizes
     item_of = [walker.slots[slots[leaf]] for leaf in (*stamp, *leaves)]
     floats = all(walker.items[i][1] in 'fd' for i in item_of[len(stamp):])
     unpack = struct.Struct(walker.format()).unpack_from
-    words = _picker(walker.words)
+    expected = [*walker.words, *(walker.slots[slots[leaf]] for leaf in same)]
+    words = _picker(expected)
     scalars, pair = item_of[len(stamp):], (item_of[0], item_of[1]) if stamp else None
     values = unpack(raw)
-    table = Table(walker.order, tuple(walker.items), {i: values[i] for i in walker.words},
+    table = Table(walker.order, tuple(walker.items), {i: values[i] for i in expected},
                   tuple(scalars), pair)
     return Layout(unpack, words, words(values), _picker(scalars), pair, floats, table)
 
@@ -155,10 +160,13 @@ class _Walker:
         return struct.unpack_from(self.order + 'I', self.raw, position)[0], position + 4
 
     def want(self, position: int, base: str, slot: int) -> None:
-        self.need(position + SIZES[base])
-        self.slots[slot] = len(self.items)
         # ROS 1 has a signed byte, ROS 2 an octet.
-        self.items.append((position, 'b' if self.packed and base == 'byte' else CODES[base]))
+        self.note(position, 'b' if self.packed and base == 'byte' else CODES[base], slot)
+
+    def note(self, position: int, code: str, slot: int) -> None:
+        self.need(position + struct.calcsize('<' + code))
+        self.slots[slot] = len(self.items)
+        self.items.append((position, code))
         self.missing -= 1
 
     def message(self, position: int, name: str, wanted: _Wanted) -> int:
@@ -208,6 +216,8 @@ class _Walker:
             return position + SIZES[base]
         if base == 'string':
             length, position = self.word(position)
+            if wanted != {}:
+                self.note(position, f'{length}s', wanted)
             return position + length
         if base.rpartition('/')[2] == 'wstring':
             raise DecodeError('a text of wide characters (wstring) comes first, which versions of '

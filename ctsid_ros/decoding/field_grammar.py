@@ -3,10 +3,12 @@
 Grammar of field paths, and its parser.
 
     field     = path | 'euler(' path ')' [ '.roll' | '.pitch' | '.yaw' ]
-    path      = name { '.' name | '[' index ']' | '[' [ first ] ':' [ end ] ']' }
+    path      = name { '.' name | '[' index ']' | '[' [ first ] ':' [ end ] ']' | '[' element ']' }
 
 Examples: `twist.linear.x`, `position[2]`, `position[0:6]`, `effort[:]`, `poses[0].position.x`,
-`euler(pose.orientation).roll`. Indices count from 0, `end` is excluded as in Python.
+`velocity[elbow]`, `euler(pose.orientation).roll`. Indices count from 0, `end` is excluded as in
+Python. An element has the name that an array of names in the message gives it: letters, or any
+characters in quotes (`velocity['1']`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from ctsid_ros.decoding.angles import EULER_PARTS
 
 MAX_WIDTH = 10_000
 _TOKEN = re.compile(r'[A-Za-z_]\w*|\d+|\S', re.ASCII)
+_PLAIN = re.compile(r'[A-Za-z_][^\s\[\]\'"]*')
+_QUOTED = re.compile(r'\'([^\'\[\]]+)\'|"([^"\[\]]+)"')
 
 
 class ParseError(ValueError):
@@ -33,7 +37,18 @@ class Range(NamedTuple):
     end: int | None
 
 
-Step = str | int | Range
+class Name(NamedTuple):
+    """The element of an array that a message calls so."""
+
+    name: str
+
+    def __str__(self) -> str:
+        if _PLAIN.fullmatch(self.name):
+            return self.name
+        return f'"{self.name}"' if "'" in self.name else f"'{self.name}'"
+
+
+Step = str | int | Range | Name
 
 
 def path_text(steps: Sequence[Step]) -> str:
@@ -42,7 +57,7 @@ def path_text(steps: Sequence[Step]) -> str:
     for step in steps:
         if isinstance(step, str):
             text += f'.{step}' if text else step
-        elif isinstance(step, int):
+        elif isinstance(step, int | Name):
             text += f'[{step}]'
         else:
             end = '' if step.end is None else step.end
@@ -111,7 +126,7 @@ class _Parser:
             if self.tokens[self.next - 1][0] == '.':
                 steps.append(self.name())
             else:
-                steps.append(self.index_or_range())
+                steps.append(self.element() or self.index_or_range())
         return tuple(steps)
 
     def name(self) -> str:
@@ -120,11 +135,22 @@ class _Parser:
         self.next += 1
         return self.tokens[self.next - 1][0]
 
+    def element(self) -> Name | None:
+        at = self.tokens[self.next][1]
+        quoted = _QUOTED.match(self.text, at)
+        found = quoted or _PLAIN.match(self.text, at)
+        if not found:
+            return None
+        while self.tokens[self.next][1] < found.end():
+            self.next += 1
+        self.expect(']')
+        return Name(quoted[1] or quoted[2] if quoted else found[0])
+
     def index_or_range(self) -> Step:
         first = self.number()
         if self.token != ':':
             if first is None:
-                self.fail("an index such as 0 (counting from the front), or ':'")
+                self.fail("an index such as 0 (counting from the front), ':' or a name")
             self.expect(']')
             return first
         self.next += 1

@@ -12,15 +12,23 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import difflib
 from itertools import product
+import re
 from typing import Any
 
 from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION, Unwrapper, roll_pitch_yaw
-from ctsid_ros.decoding.field_grammar import ParseError, Range, Step, parse_steps, path_text
+from ctsid_ros.decoding.field_grammar import (
+    Name,
+    ParseError,
+    Range,
+    Step,
+    parse_steps,
+    path_text,
+)
 
-__all__ = ['FieldError', 'FieldPath', 'Leaf', 'ParseError', 'Range', 'Step', 'Unwrapper',
-           'nearest', 'parse_field', 'path_text', 'roll_pitch_yaw']
+__all__ = ['FieldError', 'FieldPath', 'Leaf', 'Name', 'ParseError', 'Range', 'Step', 'Unwrapper',
+           'nearest', 'parse_field', 'path_text', 'plain', 'roll_pitch_yaw']
 
-Leaf = tuple[str | int, ...]
+Leaf = tuple[str | int | Name, ...]
 
 
 class FieldError(ValueError):
@@ -34,8 +42,8 @@ class FieldPath:
 
     Parameters
     ----------
-    steps : tuple of str, int or Range
-        Names, indices and ranges, from the message inwards.
+    steps : tuple of str, int, Range or Name
+        Names of fields, indices, ranges and names of elements, from the message inwards.
     euler : tuple of str
         The angles wanted of the quaternions at `steps`; empty for plain numbers.
     """
@@ -52,6 +60,11 @@ class FieldPath:
     def is_open(self) -> bool:
         """Whether its number of scalars is known only from a message (`effort[:]`)."""
         return any(isinstance(step, Range) and step.end is None for step in self.steps)
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """The elements that it chooses by name (`velocity[elbow]`)."""
+        return tuple(step.name for step in self.steps if isinstance(step, Name))
 
     @property
     def width(self) -> int:
@@ -93,7 +106,7 @@ class FieldPath:
         return tuple((*leaf, part) for leaf in self._concrete() for part in QUATERNION)
 
     def _concrete(self) -> tuple[Leaf, ...]:
-        choices: list[Sequence[str | int]] = []
+        choices: list[Sequence[str | int | Name]] = []
         for step in self.steps:
             if not isinstance(step, Range):
                 choices.append((step,))
@@ -147,7 +160,8 @@ class FieldPath:
         Raises
         ------
         FieldError
-            If a field does not exist, an index lies beyond the array, or it is not a number.
+            If a field does not exist, an index lies beyond the array, it is not a number, or is
+            chosen by name.
         """
         targets = _reach(message, self.steps, self)
         if self.euler:
@@ -166,6 +180,11 @@ def parse_field(text: str) -> FieldPath:
         If it does not follow the grammar.
     """
     return FieldPath(*parse_steps(text))
+
+
+def plain(text: str) -> str:
+    """Return a field without the names of elements: people give them, whatever it is."""
+    return re.sub(r'\[[^\]\d][^\]]*\]', '[]', text)
 
 
 def nearest(name: str, names: Sequence[str]) -> str:
@@ -189,6 +208,8 @@ def _reach(target: object, steps: Sequence[Step], path: FieldPath) -> Iterator[o
     if isinstance(target, str | bytes) or not hasattr(target, '__getitem__'):
         raise FieldError(f'`{path}`: {type(target).__name__} before {path_text((step,))} is not '
                          'an array')
+    if isinstance(step, Name):
+        raise FieldError(f'`{path}`: elements of message objects are chosen by index')
     elements: Any = target
     count = len(elements)
     chosen = range(step, step + 1) if isinstance(step, int) else range(

@@ -7,8 +7,17 @@ from collections.abc import Sequence
 
 from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION
 from ctsid_ros.decoding.cdr_layout import CODES, COUNT, DecodeError, Raw, layout_of
-from ctsid_ros.decoding.field_path import FieldError, FieldPath, Range, Step, nearest, path_text
+from ctsid_ros.decoding.field_path import (
+    FieldError,
+    FieldPath,
+    Name,
+    Range,
+    Step,
+    nearest,
+    path_text,
+)
 from ctsid_ros.decoding.message_types import HEADER, TIMES, FieldType, MessageType
+from ctsid_ros.decoding.names import Names, names_of
 
 
 def bind(message_type: MessageType, field: FieldPath, raw: Raw) -> FieldPath:
@@ -36,13 +45,16 @@ def array_length(message_type: MessageType, steps: Sequence[Step], raw: Raw | No
     Raises
     ------
     DecodeError
-        If the message cannot be decoded.
+        If the message cannot be decoded, or lacks a name.
     """
     field = _descend(message_type, FieldPath(tuple(steps)))
     if field.kind != 'sequence' or raw is None:
         return field.length
-    leaf = (*(step for step in steps if not isinstance(step, Range)), COUNT)
-    layout = layout_of(message_type, (leaf,), raw, {})
+    found = Names(message_type, raw, {}).resolve(
+        (*(step for step in steps if not isinstance(step, Range)), COUNT))
+    if found is None:
+        raise DecodeError(f'this message has no {path_text(steps)}')
+    layout = layout_of(message_type, found[:1], raw, {})
     return int(layout.scalars(layout.unpack(raw))[0])
 
 
@@ -139,6 +151,12 @@ def _descend(message_type: MessageType, path: FieldPath) -> FieldType:
         if found.kind == 'single':
             raise FieldError(f'`{path}`: {here} is {found}, not an array; leave out '
                              f'{path_text((step,))}')
+        if isinstance(step, Name):
+            if names_of(message_type, path.steps[:depth]) is None:
+                raise FieldError(f'`{path}`: {message_type.name} has no array of names for the '
+                                 f'elements of {here}; choose by index: {here}[0]')
+            found = FieldType(found.base)
+            continue
         last = step if isinstance(step, int) else (step.end or step.first + 1) - 1
         if found.kind == 'array' and last >= found.length:
             raise FieldError(f'`{path}`: {here} has {found.length} elements, the last is '

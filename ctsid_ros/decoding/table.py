@@ -30,7 +30,7 @@ class Table:
     items : tuple of (int, str)
         Positions in a message, and codes as in `struct`.
     words : mapping of int to int or bytes
-        Which items are length words, or the encapsulation, and what they are.
+        Which items are length words, the encapsulation or texts, and what they are.
     scalars : tuple of int
         Which items are the wanted fields.
     stamp : tuple of int, optional
@@ -63,18 +63,19 @@ class Table:
         return runs
 
     @cached_property
-    def _words(self) -> Mapping[int, int]:
-        """Return the length words, the two bytes of the encapsulation as a number."""
-        return {i: int.from_bytes(word, 'little') if isinstance(word, bytes) else word
-                for i, word in self.words.items()}
+    def _words(self) -> Mapping[int, int | bytes]:
+        """Return the words, the two bytes of the encapsulation as a number; no empty text."""
+        return {i: int.from_bytes(word, 'little') if self.items[i][1] == '2s' else word
+                for i, word in self.words.items() if word != b''}
 
     @cached_property
     def _type(self) -> np.dtype[Any]:
         names, formats, offsets = [], [], []
-        for i in (*self.words, *(self.stamp or ())):
+        for i in (*self._words, *(self.stamp or ())):
             at, code = self.items[i]
             names.append(f'item {i}')
-            formats.append('<u2' if code == '2s' else self.order + code)
+            formats.append('<u2' if code == '2s' else f'S{code[:-1]}' if code.endswith('s')
+                           else self.order + code)
             offsets.append(at)
         for first, last, code in self._runs:
             names.append(f'run {first}')

@@ -58,11 +58,20 @@ class ChannelCounts:
         Why 'auto' chose so.
     samples : GroupCounts
         Those of the channels that are handled together with it; `non_finite` is its own.
+    absent : int
+        Messages that have no sample of it, for they lack its name.
     """
 
     source: str
     why: str
     samples: GroupCounts
+    absent: int = 0
+
+    @property
+    def total(self) -> int:
+        """How many samples have come, whatever became of them."""
+        dropped: int = sum(getattr(self.samples, key) for key in _REASONS)
+        return dropped + self.samples.accepted
 
 
 @dataclass(frozen=True)
@@ -99,7 +108,7 @@ def complaints(counts: IngestCounts, config: Config, when: str = '') -> list[str
         Which samples these are, as ' of the last 10 s'; of all if empty.
     """
     heard = {channel.topic for channel in config.channels
-             if _total(counts.channels[channel.name].samples)}
+             if (own := counts.channels[channel.name]).absent or own.total}
     lines = [line for channel in config.channels for line in
              _of_channel(channel, counts.channels[channel.name], config, when, heard)]
     if counts.resets:
@@ -113,15 +122,10 @@ def complaints(counts: IngestCounts, config: Config, when: str = '') -> list[str
     return lines
 
 
-def _total(samples: GroupCounts) -> int:
-    dropped: int = sum(getattr(samples, key) for key in _REASONS)
-    return dropped + samples.accepted
-
-
 def _of_channel(channel: Channel, counts: ChannelCounts, config: Config, when: str,
                 heard: set[str]) -> Iterator[str]:
     """Yield a sentence on each kind of sample that a channel has lost."""
-    samples, name, total = counts.samples, f'`{channel.name}`', _total(counts.samples)
+    samples, name, total = counts.samples, f'`{channel.name}`', counts.total
     if not total and channel.topic not in heard:  # else it is dropped with another of its topic
         yield f'{name}: no message has come on {channel.topic}'
     if counts.why.startswith('the stamps'):

@@ -11,7 +11,7 @@ windows to the last bit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -24,9 +24,10 @@ from ctsid_ros.decoding.cdr import DecodeError, Extractor
 from ctsid_ros.decoding.field_path import FieldError
 from ctsid_ros.decoding.message_fields import bind, check_field
 from ctsid_ros.decoding.message_types import MessageType
+from ctsid_ros.decoding.names import missing, mixed
 from ctsid_ros.ingest.counts import IngestCounts, complaints
 from ctsid_ros.ingest.ingest import Ingest, decoded
-from ctsid_ros.ingest.recent import Totals
+from ctsid_ros.ingest.recent import Called, Totals
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 from ctsid_ros.ingest.sim_clock import STEP_NS, SimClock
 
@@ -116,6 +117,7 @@ class Feed:
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_TIMES)  # newest stamp, arrival
         self._waiting: deque[tuple[str, int, int, bytes, int]] = deque(maxlen=_WAITING)
         self._ingest: Ingest | None = None
+        self._extract: dict[str, Extractor] = {}
         self._bound: dict[str, str] = {}  # fields whose open ranges are closed
         self._open_ingest()
 
@@ -176,11 +178,17 @@ class Feed:
 
     def totals(self) -> Totals:
         """Return all counts, and begin anew to look for the samples farthest out of place."""
-        found = Totals(self.counts(), {topic: state.numbers.lost
-                                       for topic, state in self.topics.items()})
+        found = self._totals()
         if self._ingest is not None:
             self._ingest.forget_worst()
+        for extract in self._extract.values():
+            extract.forget()
         return found
+
+    def _totals(self) -> Totals:
+        return Totals(
+            self.counts(), {topic: state.numbers.lost for topic, state in self.topics.items()},
+            {topic: dict(extract.called) for topic, extract in self._extract.items()})
 
     def report(self, some: Totals | None = None, when: str = '') -> list[str]:
         """
@@ -193,17 +201,27 @@ class Feed:
         when : str
             Which samples these are, as ' of the last 10 s'.
         """
-        some = some or Totals(self.counts(), {topic: state.numbers.lost
-                                              for topic, state in self.topics.items()})
+        some = some or self._totals()
         lines = [*self._broken, *(
             f'{topic}: {lost} messages{when} were lost on the way; raise `ingest.depth`, '
             'lower the load of this computer, or check the network'
             for topic, lost in some.lost.items() if lost)]
         if some.counts is not None:
-            return lines + complaints(some.counts, self.config, when)
+            return [*lines, *self._of_names(some.counts, some.called, when),
+                    *complaints(some.counts, self.config, when)]
         return lines + [f'`{channel.name}`: waiting for a message on {channel.topic} that shows '
                         f'how long {channel.field} is' for channel in self.config.channels
                         if channel.path.is_open and channel.name not in self._bound]
+
+    def _of_names(self, counts: IngestCounts, called: Called, when: str) -> Iterator[str]:
+        """Yield a sentence on each field that by the names in messages is not what is wanted."""
+        for channel in self.config.channels:
+            own = counts.channels[channel.name]
+            fault = mixed(channel.path, called.get(channel.topic, {}))
+            if own.absent and not own.total:
+                fault = missing(channel.path, self._extract[channel.topic].names, when)
+            if fault:
+                yield f'`{channel.name}`: topic {channel.topic}: {fault}'
 
     def _push(self, taken: Taken) -> None:
         state = self.topics[taken.topic]

@@ -22,7 +22,7 @@ from ctsid_core.signals.samples import Group, Rows
 from ctsid_core.signals.windows import SlidingWindow
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.block import Block, Columns
-from ctsid_ros.decoding.cdr import DecodeError, Extracted, Extractor
+from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
@@ -35,6 +35,7 @@ _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float], int]  # and the number of the publisher, 0: not known
 _Columns = NDArray[np.intp]
 _Turns = list[tuple[int, float]]  # column, and a full turn of its angle
+_Kind = tuple[str, str, str, str]  # of a signal: role, topic, stamp, hold
 
 
 class _Topic:
@@ -53,6 +54,8 @@ class _Topic:
                                     self.parts[members[-1].name].stop), members[0].stamp)
                        for name, members in groups.items()]
         self.undivided = len(self.groups) == 1
+        self.by_name = any(path.elements for path in self.fields)
+        self.absent = dict.fromkeys(groups, 0)
         self.non_finite = dict.fromkeys(self.parts, 0)
         # How many publishers there are now a recording does not tell.
         self.numbers = SequenceNumbers(lambda: 1)
@@ -91,7 +94,7 @@ class Ingest:
     ----------
     config : Config
         Inputs and outputs keep its order in the records. Neighbours of one role, topic, stamp and
-        hold form one signal, with the same stamps.
+        hold form one signal if they have the same stamps.
 
     Raises
     ------
@@ -101,8 +104,9 @@ class Ingest:
 
     def __init__(self, config: Config) -> None:
         self._config = config
+        # Elements that are chosen by name come together only if a message has all of them.
         runs = [list(run) for _, run in groupby(
-            (*config.inputs, *config.outputs), key=lambda c: (c.role, c.topic, c.stamp, c.hold))]
+            (*config.inputs, *config.outputs), key=lambda c: (*_kind(c), c.path.elements))]
         groups = {', '.join(channel.name for channel in run): run for run in runs}
         self._group_of = {channel.name: name for name, run in groups.items() for channel in run}
         self._topics = {
@@ -120,6 +124,8 @@ class Ingest:
         for run in runs:
             turns = [turn for channel in run for turn in channel.turns]
             self._turns[run[0].role].append([(i, turn) for i, turn in enumerate(turns) if turn])
+        self._kinds = {role: [_kind(run[0]) for run in runs if run[0].role == role]
+                       for role in self._turns}
 
     @property
     def fields(self) -> dict[str, tuple[FieldPath, ...]]:
@@ -151,8 +157,8 @@ class Ingest:
         header_ns : int or None
             The stamp in its header [ns]; None if it has no header.
         values : sequence of float
-            The scalars of `fields[topic]`, one after another; empty for a message that could not
-            be decoded: it is counted.
+            The scalars of `fields[topic]`, one after another, `ABSENT` where it has no sample;
+            empty for a message that could not be decoded: it is counted.
         sequence : int
             Its number among those of its publisher; 0 if that is not known.
 
@@ -188,14 +194,22 @@ class Ingest:
         publishers: list[NDArray[np.int64] | None] = []
         for number, rows in enumerate(block.columns):
             topic = self._topics[rows.topic]
-            own = topic.publishers(rows.sequences)
-            publishers += [own] * len(topic.routes) if len(rows) else []
+            who = topic.publishers(rows.sequences)
             for group, part, source in topic.routes if len(rows) else ():
-                stamps = (rows.log_ns, rows.publish_ns, rows.header_ns)[source]
+                place = np.flatnonzero(block.which == number)
+                own, kept = rows, who
+                if rows.absent is not None and (absent := rows.absent[:, part].any(axis=1)).any():
+                    topic.absent[group] += int(np.count_nonzero(absent))
+                    own, place = rows[np.flatnonzero(~absent)], place[~absent]
+                    kept = None if who is None else who[~absent]
+                if not len(own):
+                    continue
+                stamps = (own.log_ns, own.publish_ns, own.header_ns)[source]
                 routes.append((topic, part))
-                parts.append(Rows(group, np.zeros_like(rows.log_ns) if stamps is None else stamps,
-                                  rows.values[:, part], rows.sound))
-                places.append(np.flatnonzero(block.which == number))
+                parts.append(Rows(group, np.zeros_like(own.log_ns) if stamps is None else stamps,
+                                  own.values[:, part], own.sound))
+                places.append(place)
+                publishers.append(kept)
         if not parts:
             return
         which = np.repeat(np.arange(len(parts)), [len(at) for at in places])
@@ -262,7 +276,8 @@ class Ingest:
             topic = self._topics[channel.topic]
             samples = replace(counts.groups[self._group_of[channel.name]],
                               non_finite=topic.non_finite[channel.name])
-            channels[channel.name] = ChannelCounts(*topic.source_of(channel.name), samples)
+            channels[channel.name] = ChannelCounts(*topic.source_of(channel.name), samples,
+                                                   topic.absent[self._group_of[channel.name]])
         return IngestCounts(channels, counts.windows, counts.empty, counts.resets)
 
     def forget_worst(self) -> None:
@@ -280,6 +295,9 @@ class Ingest:
         for group, part, source in topic.routes:
             # A header stamp that is missing counts as zero: the window drops and counts it.
             own = values if topic.undivided else values[part]
+            if topic.by_name and any(value is ABSENT for value in own):
+                topic.absent[group] += 1
+                continue
             if not self._push(group, times[source] or 0, own):
                 self._count_non_finite(topic, part, values[part])
             elif publisher:
@@ -320,10 +338,11 @@ class Ingest:
         return finished
 
     def _finished(self, record: Record) -> Record:
-        """Unwrap the angles, now that the samples are in order; tell of mixed samples."""
-        return replace(record, inputs=_unwrapped(record.inputs, self._turns['input']),
-                       outputs=_unwrapped(record.outputs, self._turns['output']),
-                       faults=tuple(self._faults(record)))
+        """Unwrap angles, now that samples are in order, join what came together, tell faults."""
+        inputs, outputs = (
+            _together(_unwrapped(signals, self._turns[role]), self._kinds[role])
+            for role, signals in (('input', record.inputs), ('output', record.outputs)))
+        return replace(record, inputs=inputs, outputs=outputs, faults=tuple(self._faults(record)))
 
     def _faults(self, record: Record) -> Iterator[str]:
         mixed = [group for signal, (group, mixing) in zip(
@@ -341,8 +360,16 @@ def _messages(rows: Columns
     headers = [None] * len(rows) if rows.header_ns is None else rows.header_ns.tolist()
     for i, header_ns in enumerate(headers):
         yield (rows.topic, int(rows.log_ns[i]), int(rows.publish_ns[i]), header_ns,
-               tuple(rows.values[i].tolist()) if rows.sound[i] else (),
+               _values(rows, i) if rows.sound[i] else (),
                0 if rows.sequences is None else int(rows.sequences[i]))
+
+
+def _values(rows: Columns, i: int) -> tuple[float, ...]:
+    values = rows.values[i].tolist()
+    if rows.absent is not None:
+        values = [ABSENT if absent else value
+                  for value, absent in zip(values, rows.absent[i].tolist(), strict=True)]
+    return tuple(values)
 
 
 def decoded(extract: Extractor, raw: Raw) -> Extracted:
@@ -363,6 +390,23 @@ def _group(name: str, channels: Sequence[Channel]) -> Group:
     names = tuple(scalar for channel in channels for scalar in channel.scalar_names)
     units = tuple(channel.unit for channel in channels for _ in range(channel.width))
     return Group(name, len(names), first.role, first.hold, names, units)
+
+
+def _kind(channel: Channel) -> _Kind:
+    return channel.role, channel.topic, channel.stamp, channel.hold
+
+
+def _together(signals: Sequence[Signal], kinds: Sequence[_Kind]) -> tuple[Signal, ...]:
+    """Make one signal of neighbours of one kind whose stamps are equal: that is less work."""
+    joined: list[Signal] = []
+    for i, signal in enumerate(signals):
+        if joined and kinds[i] == kinds[i - 1] and np.array_equal(joined[-1].time, signal.time):
+            last = joined[-1]
+            joined[-1] = replace(last, values=np.hstack((last.values, signal.values)),
+                                 names=last.names + signal.names, units=last.units + signal.units)
+        else:
+            joined.append(signal)
+    return tuple(joined)
 
 
 def _unwrapped(signals: tuple[Signal, ...], turns: Sequence[_Turns]) -> tuple[Signal, ...]:

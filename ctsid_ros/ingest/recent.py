@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 from ctsid_core.signals.samples import GroupCounts
+from ctsid_ros.decoding.field_path import Leaf
+from ctsid_ros.decoding.names import join_called
 from ctsid_ros.ingest.counts import IngestCounts
 
+Called = Mapping[str, Mapping[Leaf, Sequence[Leaf]]]
 _WORST = ('worst_late', 'worst_astray')
 _COUNTED = tuple(f.name for f in fields(GroupCounts) if f.name not in _WORST)
 
@@ -25,10 +28,13 @@ class Totals:
         None while the lengths of arrays are awaited.
     lost : mapping of str to int
         Messages lost on the way, by topic.
+    called : mapping
+        `Extractor.called` by topic, since the totals before.
     """
 
     counts: IngestCounts | None = None
     lost: Mapping[str, int] = field(default_factory=dict)
+    called: Called = field(default_factory=dict)
 
 
 class Recent:
@@ -57,7 +63,8 @@ class Recent:
         since = [totals for _, totals in self._past][1:] + [now]
         self._past.append((now_ns, now))
         lost = {topic: n - before.lost.get(topic, 0) for topic, n in now.lost.items()}
-        return Totals(_added(before.counts, now.counts, [t.counts for t in since]), lost)
+        return Totals(_added(before.counts, now.counts, [t.counts for t in since]), lost,
+                      _called(since))
 
 
 def _restarted(before: Totals, now: Totals) -> bool:
@@ -67,6 +74,15 @@ def _restarted(before: Totals, now: Totals) -> bool:
     return now.counts.windows < before.counts.windows or any(
         getattr(own.samples, name) < getattr(before.counts.channels[key].samples, name)
         for key, own in now.counts.channels.items() for name in _COUNTED)
+
+
+def _called(since: list[Totals]) -> Called:
+    found: dict[str, dict[Leaf, Sequence[Leaf]]] = {}
+    for totals in since:
+        for topic, called in totals.called.items():
+            own = found.setdefault(topic, {})
+            own |= {leaf: join_called(own.get(leaf, ()), names) for leaf, names in called.items()}
+    return found
 
 
 def _added(before: IngestCounts | None, now: IngestCounts | None,
@@ -79,6 +95,7 @@ def _added(before: IngestCounts | None, now: IngestCounts | None,
         changes = {key: getattr(own.samples, key) - getattr(old, key) for key in _COUNTED}
         worst = {key: max((getattr(c.channels[name].samples, key) for c in since if c), key=abs)
                  for key in _WORST}
-        channels[name] = replace(own, samples=GroupCounts(**changes, **worst))
+        channels[name] = replace(own, samples=GroupCounts(**changes, **worst),
+                                 absent=own.absent - before.channels[name].absent)
     return IngestCounts(channels, now.windows - before.windows, now.empty - before.empty,
                         now.resets - before.resets)

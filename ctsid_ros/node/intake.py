@@ -83,6 +83,8 @@ class Intake:
             history=HistoryPolicy.KEEP_LAST, depth=settings.ingest_depth,
             reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._classes = dict(classes)
+        self._mixing = {channel.topic for channel in feed.config.channels
+                        if not channel.path.elements}  # these take what anybody publishes
         self._names = {topic: node.resolve_topic_name(topic) for topic in classes}
         self._used = dict.fromkeys(classes, self._qos)
         self._wanted = dict(self._used)
@@ -117,7 +119,7 @@ class Intake:
                     yield f'{who} {fault}'
                 else:
                     heard.append(who.removesuffix(f' of {name}'))
-            if len(heard) > 1:
+            if len(heard) > 1 and topic in self._mixing:
                 yield (f'{len(heard)} publishers are on {name}, whose samples are mixed into the '
                        f'same channels: {", ".join(heard)}; stop all but one, or give them topics '
                        'of their own')

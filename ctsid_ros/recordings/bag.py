@@ -19,17 +19,19 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
+from itertools import islice
 import os
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
 from ctsid_ros.decoding.block import Block, Decode
-from ctsid_ros.decoding.cdr import Extractor
+from ctsid_ros.decoding.cdr import ABSENT, Extractor
 from ctsid_ros.decoding.cdr_layout import DecodeError
 from ctsid_ros.decoding.field_path import FieldError, FieldPath, nearest
 from ctsid_ros.decoding.message_fields import bind, scalar_fields
 from ctsid_ros.decoding.message_types import MessageType
+from ctsid_ros.decoding.names import by_name, missing, mixed
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.files import find_files, scan_file
 from ctsid_ros.recordings.packed import raw, unpacking
@@ -73,6 +75,7 @@ class Bag:
         joined = join_topics(self._recordings)
         self._types, self._names = joined.types, joined.names
         self._notes = dict.fromkeys([*notes, *joined.notes])
+        self._met: set[tuple[str, FieldPath]] = set()  # fields by name that messages have
         self.topics: Mapping[str, TopicInfo] = joined.infos
         filled = [recording for recording in self._recordings if recording.count]
         self.start_ns = min((recording.start_ns for recording in filled), default=0)
@@ -109,9 +112,22 @@ class Bag:
         BagError
             If a topic or field is not in the bag, or it cannot be read on.
         """
-        return self._blocks({topic: unpacking(self.extractor(topic, [
-            self.bind(topic, path) for path in paths]).columns)
-            for topic, paths in fields.items()}, span_ns)
+        extractors = {topic: self.extractor(topic, [self.bind(topic, path) for path in paths])
+                      for topic, paths in fields.items()}
+        blocks = self._blocks({topic: unpacking(extract.columns)
+                               for topic, extract in extractors.items()}, span_ns)
+        return self._watched(blocks, extractors)
+
+    def _watched(self, blocks: Iterator[Block], extractors: Mapping[str, Extractor]
+                 ) -> Iterator[Block]:
+        """Note fields by index that are not always of the same name."""
+        try:
+            yield from blocks
+        finally:
+            for topic, extract in extractors.items():
+                for field in extract.fields:
+                    if fault := mixed(field, extract.called):
+                        self._note(f'topic {topic}: {fault}')
 
     def messages(self, topics: str | Iterable[str] | None = None) -> Iterator[BagMessage]:
         """
@@ -196,16 +212,19 @@ class Bag:
         """
         Close the open ranges of a field (`effort[:]`) by the first message that has elements.
 
+        A field by name (`velocity[elbow]`) is looked for in the messages.
+
         Raises
         ------
         BagError
-            If there is no such topic or field, or no message with elements.
+            If there is no such topic or field, or no message with elements, or with the name: it
+            says which names there are.
         """
         kind = self.message_type(topic)
         reason: Exception | str = 'there is no message'
         try:
             if not path.is_open:
-                Extractor(kind, [path])
+                self._look_for(topic, path)
                 return path
             with closing(self._stream_of(topic)) as messages:
                 for message in messages:
@@ -216,6 +235,23 @@ class Bag:
         except FieldError as error:
             raise BagError(f'topic {topic}: {error}') from None
         raise BagError(f'topic {topic}: the length of `{path}` is not known: {reason}')
+
+    def _look_for(self, topic: str, path: FieldPath) -> None:
+        extract = Extractor(self.message_type(topic), [path])
+        # Or there is nothing to look for.
+        damaged = not path.elements or (topic, path) in self._met or not self.topic(topic).count
+        with closing(self._stream_of(topic)) as messages:
+            for message in () if damaged else messages:
+                try:
+                    _, (first, *_) = extract(message.raw)
+                except DecodeError:
+                    damaged = True  # it is said later why there are no samples
+                    continue
+                if first is not ABSENT:
+                    self._met.add((topic, path))
+                    return
+        if not damaged:
+            raise BagError(f'topic {topic}: {missing(path, extract.names)}')
 
     def scalar_fields(self, topic: str, most: int = 64) -> list[FieldPath]:
         """
@@ -240,6 +276,52 @@ class Bag:
                 except DecodeError:
                     continue
         return scalar_fields(kind, None, most=most)
+
+    def named_fields(self, topic: str, most: int) -> dict[FieldPath, str]:
+        """
+        List the scalars of a topic that could be signals, by name where messages have names.
+
+        Parameters
+        ----------
+        topic : str
+        most : int
+            Of so many messages the names are looked at, since several publishers may have theirs.
+
+        Returns
+        -------
+        dict
+            Their fields, and what the first message that has one calls it by index.
+
+        Raises
+        ------
+        BagError
+            If there is no such topic, or its messages cannot be decoded.
+        """
+        kind = self.message_type(topic)
+        found: dict[FieldPath, str] = {}
+        watch: Extractor | None = None  # it tells whether a message has names that are new
+        known = 0
+        with closing(self._stream_of(topic)) as messages:
+            for message in islice(messages, most):
+                try:
+                    if watch is not None:
+                        watch(message.raw)
+                        if len(watch.names) == known:
+                            continue
+                        known = len(watch.names)
+                    paths = [(by_name(kind, path, message.raw), str(path))
+                             for path in scalar_fields(kind, message.raw)]
+                except DecodeError:
+                    continue
+                taken = set(found.values())
+                found |= {path: '' if index in taken else index for path, index in paths
+                          if path not in found}
+                named = [path for path in found if path.elements]
+                if not named:
+                    return found
+                self._met |= {(topic, path) for path in named}
+                watch = watch or Extractor(kind, named[:1])
+        return found or {path: str(path) for path in scalar_fields(kind, None)}
 
     def problem(self, topic: str, fields: Sequence[FieldPath]) -> str:
         """

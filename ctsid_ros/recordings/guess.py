@@ -8,7 +8,7 @@ says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
 import re
@@ -19,7 +19,8 @@ import numpy as np
 from ctsid_core.settings import Settings
 from ctsid_core.signals.wrapped import jumps_in_words
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
-from ctsid_ros.decoding.field_path import FieldPath
+from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
+from ctsid_ros.decoding.names import title
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excited import Stretch, excited, together
@@ -27,7 +28,7 @@ from ctsid_ros.recordings.guess_candidates import Candidate, is_wanted
 from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
 from ctsid_ros.recordings.guess_ranking import Pair, Ranking, in_order, one_way, rank
-from ctsid_ros.recordings.survey import CLOCKS, Survey, TopicSurvey
+from ctsid_ros.recordings.survey import CLOCKS, DECODED, Survey, TopicSurvey
 from ctsid_ros.recordings.survey import survey as look_at
 
 OFFERED = 3  # pairs that are shown
@@ -179,7 +180,7 @@ def better(bag: Bag, config: Config) -> list[Pair]:
         If the bag cannot be read on.
     """
     ranking = rank(bag, look_at(bag))
-    inputs, outputs = scalars(config.inputs), scalars(config.outputs)
+    inputs, outputs = (by_names(bag, scalars(own)) for own in (config.inputs, config.outputs))
     used = max((p.score for p in ranking.compared if p.input.key in inputs
                 and p.output.key in outputs), default=0.0)
     found = [p for p in ranking.pairs if p.score > used + _CLEARLY]
@@ -193,6 +194,15 @@ def scalars(channels: Sequence[Channel]) -> set[tuple[str, str]]:
     return {(c.topic, str(path)) for c in channels for path in (
         [FieldPath(c.path.steps, (part,)) for part in c.path.euler]
         or [FieldPath(leaf) for leaf in c.path.leaves])}
+
+
+def by_names(bag: Bag, keys: Iterable[tuple[str, str]]) -> set[tuple[str, str]]:
+    """Return topics and fields as guesses have them: by name where messages have names."""
+    found = set()
+    for topic, field in keys:
+        named = {index: str(path) for path, index in bag.named_fields(topic, DECODED).items()}
+        found.add((topic, named.get(field, field)))
+    return found
 
 
 def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int, by_names: bool,
@@ -255,7 +265,7 @@ def _followed(pair: Pair, found: Sequence[Candidate]) -> list[str]:
 
 
 def _set_point(signal: Candidate) -> bool:
-    return any(is_wanted(word) for word in signal.key)
+    return any(is_wanted(plain(word)) for word in signal.key)
 
 
 def _turned(pair: Pair) -> str:
@@ -335,11 +345,11 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
     last = re.sub(r'\W+', '_', topic.info.name.strip('/').rpartition('/')[2]) or 'channel'
     words = re.findall(r'[A-Za-z_]\w*|\d+', text.replace('euler', ''))
     named = next((i for i in range(len(words) - 2, 0, -1) if not words[i].isdigit()), 0)
-    plain = words[-1] if 'euler' in text else '_'.join(words[named:])
-    short = len(plain) < 3 and not topic.info.type.startswith('table/')
-    if plain.startswith('data') or short:
-        plain = f'{last}_{words[-1]}'
-    name = re.sub(r'\W', '_', plain)
+    short = words[-1] if 'euler' in text else '_'.join(words[named:])
+    few = len(short) < 3 and not topic.info.type.startswith('table/')
+    if short.startswith('data') or few:
+        short = f'{last}_{words[-1]}'
+    name = re.sub(r'\W+', '_', title(parse_field(text)) or short, flags=re.ASCII)
     name = f'_{name}' if name[0].isdigit() else name
     candidates = [name, f'{last}_{name}', *(f'{name}_{i}' for i in range(2, 1000))]
     name = next(c for c in candidates if c not in taken and c not in RESERVED)
@@ -349,7 +359,7 @@ def _name(topic: TopicSurvey, text: str, taken: set[str]) -> str:
 
 def _unit(signal: Candidate) -> str:
     """Return the unit that a title or a message type says; a mere name may be in any."""
-    kind, text = signal.topic.info.type, signal.key[1]
+    kind, text = signal.topic.info.type, plain(signal.key[1])
     if signal.unit or not (signal.path.euler or _SAYS_UNIT.match(kind)):
         return signal.unit
     return next((unit for pattern, unit in _UNITS if re.search(pattern, text)), '')
@@ -361,6 +371,6 @@ def _settings(survey: Survey, outputs: Sequence[Candidate]) -> Settings:
     if survey.duration < 2 * length:
         length = survey.duration / 2.0
     length = max(float(f'{length:.2g}'), 0.01)
-    return Settings(feedthrough=any(_AT_ONCE.search(y.key[1]) for y in outputs),
+    return Settings(feedthrough=any(_AT_ONCE.search(plain(y.key[1])) for y in outputs),
                     window_length=length,
                     window_stride=float(f'{max(length / 10.0, 0.001):.2g}'))

@@ -16,7 +16,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.signals.wrapped import wraps
-from ctsid_ros.decoding.field_path import FieldPath, parse_field
+from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
 from ctsid_ros.decoding.message_types import FieldType, MessageType
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock, Samples, averaged, clock_for, gather, held
@@ -116,7 +116,7 @@ def is_wanted(topic: str) -> bool:
 
 def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     """Return how likely name and type alone make a field an input, and an output: 0 to 1."""
-    name, kind = topic.info.name, topic.info.type
+    name, kind, field = topic.info.name, topic.info.type, plain(field)
     command = 1.5 * bool(COMMAND_NAME.search(name)) + bool(_COMMAND_TYPE.match(kind))
     command += 0.5 * bool(COMMAND_NAME.search(field))
     measured = bool(MEASURED_NAME.search(name)) + 1.5 * bool(_MEASURED_TYPE.match(kind))

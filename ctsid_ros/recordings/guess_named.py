@@ -73,9 +73,9 @@ def _called(survey: Survey, text: str) -> list[Key]:
     """Return what is called so and moves."""
     pattern = re.compile(re.escape(text).replace(r'\*', '.*').replace(r'\?', '.'))
     alike = [(topic, field) for topic in survey.topics for field in topic.fields
-             if any(map(pattern.fullmatch, (field.field, topic.info.name,
-                                            f'{topic.info.name} {field.field}',
-                                            f'{topic.info.name}/{field.field}')))]
+             if any(map(pattern.fullmatch, (topic.info.name, *(
+                 form for name in (field.field, field.index or field.field)
+                 for form in (name, f'{topic.info.name} {name}', f'{topic.info.name}/{name}')))))]
     if not alike:
         raise BagError(f'nothing that could be a signal is called {text!r}{_hint(survey, text)}; '
                        '`ctsid info --all` shows all')

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
+from ctsid_ros.decoding.field_path import plain
 from ctsid_ros.recordings.bag import Bag
 from ctsid_ros.recordings.excerpts import Clock
 from ctsid_ros.recordings.guess_candidates import (
@@ -235,7 +236,8 @@ def _apart(u: Candidate, y: Candidate, listed: Sequence[Candidate]) -> bool:
     """
     if u.key[0] != y.key[0]:
         return True
-    forced = bool(FORCE_FIELD.search(u.key[1])) > bool(FORCE_FIELD.search(y.key[1]))
+    forced = bool(FORCE_FIELD.search(plain(u.key[1]))) > bool(
+        FORCE_FIELD.search(plain(y.key[1])))
     return u is not y and (forced or len({c.key[0] for c in listed}) == 1)
 
 

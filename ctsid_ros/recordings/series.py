@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctsid_ros.decoding.block import Block, Located, Stamps
-from ctsid_ros.decoding.field_grammar import ParseError, Range, Step, parse_steps
+from ctsid_ros.decoding.field_grammar import Name, ParseError, Range, Step, parse_steps
 from ctsid_ros.decoding.message_types import HEADER, TIMES, Fields, FieldType, MessageType
 from ctsid_ros.recordings.chunks import YEAR
 from ctsid_ros.recordings.recording import Connection, Note, Recording, Wanted
@@ -174,7 +174,7 @@ def _steps(column: str) -> tuple[Step, ...]:
     """Return the steps of a column's name, or one that is made of it if it is no field path."""
     try:
         steps, euler = parse_steps(column)
-        if not euler and not any(isinstance(step, Range) for step in steps):
+        if not euler and not any(isinstance(step, Range | Name) for step in steps):
             return steps
     except ParseError:
         pass

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
 from ctsid_ros.decoding.block import Block, Columns, Stamps
-from ctsid_ros.decoding.field_path import FieldPath
+from ctsid_ros.decoding.field_path import FieldPath, plain
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag, TopicInfo
 from ctsid_ros.recordings.portions import portions
@@ -121,7 +121,7 @@ class _Watch:
     """What is gathered of one topic: columns, block by block."""
 
     info: TopicInfo
-    paths: Sequence[FieldPath]
+    paths: Mapping[FieldPath, str]  # and how they are called by index
     every: int  # one run of messages of so many is kept
     seen: int = 0
     undecodable: int = 0
@@ -130,6 +130,7 @@ class _Watch:
     header: list[Stamps] = field(default_factory=list)
     sound: list[NDArray[np.bool_]] = field(default_factory=list)
     values: list[Array] = field(default_factory=list)
+    absent: list[NDArray[np.bool_]] = field(default_factory=list)
     cuts: list[int] = field(default_factory=list)  # before which messages nothing was read
 
     def add(self, rows: Columns) -> None:
@@ -142,7 +143,10 @@ class _Watch:
         self.sound.append(rows.sound)
         if rows.header_ns is not None:
             self.header.append(rows.header_ns[rows.sound])
-        self.values.append(rows.values[runs & rows.sound].astype(float))
+        kept = runs & rows.sound
+        self.values.append(rows.values[kept].astype(float))
+        self.absent.append(np.zeros_like(self.values[-1], bool) if rows.absent is None
+                           else rows.absent[kept])
 
 
 def survey(bag: Bag, most: int = MOST) -> Survey:
@@ -191,7 +195,8 @@ def _blocks(bag: Bag, watches: Mapping[str, _Watch], parts: Sequence[tuple[float
         for watch in watches.values():
             watch.cuts.append(watch.seen)
         span = (bag.start_ns + round(first * 1e9), bag.start_ns + round(last * 1e9))
-        for block in bag.blocks({n: w.paths for n, w in watches.items()}, span) if watches else ():
+        fields = {name: [*watch.paths] for name, watch in watches.items()}
+        for block in bag.blocks(fields, span) if watches else ():
             low, high = np.searchsorted(block.log_ns, (span[0], span[1] + 1)).tolist()
             yield block.split(high)[0].split(low)[1]
 
@@ -212,7 +217,8 @@ def _watches(bag: Bag) -> tuple[dict[str, _Watch], list[TopicSurvey]]:
             skipped.append(TopicSurvey(info, note=note))
             continue
         try:
-            paths = [p for p in bag.scalar_fields(name) if not _NOT_A_SIGNAL.search(str(p))]
+            paths = {p: index for p, index in bag.named_fields(name, DECODED).items()
+                     if not _NOT_A_SIGNAL.search(plain(str(p)))}
         except BagError as error:
             skipped.append(TopicSurvey(info, note=str(error)))
             continue
@@ -236,12 +242,13 @@ def _finish(watch: _Watch, bag: Bag) -> TopicSurvey:
     late = math.nan
     if watch.info.has_header and stamps[0].usable:
         late = float(np.median((log[sound] - header)[header > 0])) * 1e-9
-    rows = np.concatenate(watch.values)
-    fields = tuple(field_stats(path, rows[:, i], RUN) for i, path in enumerate(watch.paths)
-                   if len(rows))
+    rows, absent = np.concatenate(watch.values), np.concatenate(watch.absent)
+    fields = tuple(field_stats(path, rows[~absent[:, i], i], RUN,
+                               index if path.elements else '')
+                   for i, (path, index) in enumerate(watch.paths.items()) if len(rows))
     steps = np.diff(log)[~begins[1:]]
     length = float(steps.sum()) * 1e-9
     rate = len(steps) / length if length > 0 else math.nan
     return TopicSurvey(watch.info, float(first), float(last), float(rate), tuple(stamps), late,
                        fields, watch.undecodable,
-                       bag.problem(watch.info.name, watch.paths) if watch.undecodable else '')
+                       bag.problem(watch.info.name, [*watch.paths]) if watch.undecodable else '')

@@ -69,6 +69,8 @@ class FieldStats:
         Whether it only ever rises, by whole numbers: a counter or a clock.
     finite : float
         Share of the values that are finite.
+    index : str
+        What it is by index, if it is a field by name: `velocity[2]` of `velocity[elbow]`.
     """
 
     field: str
@@ -80,6 +82,7 @@ class FieldStats:
     white: bool
     monotone: bool
     finite: float
+    index: str = ''
 
 
 def stamp_stats(source: str, stamps: NDArray[np.int64], begins: NDArray[np.bool_] | None = None
@@ -107,7 +110,7 @@ def stamp_stats(source: str, stamps: NDArray[np.int64], begins: NDArray[np.bool_
 
 
 @np.errstate(over='ignore', invalid='ignore')  # damaged numbers may be too large to be squared
-def field_stats(path: FieldPath, values: Array, run: int) -> FieldStats:
+def field_stats(path: FieldPath, values: Array, run: int, index: str = '') -> FieldStats:
     """
     Measure a scalar.
 
@@ -117,11 +120,13 @@ def field_stats(path: FieldPath, values: Array, run: int) -> FieldStats:
     values : ndarray, shape (N,)
     run : int
         So many of them at a time are neighbours.
+    index : str, optional
     """
     good = values[np.isfinite(values)]
     if not len(good):
         nan = math.nan
-        return FieldStats(str(path), nan, nan, nan, nan, False, False, False, 0.0)
+        return FieldStats(str(path), nan, nan, nan, nan, False, False, False, 0.0,
+                          index)
     if path.euler:
         good = np.unwrap(good)
     low, high, std = float(np.min(good)), float(np.max(good)), float(np.std(good))
@@ -132,7 +137,7 @@ def field_stats(path: FieldPath, values: Array, run: int) -> FieldStats:
     return FieldStats(
         str(path), low, high, float(good.mean()), std, moves, moves and spread > _WHITE * std,
         bool(len(good) > 2 and (whole >= 0).all() and (good == np.round(good)).all()
-             and np.count_nonzero(whole) > 0.9 * len(whole)), len(good) / len(values))
+             and np.count_nonzero(whole) > 0.9 * len(whole)), len(good) / len(values), index)
 
 
 def _steps(values: Array, run: int) -> Array:

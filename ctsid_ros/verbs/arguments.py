@@ -196,15 +196,17 @@ def better_pairs(bags: Sequence[str], time: Sequence[str], config: Config) -> Be
     """Return the pairs of which a recording says more than of those that gave no model."""
     from ctsid_ros.errors import BagError
     from ctsid_ros.recordings.bag import open_bag
-    from ctsid_ros.recordings.guess import better, scalars
+    from ctsid_ros.recordings.guess import better, by_names, scalars
     from ctsid_ros.report.headline import Better
 
     pairs: Sequence[Pair] = ()
     with suppress(BagError), open_bag(bags, time) as bag:      # the results go without
         pairs = better(bag, config)
+        keys = {'input': by_names(bag, scalars(config.inputs)),
+                'output': by_names(bag, scalars(config.outputs))}
     kept: tuple[str, ...] = ()
-    for side, channels in (('input', config.inputs), ('output', config.outputs)):
-        if pairs and all(getattr(p, side).key in scalars(channels) for p in pairs):
+    for side in ('input', 'output'):
+        if pairs and all(getattr(p, side).key in keys[side] for p in pairs):
             kept = (f'--{side}', ' '.join(getattr(pairs[0], side).key))
     return Better(tuple(
         f'{" ".join(p.input.key)} -> {" ".join(p.output.key)} '
