@@ -362,7 +362,7 @@ def test_guesses_name_joints(tmp_path):
         assert not bag.notes
     output, = chosen.outputs
     assert (output.name, output.field, output.unit) == (
-        'elbow_velocity', 'velocity[elbow]', 'rad/s')
+        'elbow_velocity', 'velocity[elbow]', '')
     assert "field: 'velocity[elbow]'" in dump_config(chosen)
     assert [field for _, field in by_index.outputs] == [
         'velocity[shoulder]', 'velocity[elbow]', 'effort[elbow]', 'effort[shoulder]']

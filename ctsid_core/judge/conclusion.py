@@ -14,6 +14,7 @@ from ctsid_core.judge.changed import Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
+from ctsid_core.judge.feedback import answers
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
@@ -189,6 +190,9 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))
+    told = np.ones(whole.nu)
+    if not model.D.any():           # else outputs follow what they are looked at for
+        told[list(last.u)] = answers([p.record for p in part.parts])
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
@@ -209,7 +213,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        doubt=solution.doubt, wrapped=_wrapped(part),
+        doubt=solution.doubt, wrapped=_wrapped(part), answers=told,
         faults=part.numbered([p.whole.faults for p in part.parts]))
 
 

@@ -34,6 +34,7 @@ _LEAKS = 0.25           # frequencies more than its sines that an input seems to
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
+_ANSWERS = 0.005        # of an input's changes, that the outputs' past does not tell
 _DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
@@ -138,6 +139,12 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'and of the outputs raise the fit by {e.numbers.curve_gain[i]:.1f} %, so something '
             'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
             'less.')
+    for j in np.flatnonzero(e.answers < _ANSWERS).tolist():
+        yield Remedy.PART, (
+            f'Input {e.input_names[j]} answers to the outputs alone: their past tells all but '
+            f'{100 * e.answers[j]:.2g} % of how it changes, as when a controller holds the plant '
+            'where it is, and the model may be of the controller; move the set point (in a '
+            'recording: take a part in which it moves).')
     moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
     for one in moving:
         if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A controller that holds a plant in place: inputs and outputs tell of the controller."""
+
+from __future__ import annotations
+
+from marks import slow
+import numpy as np
+from plants import PLANTS, paper, random_plant, running
+import pytest
+from scipy.linalg import expm
+
+from ctsid_core import Grade, Record, Settings, identify
+from ctsid_core.judge.feedback import answers
+
+
+def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: float = -2.0,
+                  late: float = 5e-4) -> Record:
+    """Return 8 s of 300 / ((s + 20) (s - pole)) in gusts, under a PI controller at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    joined = np.zeros((4, 4))
+    joined[:2] = [[-20.0, 0.0, 20.0, 0.0], [30.0, pole, 0.0, 1.0]]
+    state, wind, sum_, u, point, then = np.zeros(2), 0.0, 0.0, 0.0, 0.0, 0.0
+    stamps = 0.01 * np.arange(1300) + late * np.abs(rng.standard_normal(1300))
+    y, sent = np.empty(1300), np.empty(1300)
+    for k, (t, dt) in enumerate(zip(stamps, np.diff(stamps, prepend=-0.01), strict=True)):
+        wind += -0.5 * wind * dt + gust * np.sqrt(dt) * rng.standard_normal()
+        state = (expm(joined * dt) @ np.append(state, (u, wind)))[:2]
+        y[k] = state[1] + 0.02 * rng.standard_normal()
+        if moves == 'jumps' and t > then:
+            point, then = rng.choice([-1.0, 1.0]), t + rng.uniform(0.2, 0.8)
+        if moves == 'sways':
+            point = np.sin(1.3 * t) + 0.7 * np.sin(2.9 * t + 1.0)
+        sum_ += 0.3 * (point - y[k]) * dt
+        u = sent[k] = 0.12 * (point - y[k]) + sum_
+    kept = stamps > 5.0
+    return Record.from_arrays(stamps[kept] + 5e-4, sent[kept], stamps[kept], y[kept],
+                              input_hold='zoh')
+
+
+@pytest.mark.parametrize(('gust', 'pole', 'late', 'seed'), [
+    (4.0, -2.0, 5e-4, 0), (0.5, 1.0, 5e-4, 1),
+    *slow((4.0, -2.0, 2e-3, 2), (1.0, -2.0, 5e-4, 3), (2.0, -2.0, 0.0, 4))])
+@pytest.mark.parametrize('feedthrough', [False, True])
+def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, seed):
+    """All were GOOD with fits of 66 to 93 %: a pole at the zero of the controller, a gain of 0."""
+    record = held_in_place(seed, gust=gust, pole=pole, late=late)
+    found = identify(record, Settings(feedthrough=feedthrough))
+    assert found.verdict.grade is not Grade.GOOD
+    assert 'answers to the outputs alone' in found.verdict.reason
+    assert 'set point' in found.verdict.reason
+
+
+@pytest.mark.parametrize('moves', ['jumps', 'sways'])
+def test_a_set_point_that_moves_is_seen(moves):
+    record = held_in_place(0, moves, gust=0.5)
+    assert answers([record])[0] > 0.05          # ten times the limit
+    found = identify(record, Settings(feedthrough=False))
+    assert 'answers' not in found.verdict.reason
+    # One record in which it moves is enough.
+    assert answers([held_in_place(1), record])[0] > 0.05
+
+
+@pytest.mark.parametrize('snr', [None, 50])
+def test_what_is_smooth_is_no_answer(snr):
+    """Outputs tell of smooth inputs as well; but so does the past of these."""
+    rng = np.random.default_rng(1)
+    for record in (*(paper(rng, name, snr) for name in ('hd51', 'hd52')),
+                   running(rng, PLANTS['hd51'], snr, band=3.0),
+                   running(rng, random_plant(rng, 3, 2, 2), snr)):
+        assert np.all(answers([record]) >= 1.0)
