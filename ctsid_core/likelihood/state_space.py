@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, Places, jacobian
+from ctsid_core.likelihood.output_error import Fit, Free, Places, fit_at, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import orthonormal
@@ -115,7 +115,8 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
     moving = moving - basis @ (basis.T @ moving)
-    moving = np.vstack((moving, _intervals(samples, places, width)[:, wanted]))
+    moving = np.vstack((moving, _late(samples, fit, free, moving, np.count_nonzero(
+        wanted[:places.poles]))))
     turned = orthonormal(moving, GAUGE).T
     directions = np.zeros((width, apart.shape[1] + len(turned)))
     directions[nuisance, :apart.shape[1]] = apart
@@ -200,17 +201,39 @@ def _mean_around(values: NDArray[Any], reach: int) -> NDArray[Any]:
     return found
 
 
-def _intervals(samples: Samples, places: Places, count: int) -> Array:
+def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int) -> Array:
     """
-    Return rows (delays, count) that say: dead times are known to an interval of the outputs.
+    Return rows that say what is known of dead times beyond the first order, (delays, k).
 
-    Where a held input is sampled with the outputs, a small change of dead time is one of zeros,
-    and nothing bounds it to first order; a change by more than an interval the samples do show.
+    A zero of the plant may stand in for a small change of dead time, to first order exactly if a
+    held input is sampled with the outputs; a larger change the samples do show. `moving` (N, k)
+    has what columns of dead times, from `at` on, and all others move.
     """
-    found = np.zeros((places.delays, count))
-    found[np.arange(places.delays), places.poles + np.arange(places.delays)] = \
-        1.0 / samples.interval
+    places = np.flatnonzero(free.delays)
+    found = np.zeros((len(places), moving.shape[1]))
+    for k, j in enumerate(places):
+        others = np.delete(moving, at + k, axis=1)
+        left = moving[:, at + k] - others @ np.linalg.lstsq(others, moving[:, at + k], None)[0]
+        first = float(left @ left)
+        if first * samples.interval ** 2 < 1.0:
+            found[k, at + k] = np.sqrt(max(_shown(samples, fit, free, j) ** -2 - first, 0.0))
     return found
+
+
+def _shown(samples: Samples, fit: Fit, free: Free, j: int) -> float:
+    """Return the change of a dead time that costs 1 in -2 log likelihood [s]."""
+    model, change = fit.model, samples.interval
+    while True:
+        costs = []
+        for moved in (model.delay[j] + change, model.delay[j] - change):
+            if moved >= 0.0:
+                delay = model.delay.copy()
+                delay[j] = moved
+                costs.append(fit_at(samples, model.poles, delay, free, fit, slopes=False).cost)
+        rise = min(costs) - fit.cost
+        if rise >= 1.0 or change > free.longest:
+            return float(change * max(rise, 1.0) ** -0.25)      # what a zero does is quadratic
+        change *= 2.0
 
 
 def _read_alike(samples: Samples, fit: Fit) -> Array:
