@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, Places, fit_at, jacobian
+from ctsid_core.likelihood.output_error import Fit, Free, fit_at, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import orthonormal
@@ -209,7 +209,7 @@ def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int) -> Arr
     held input is sampled with the outputs; a larger change the samples do show. `moving` (N, k)
     has what columns of dead times, from `at` on, and all others move.
     """
-    places = np.flatnonzero(free.delays)
+    places = [j for j, late in enumerate(free.delays) if late]
     found = np.zeros((len(places), moving.shape[1]))
     for k, j in enumerate(places):
         others = np.delete(moving, at + k, axis=1)
