@@ -115,8 +115,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
     moving = moving - basis @ (basis.T @ moving)
-    moving = np.vstack((moving, _late(samples, fit, free, moving, np.count_nonzero(
-        wanted[:places.poles]))))
+    moving = np.vstack((moving, _late(samples, fit, free, moving, places.poles)))
     turned = orthonormal(moving, GAUGE).T
     directions = np.zeros((width, apart.shape[1] + len(turned)))
     directions[nuisance, :apart.shape[1]] = apart
