@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from marks import slow
 import numpy as np
 from plants import PLANTS, paper, random_plant, running
@@ -10,7 +12,7 @@ import pytest
 from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, identify
-from ctsid_core.judge.feedback import answers
+from ctsid_core.judge.feedback import distance_to_controller
 
 
 def held_in_place(seed: int, moves: str = 'rests', gust: float = 4.0, pole: float = -2.0,
@@ -46,18 +48,36 @@ def test_a_model_of_the_controller_is_not_good(feedthrough, gust, pole, late, se
     record = held_in_place(seed, gust=gust, pole=pole, late=late)
     found = identify(record, Settings(feedthrough=feedthrough))
     assert found.verdict.grade is not Grade.GOOD
-    assert 'answers to the outputs alone' in found.verdict.reason
+    assert 'minus one over' in found.verdict.reason
     assert 'set point' in found.verdict.reason
+
+
+@pytest.mark.parametrize('share', [0.005, 0.02])
+def test_samples_that_were_lost_on_the_way_hide_nothing(share):
+    record, rng = held_in_place(1), np.random.default_rng(0)
+    inputs, outputs = (tuple(replace(
+        s, time=s.time[kept], values=s.values[kept]) for s in signals for kept in [
+            rng.uniform(size=len(s.time)) > share]) for signals in (record.inputs, record.outputs))
+    lossy = replace(record, inputs=inputs, outputs=outputs)
+    assert 'minus one over' in identify(lossy, Settings(feedthrough=False)).verdict.reason
 
 
 @pytest.mark.parametrize('moves', ['jumps', 'sways'])
 def test_a_set_point_that_moves_is_seen(moves):
     record = held_in_place(0, moves, gust=0.5)
-    assert answers([record])[0] > 0.05          # ten times the limit
     found = identify(record, Settings(feedthrough=False))
-    assert 'answers' not in found.verdict.reason
-    # One record in which it moves is enough.
-    assert answers([held_in_place(1), record])[0] > 0.05
+    assert 'minus one' not in found.verdict.reason
+    away = distance_to_controller([record], found.model or found.rejected_model,
+                                  found.verdict.excitation)
+    assert away[0] > 0.45
+
+
+def test_a_command_that_is_rounded_hides_nothing():
+    record = held_in_place(1)
+    signal = record.inputs[0]
+    command = replace(signal, values=0.002 * np.round(signal.values / 0.002))
+    found = identify(replace(record, inputs=(command,)), Settings(feedthrough=False))
+    assert 'minus one over' in found.verdict.reason
 
 
 @pytest.mark.parametrize('snr', [None, 50])
@@ -67,4 +87,7 @@ def test_what_is_smooth_is_no_answer(snr):
     for record in (*(paper(rng, name, snr) for name in ('hd51', 'hd52')),
                    running(rng, PLANTS['hd51'], snr, band=3.0),
                    running(rng, random_plant(rng, 3, 2, 2), snr)):
-        assert np.all(answers([record]) >= 1.0)
+        found = identify(record, Settings(order=2, held_out=0.0))
+        away = distance_to_controller([record], found.model or found.rejected_model,
+                                      found.verdict.excitation)
+        assert np.all(away == np.inf)

@@ -6,10 +6,9 @@ from __future__ import annotations
 import pytest
 
 pytest.importorskip('rclpy')
-from live import LATCHED, RELIABLE, Live  # noqa: E402
+from live import RELIABLE, Live  # noqa: E402
 from robot import EPOCH, Robot, S, joint_message, motion, params  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64  # noqa: E402
 
 from ctsid_core.model.verdict import Grade  # noqa: E402
 from ctsid_ros.config.parameter_file import read_config  # noqa: E402
@@ -105,30 +104,6 @@ def test_header_stamps_that_become_zero_are_told_with_a_cure_that_helps(live):
     said = node.wait_health('ingest', only_zeros, 'nothing but zeros')
     assert ('has a stamp in its header, though the first ones had; correct the publisher, or set '
             '`torque.stamp` to log') in said.message
-
-
-def test_an_input_published_once_before_the_node_began_is_heard(live):
-    text = params('ingest.timeout: 1.0').replace(
-        'inputs: [torque]', 'inputs: [torque, load]\n'
-        '    load: {topic: /load, type: std_msgs/msg/Float64, field: data}')
-    load = live.node.create_publisher(Float64, '/load', LATCHED)
-    load.publish(Float64(data=0.5))
-    node = live.identifier(text)
-    node.wait_health('ingest', lambda h: h.values['load samples'] == '1', 'the latched sample')
-    said = node.wait_health('ingest', lambda h: float(h.values['/load age [s]']) > 1.5, 'its age')
-    assert '/load' not in said.message
-    load.publish(Float64(data=0.6))
-    node.wait_health('ingest', lambda h: h.values['load samples'] == '2', 'another')
-    assert node.trigger('reset')[0]
-    load.publish(Float64(data=0.65))
-    node.wait_health('ingest', lambda h: h.values['load samples'] == '3', 'all of them again')
-    other, = live.publishers({'/load': Float64}, RELIABLE, node.name)
-
-    def both(health) -> bool:
-        other.publish(Float64(data=0.7))
-        return int(health.values['load samples']) > 5
-
-    assert 'so its messages do not come' not in node.wait_health('ingest', both, 'both').message
 
 
 def test_after_a_reset_no_window_is_full(live):

@@ -33,7 +33,7 @@ BAD = np.array([np.nan, 0.9, 0.9])
 WORST = Evidence(
     input_names=('a', 'b'), output_names=('x', 'y', 'z'), fixed_inputs=(0,), fixed_outputs=(0,),
     stuck=(Stuck(1, 2.0, 9.0),), expected=np.full(3, np.nan), driven=np.zeros(3),
-    answers=np.array([1.0, 1e-4]),
+    distance_to_controller=np.array([1.0, 0.1]),
     poles=np.array([-1.0 + 0.0j, np.nan]), change=Change(cost=50.0), where='about 3 s', worst='',
     numbers=replace(UNJUDGED, error=np.array([np.nan, 0.1, np.inf]), coloured_error=BAD,
                     held_out_error=BAD, response_uncertainty=np.full(3, 2.0),
@@ -66,8 +66,8 @@ def findings() -> list[tuple[Remedy, str]]:
     verdicts += [rules.weakened(replace(good, agreement=a)) for a in CONTRADICTIONS]
     verdicts += [rules.in_sequence(estimate, np.array([fit]), np.array([ratio]), moved,
                                    before).verdict
-                 for fit, ratio, moved, before in ((9.0, 5.0, 0.0, 0), (99.0, 1.0, 0.0, 3),
-                                                   (99.0, 1.0, 9.0, 2))]
+                 for fit, ratio, moved, before in ((9.0, 5.0, 0.0, ()), (99.0, 1.0, 0.0, (3,)),
+                                                   (99.0, 1.0, 9.0, (2,)))]
     return [*found, *((v.remedy, v.reason) for v in verdicts)]
 
 
@@ -76,7 +76,7 @@ def test_every_rule_is_looked_at():
     for words in ('not move', 'exactly the same', 'changed', 'No linear', 'does not follow',
                   'finite', 'zero column', '1 frequency', 'independently', 'move it more',
                   'explain little', 'is not linear', 'held out', 'response to input a is at',
-                  'not been tested', 'Nobody', 'answers to the outputs alone',
+                  'not been tested', 'Nobody', 'minus one over',
                   'badly (its fit there', 'is unstable', 'order has changed', 'A pole has moved',
                   'An earlier window', 'arithmetic', 'acts 0.1 s later', 'gaps', 'gobf failed'):
         assert words in said, words
@@ -167,14 +167,14 @@ def test_of_several_inputs_the_one_known_least_is_named():
         Excitation(name, 1.0, 2.0, 9.0, 1.0, unsure)
         for name, unsure in (('a', 0.14), ('b', 2.0))))
     reasons = [reason for _, reason in rules._weaknesses(
-        replace(WORST, numbers=numbers, fixed_inputs=(), answers=np.ones(2)))]
+        replace(WORST, numbers=numbers, fixed_inputs=(), distance_to_controller=np.ones(2)))]
     assert reasons[0].startswith('The response to input b has')
     assert reasons[1].startswith('The response to input a has')
 
 
 def test_what_saturates_is_not_advised_to_move_more():
     """The response to its input is not known either, but that is what comes of it."""
-    reasons = rules._weaknesses(replace(WORST, fixed_inputs=()))
+    reasons = rules._weaknesses(replace(WORST, fixed_inputs=(), distance_to_controller=np.ones(2)))
     remedy, reason = next(r for r in reasons if 'move' in r[1])
     assert remedy is Remedy.PART
     assert 'take a part of the data in which it moves less' in reason

@@ -523,8 +523,9 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     one = np.array([0.9])
     status, verdict = judge(Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, answers=one, poles=np.array([-1.0 + 0j]),
-        change=Change(0, 0.3, 1.5), where='about 3 s after the start of the window', worst=worst,
+        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1),
+        poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 1.5),
+        where='about 3 s after the start of the window', worst=worst,
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
     assert status is Status.UNEXPLAINED
     assert f'is 90 % of its motion{worst}; check that these' in verdict.reason
@@ -538,8 +539,9 @@ def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved,
     one = np.array([0.1])
     _, verdict = judge(Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, answers=one, poles=np.array([-1.0 + 0j]),
-        change=Change(), where='', worst='', doubt=('modes run', 'x: y'), numbers=replace(
+        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1),
+        poles=np.array([-1.0 + 0j]), change=Change(), where='', worst='',
+        doubt=('modes run', 'x: y'), numbers=replace(
             UNJUDGED, error=one, coloured_error=one, held_out_error=one,
             response_uncertainty=one, curve_gain=np.array([curved]),
             excitation=(Excitation('u1', 0.1, 10.0, 9.0, 1.0, known),))))

@@ -14,7 +14,7 @@ from ctsid_core.judge.changed import Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
-from ctsid_core.judge.feedback import answers
+from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
@@ -67,7 +67,7 @@ def conclude(solution: Solution) -> Estimate:
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulating or (samples, fit, solution.free)))
-    evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model,
+    evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model, moving,
                          deviation, curves)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
@@ -171,7 +171,7 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
 
 
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,
-              seen: tuple[tuple[Excitation, ...], Array], model: StateSpace,
+              seen: tuple[tuple[Excitation, ...], Array], model: StateSpace, moving: StateSpace,
               deviation: Array, curves: Array) -> Evidence:
     part = solution.part
     last = part.parts[part.last]
@@ -190,9 +190,9 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))
-    told = np.ones(whole.nu)
-    if not model.D.any():           # else outputs follow what they are looked at for
-        told[list(last.u)] = answers([p.record for p in part.parts])
+    away = np.full(whole.nu, np.inf)
+    away[list(last.u)] = distance_to_controller(
+        [p.record for p in part.parts], moving, seen[0])
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
@@ -213,7 +213,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
-        doubt=solution.doubt, wrapped=_wrapped(part), answers=told,
+        doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
         faults=part.numbered([p.whole.faults for p in part.parts]))
 
 

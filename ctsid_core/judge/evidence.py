@@ -25,7 +25,7 @@ class Evidence:
     # lets expect, over the motion
     expected: Array
     driven: Array                   # (ny,): rms of what inputs explain, over the motion, or 0
-    answers: Array                  # (nu,): see `ctsid_core.judge.feedback`
+    distance_to_controller: Array   # (nu,): see `ctsid_core.judge.feedback`
     poles: ComplexArray             # (n,)
     change: Change
     where: str                      # which window, or record, changed, and when

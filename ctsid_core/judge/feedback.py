@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Inputs that only answer to the outputs, as those of a controller that holds a plant in place.
+Whether a model is that of the controller: minus one over it.
 
-Then inputs and outputs tell of the controller, u = -C y, at least as much as of the plant, and a
-model of y by u may be -1/C, however well it fits. What else moves an input, a set point or an
-experiment, shows in how it changes: the outputs' past does not tell that.
+Where a controller holds a plant in place, inputs and outputs tell of the controller, u = -C y, at
+least as much as of the plant, and y = -u / C fits well. The controller is what the outputs' past
+tells of how an input changes, if it tells more of that than the input's own past; and 1 + G C is
+near 0 then. Of a right model it is one over the sensitivity of the loop, which a controller that
+is any good keeps well away from 0.
 
 References
 ----------
@@ -14,52 +16,102 @@ Ljung, System Identification, 2nd edition, section 13.4 (closed loop, informativ
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
 from ctsid_core.linear.least_squares import least_norm
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.verdict import Excitation
 from ctsid_core.signals.record import Record, Signal
 
 _PAST = 20            # samples of an input, over which the outputs are looked at
 _EACH = 6             # changes for each number, at least
+_MOST = 5000          # samples of an input that are looked at, the last ones
+_LOST = 1.5           # sample intervals without a sample: one was lost
 _TOLERANCE = 1e-10    # of regressors that depend on each other
 _SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
+_HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
+_FREQUENCIES = 40     # ... so many frequencies are looked at
 
 
-def answers(records: Sequence[Record]) -> Array:
+def distance_to_controller(records: Sequence[Record], model: StateSpace,
+                           excited: Sequence[Excitation]) -> Array:
     """
-    Return how much of its changes each input owes to more than the outputs, (nu,).
+    Return how far a model is from minus one over the controller, for each input, (nu,).
 
-    The power of the changes that the outputs' past does not tell, over the power that the input's
-    own past does not tell: 1 or more of an input that a person moves, 0 of what a controller
-    computes from the outputs alone. Of several records that with the largest.
+    The median over the excited band of the size of the input's row of 1 + C G, every octave alike,
+    of the record with the least. Infinite if the outputs' past tells no more of how the input
+    changes than its own past does: then no controller is seen.
     """
-    return np.max([np.concatenate([_of_signal(s, r) for s in r.inputs]) for r in records], axis=0)
+    found = np.full((len(records), model.nu), np.inf)
+    for row, record in zip(found, records, strict=True):
+        j = 0
+        for signal in record.inputs:
+            for answer in _answers(signal, record, bool(model.D.any())):
+                if answer is not None:
+                    row[j] = _distance(answer, signal.period, model, j, excited[j])
+                j += 1
+    return np.asarray(found.min(axis=0))
 
 
-def _of_signal(signal: Signal, record: Record) -> Array:
+def _distance(answer: Array, step: float, model: StateSpace, j: int, excited: Excitation) -> float:
+    """Return the distance, given what the outputs add to each change of the input, (past, ny)."""
+    high = min(excited.high, _HIGH * np.pi / step)
+    if not 0.0 < excited.low < high:
+        return np.inf
+    omega = np.geomspace(excited.low, high, _FREQUENCIES)
+    lags = np.exp(-1j * np.outer(omega, step * np.arange(len(answer))))
+    # Changes add up, and the sum is held.
+    controller: ComplexArray = lags @ answer / (1j * omega * step)[:, np.newaxis]
+    rows = np.einsum('fi,fij->fj', controller, model.frequency_response(omega))
+    rows[:, j] -= 1.0
+    return float(np.median(np.linalg.norm(rows, axis=1)))
+
+
+def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None]:
+    """
+    Return what outputs before it add to each change of a channel, (past, ny), if they tell.
+
+    Strictly before it if outputs follow the inputs `at_once`.
+    """
     rows = signal.rows(record.start, record.end)
-    times, values = signal.time[rows], signal.values[rows]
+    times, values = signal.time[rows][-_MOST:], signal.values[rows][-_MOST:]
     # What an input is computed from has the same stamp or an earlier one.
-    outputs = np.column_stack([
-        s.values[np.maximum(np.searchsorted(s.time, times, side='right') - 1, 0)]
-        for s in record.outputs])[1:]
-    found = np.ones(signal.width)
-    past = min(_PAST, len(outputs) // (_EACH * outputs.shape[1]))
-    if past > 0:
-        for j, changes in enumerate(np.diff(values, axis=0).T):
-            own = _left(changes[:-1, np.newaxis], changes[1:], past)
-            if own > _SMOOTH * np.mean(changes ** 2):
-                found[j] = _left(outputs, changes, past) / own
+    side: Literal['left', 'right'] = 'left' if at_once else 'right'
+    last = [np.maximum(np.searchsorted(s.time, times, side=side) - 1, 0)
+            for s in record.outputs]
+    outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
+    past = min(_PAST, len(times) // (_EACH * outputs.shape[1]))
+    # Of samples that were lost on the way the controller knew.
+    lost = np.any([np.diff(times, prepend=times[:1]) > _LOST * signal.period, *(
+        times - s.time[at] > _LOST * s.period
+        for s, at in zip(record.outputs, last, strict=True))], axis=0)
+    known = np.convolve(lost, np.ones(past + 1))[1:len(times)] < 0.5
+    if not np.count_nonzero(known) > 2 * past * outputs.shape[1] > 0:
+        return [None] * signal.width
+    changes = np.diff(values, axis=0).T
+    weights, left = _told(outputs[1:], changes, past, known)
+    found: list[Array | None] = []
+    for own, power, w in zip(changes, left, weights, strict=True):
+        _, rest = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past, known[1:])
+        tells = power < rest[0] and rest[0] > _SMOOTH * np.mean(own ** 2)
+        found.append(w.reshape(past, -1) if tells else None)
     return found
 
 
-def _left(regressors: Array, targets: Array, past: int) -> float:
-    """Return the mean square of what so many rows of regressors up to each do not tell of it."""
-    count = len(targets) - past + 1
-    columns = [regressors[past - 1 - k:past - 1 - k + count].T for k in range(past)]
-    known = np.vstack((*columns, np.ones((1, count))))
-    wanted = targets[np.newaxis, past - 1:]
-    left = wanted - least_norm(known, wanted, _TOLERANCE) @ known
-    return float(np.sum(left ** 2)) / max(count - len(known), 1)
+def _told(regressors: Array, targets: Array, past: int, counted: Mask) -> tuple[Array, Array]:
+    """
+    Return how targets (m, N) depend on so many rows (N, k) up to each, and what is left of them.
+
+    Weights (m, past k), and the mean squares of what is left (m,), of the targets that count.
+    """
+    count = targets.shape[1] - past + 1
+    rows = counted[past - 1:]
+    known = np.vstack([*(regressors[past - 1 - k:past - 1 - k + count].T for k in range(past)),
+                       np.ones((1, count))])[:, rows]
+    wanted = targets[:, past - 1:][:, rows]
+    weights = least_norm(known, wanted, _TOLERANCE)
+    left = np.sum((wanted - weights @ known) ** 2, axis=1) / max(wanted.shape[1] - len(known), 1)
+    return weights[:, :-1], left

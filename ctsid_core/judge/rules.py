@@ -34,7 +34,7 @@ _LEAKS = 0.25           # frequencies more than its sines that an input seems to
 _SINES = 2              # that tell four numbers, and must be exceeded; as many as there are states
                         # suffice for fewer
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
-_ANSWERS = 0.005        # of an input's changes, that the outputs' past does not tell
+_CONTROLLER = 0.35      # of 1: what 1 + C G is of a model that is minus one over the controller C
 _DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
 _DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
 _UNEXPLAINED = 0.8      # ... and no model at all
@@ -54,10 +54,11 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     """Return status and verdict; the grade is REJECT if and only if the status is not OK."""
     weak = ((Status.OK, *one) for one in _weaknesses(evidence))
     for status, remedy, reason in chain(_rejections(evidence), weak):
+        if (fault := next(_faults(evidence), None)) and status in _FAULTY:
+            remedy, reason = fault
         doubtful = status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS)
-        if evidence.faults and status in _FAULTY:
-            remedy, reason = Remedy.SIGNALS, evidence.faults[0]
-        elif doubt := evidence.wrapped or (evidence.doubt if doubtful else None):
+        if reason not in evidence.faults and (
+                doubt := evidence.wrapped or (evidence.doubt if doubtful else None)):
             what, setting = doubt
             remedy, reason = Remedy.SETTING, (
                 f'{what[0].upper()}{what[1:]}. If that is not so: {reason[0].lower()}{reason[1:]} '
@@ -117,9 +118,20 @@ def change_note(e: Evidence) -> tuple[str, ...]:
             'accepted)',)
 
 
-def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
+def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
+    """Yield what is wrong with the samples, whatever model they give."""
     for fault in e.faults:
         yield Remedy.SIGNALS, fault
+    for j in np.flatnonzero(e.distance_to_controller < _CONTROLLER).tolist():
+        yield Remedy.EXCITE, (
+            f'The response to input {e.input_names[j]} is minus one over what computes it from '
+            f'the outputs, to {100 * e.distance_to_controller[j]:.0f} %: a controller holds the '
+            'plant where it is, and hardly anything else moves the input; move the set point (in '
+            'a recording: take a part in which it moves).')
+
+
+def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
+    yield from _faults(e)
     if e.unproven:
         yield Remedy.SETTING, (
             f'The model is unstable (a mode grows as exp({np.max(e.poles.real):.2g} t)), and a '
@@ -139,12 +151,6 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'and of the outputs raise the fit by {e.numbers.curve_gain[i]:.1f} %, so something '
             'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
             'less.')
-    for j in np.flatnonzero(e.answers < _ANSWERS).tolist():
-        yield Remedy.PART, (
-            f'Input {e.input_names[j]} answers to the outputs alone: their past tells all but '
-            f'{100 * e.answers[j]:.2g} % of how it changes, as when a controller holds the plant '
-            'where it is, and the model may be of the controller; move the set point (in a '
-            'recording: take a part in which it moves).')
     moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
     for one in moving:
         if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:
@@ -281,12 +287,13 @@ def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
 
 
 def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved: float,
-                before: int = 0) -> Estimate:
+                before: tuple[int, ...] = ()) -> Estimate:
     """
     Return an estimate whose verdict takes the previous model into account.
 
     Fresh fit and ratio, (ny,), are those of that model on the data that are new, NaN if not known;
-    its order was `before`, 0 if there was none. `moved`: see `Verdict`.
+    `before` has its order, and that of the last GOOD model; neither if there was none, or if the
+    order is set. `moved`: see `Verdict`.
     """
     verdict = replace(estimate.verdict, fresh_ratio=fresh_ratio, moved=moved)
     model = estimate.model
@@ -299,7 +306,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         verdict = weakened(verdict)
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
-                   *_moves(model.n, estimate.settings.order or before, moved)]
+                   *_moves(model.n, before, moved)]
         if reasons:
             remedy, reason = reasons[0]
             verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)
@@ -321,10 +328,10 @@ def _times(ratio: float) -> str:
     return f', its error {ratio:.1f} times that on older data' if np.isfinite(ratio) else ''
 
 
-def _moves(order: int, before: int, moved: float) -> Iterator[tuple[Remedy, str]]:
-    if before not in (0, order):
+def _moves(order: int, before: tuple[int, ...], moved: float) -> Iterator[tuple[Remedy, str]]:
+    if before and order not in before:
         yield Remedy.SETTING, (
-            f'The order has changed from {before} to {order} since the last accepted model; '
+            f'The order has changed from {before[0]} to {order} since the last accepted model; '
             'set `order` in the parameter file, to keep one.')
     if moved > _MOVED:
         yield Remedy.WAIT, (

@@ -214,13 +214,14 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
     n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's unit information prior: numbers as many as samples explain anything.
-    ratio = -np.log(power[1] / power[0] + 1.0 / n_eff.sum())
+    # Zellner's prior of unit information: numbers as many as samples explain anything.
+    unit = 1.0 / n_eff.sum()
+    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
     share = np.maximum(gain, 1e-6)
-    unit = price or float(share @ np.log(n_eff) / share.sum())
-    return float(np.sum(gain)) - unit * (larger.parameters - smaller.parameters)
+    each = price or float(share @ np.log(n_eff) / share.sum())
+    return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
 
 def advantage(one: Tried, other: Tried) -> float:

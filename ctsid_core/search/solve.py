@@ -101,8 +101,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
     # A plant that grows predictions tell at once: of closed loops many states simulate the record.
     if predicted is not None and _growth(predicted, samples) > _GROWS and (
-            rival := _beside(samples, predicted, free)) and (
-            solved := _likelier(part, settings, corrupt, seen, samples, rival, free, predicted)):
+            solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
     found = search_orders(samples, free, subspace.poles, order=settings.order,
@@ -115,6 +114,11 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
+    # So do modes that last, and that its past does not tell: of the set point, or of disturbances.
+    if predicted is not None and _last(best.fit.model.poles, samples) > _last(
+            np.linalg.eigvals(predicted.matrices.A), samples) and (
+            solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
+        return solved
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
@@ -251,7 +255,10 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     matters = found[chosen].power > LEAST ** 2
     if not matters.any():
         return chosen
-    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found),
+    own = found[chosen]
+    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
+        n <= chosen or explains(own, found[n]) or bool(np.any(
+            found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
                key=lambda n: _in_colour(samples, found[n], matters))
 
 
@@ -445,6 +452,20 @@ def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
         top = climb(thin, start, free, steps=FEWER, least=ROUGHLY)
         return tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
     return None
+
+
+def _last(poles: Array | ComplexArray, samples: Samples) -> int:
+    """Return how many modes neither grow nor decay by more than e within a record."""
+    lasts = np.abs(poles.real) * samples.length < _GROWS
+    return int(np.count_nonzero(lasts & (poles.imag >= 0.0)))
+
+
+def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
+               free: Free, found: PredictionFit) -> Solution | None:
+    """Return the plant that predictions found, if likelier than a simulation near it."""
+    rival = _beside(samples, found, free)
+    return None if rival is None else _likelier(
+        part, settings, corrupt, seen, samples, rival, free, found)
 
 
 def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,

@@ -64,6 +64,7 @@ class _Past:
     realisation: int = 0
     reference: StateSpace | None = None
     model: StateSpace | None = None
+    orders: tuple[int, ...] = ()    # of the model, and of the last GOOD one
     pole_std: Array = field(default_factory=lambda: np.empty(0))
     end_ns: int = 0
     rows: Rows = field(default_factory=Rows)
@@ -126,8 +127,9 @@ class Tracker:
         test = _fresh(past, record, settings)
         if not record.faults:  # else the samples changed, not the plant
             estimate = self._reject_straddling(estimate)
+        known = past.model is not None and not settings.order
         estimate = in_sequence(estimate, test.fit, test.ratio, _moved(past, estimate),
-                               past.model.n if past.model else 0)
+                               past.orders if known else ())
         if estimate.model is None:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
@@ -179,8 +181,9 @@ def _following(past: _Past, estimate: Estimate, model: StateSpace, resolution: f
     estimate = replace(estimate, model=aligned, pole_std=_carried(estimate, model, aligned),
                        covariance=estimate.covariance and estimate.covariance.transform(T))
     next_mode = max((past.next_mode, *(1 + mode for mode in rows.identities)))
-    return estimate, _Past(realisation, reference, aligned, estimate.pole_std, estimate.end_ns,
-                           rows, next_mode)
+    orders = (model.n, model.n if estimate.good else past.orders[-1] if past.orders else 0)
+    return estimate, _Past(realisation, reference, aligned, orders, estimate.pole_std,
+                           estimate.end_ns, rows, next_mode)
 
 
 def _carried(estimate: Estimate, model: StateSpace, aligned: StateSpace) -> Array:

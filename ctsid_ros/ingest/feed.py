@@ -73,7 +73,6 @@ class TopicState:
     numbers: SequenceNumbers
     messages: int = 0
     last_ns: int = 0  # arrival of the last message
-    kept: bool = False  # by its publishers for who comes late: one message may be all
 
 
 class Feed:

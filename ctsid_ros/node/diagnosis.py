@@ -75,12 +75,10 @@ class IngestDiagnosis:
             The last fault of the ingest itself, if any.
         """
         silent: list[str] = []
-        regular = [topic for topic, state in feed.topics.items()
-                   if not (state.kept and state.messages == 1)]  # others are published once
         values: dict[str, object] = {}
         for topic, state in feed.topics.items():
             age = (now_ns - (state.last_ns or self._start_ns)) * 1e-9
-            if age > timeout and topic in regular:
+            if age > timeout:
                 silent.append(f'{topic} has been silent for {age:.1f} s; check its '
                               'publisher' if state.messages
                               else f'no message has come on {topic}; check its name, and that '
@@ -100,7 +98,7 @@ class IngestDiagnosis:
                      if 'no message has come' not in line]
         self.troubles = troubles
         level = (Level.ERROR if failure else
-                 Level.STALE if silent and len(silent) == len(regular) else
+                 Level.STALE if silent and len(silent) == len(feed.topics) else
                  Level.WARN if troubles else Level.OK)
         return Health(INGEST, level, '; '.join(troubles) or 'messages come in', values)
 

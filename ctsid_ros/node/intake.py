@@ -9,7 +9,7 @@ no executor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from threading import Event, Lock, Thread
 import time
 from typing import Any
@@ -78,17 +78,13 @@ class Intake:
             history=HistoryPolicy.KEEP_LAST, depth=settings.ingest_depth,
             reliability=RELIABILITY[settings.ingest_reliability],
             durability=DurabilityPolicy.VOLATILE)
-        # What was published before is asked for where all publishers have kept it.
-        self._late_qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST, depth=settings.ingest_depth,
-            reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._classes = dict(classes)
         self._mixing = {channel.topic for channel in feed.config.channels
                         if not channel.path.elements}  # these take what anybody publishes
         self._names = {topic: node.resolve_topic_name(topic) for topic in classes}
-        self._used = dict.fromkeys(classes, self._qos)
-        self._wanted = dict(self._used)
-        self._subscriptions = {topic: self._subscribe(topic) for topic in classes}
+        self._subscriptions = {
+            topic: self._own.create_subscription(cls, self._names[topic], _not_called, self._qos,
+                                                 raw=True) for topic, cls in classes.items()}
         self._ticks = None if clock is None else self._own.create_subscription(
             Clock, '/clock', _not_called, QoSProfile(
                 depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
@@ -110,9 +106,8 @@ class Intake:
     def faults(self) -> Iterator[str]:
         """Yield a sentence on each publisher that cannot be heard, or is one too many."""
         for topic, name in self._names.items():
-            heard, ends = [], self._node.get_publishers_info_by_topic(name)
-            self._choose(topic, ends)
-            for end in ends:
+            heard = []
+            for end in self._node.get_publishers_info_by_topic(name):
                 if (who := self._who(end, name)) is None:
                     continue
                 if fault := self._fault(end, topic):
@@ -123,35 +118,6 @@ class Intake:
                 yield (f'{len(heard)} publishers are on {name}, whose samples are mixed into the '
                        f'same channels: {", ".join(heard)}; stop all but one, or give them topics '
                        'of their own')
-
-    def _subscribe(self, topic: str) -> Any:
-        return self._own.create_subscription(self._classes[topic], self._names[topic],
-                                             _not_called, self._used[topic], raw=True)
-
-    def _choose(self, topic: str, ends: Sequence[TopicEndpointInfo]) -> None:
-        """Choose how to hear a topic; once a message has come, not to hear what was before."""
-        own = [end.qos_profile for end in ends
-               if end.topic_type == type_name(self._classes[topic])]
-        if not own:
-            return
-        kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-                   and qos.reliability == ReliabilityPolicy.RELIABLE for qos in own)
-        state = self._feed.topics[topic]
-        state.kept = kept
-        late = self._used[topic] is self._late_qos or not state.messages
-        self._wanted[topic] = self._late_qos if kept and late else self._qos
-
-    def begin_anew(self) -> None:
-        """Ask again for what was published before: the feed has forgotten it."""
-        self._used = dict.fromkeys(self._used, self._qos)
-
-    def _adapt(self) -> None:
-        """Subscribe anew where another quality of service is wanted."""
-        for topic, qos in self._wanted.items():
-            if qos is not self._used[topic]:
-                self._used[topic] = qos
-                self._own.destroy_subscription(self._subscriptions[topic])
-                self._subscriptions[topic] = self._subscribe(topic)
 
     def _fault(self, end: TopicEndpointInfo, topic: str) -> str:
         """Return why a publisher cannot be heard; '' if it can."""
@@ -184,7 +150,6 @@ class Intake:
     def _turn(self) -> None:
         until_ns = time.time_ns() - _AHEAD_NS
         batch = list(self._drain())
-        self._adapt()
         self._tick()  # after the messages, whose times lie between those of the ticks around them
         now_ns = time.time_ns()
         with self.lock:

@@ -109,7 +109,6 @@ class Run:
         """Forget all data and models."""
         with self.intake.lock:  # no window of before is handed over in between
             self.feed.reset()
-            self.intake.begin_anew()
             self.session.reset()
         return True, 'data and models are forgotten'
 

@@ -163,10 +163,10 @@ def _worse(estimate: Estimate, model: StateSpace, simulated: Validation) -> tupl
     if np.isnan(simulated.fit).all() or any(c.value == 'predictions' for c in estimate.choices):
         return ()           # not simulated, or its own fits are of predictions
     told = []
-    for i, limit in enumerate(allowed(1.0 - 0.01 * estimate.fit)):
+    # Noise, there and here, is no fault of the model.
+    for i, limit in enumerate(allowed(estimate.verdict.coloured_error)):
         known = np.isfinite(simulated.y[:, i]) & np.isfinite(simulated.y_hat[:, i])
         y, e = simulated.y[known, i], (simulated.y - simulated.y_hat)[known, i, np.newaxis]
-        # Noise is no fault of the model.
         if np.mean(e ** 2) - white_part(((e,),))[0] ** 2 > limit ** 2 * np.var(y):
             told.append(f'{percent(simulated.fit[i])} % of {model.output_names[i]} '
                         f'here, {percent(estimate.fit[i])} % of its own data')
