@@ -16,7 +16,6 @@ from ctsid_ros.decoding.field_path import (
     Name,
     ParseError,
     Range,
-    Unwrapper,
     parse_field,
     roll_pitch_yaw,
 )
@@ -171,21 +170,3 @@ def test_euler_of_messages():
                                     **dict(zip('xyzw', map(float, q), strict=True)))
     assert parse_field('euler(pose.orientation)').get(message) == pytest.approx([0.25, -0.5, 1.0])
     assert parse_field('euler(pose.orientation).yaw').get(message) == pytest.approx([1.0])
-
-
-def test_unwrapper_follows_an_angle_over_many_turns():
-    t = np.linspace(0.0, 60.0, 500)
-    truth = 3.0 * np.sin(0.3 * t) + t
-    unwrap = Unwrapper((False, True))
-    joined = [unwrap((5.0, math.remainder(x, math.tau))) for x in truth]
-    np.testing.assert_allclose([y for _, y in joined], truth, atol=1e-9)
-    assert {x for x, _ in joined} == {5.0}
-
-
-def test_unwrapper_ignores_what_is_not_finite_and_forgets_on_reset():
-    unwrap = Unwrapper((True,))
-    assert unwrap((3.0,)) == (3.0,)
-    assert math.isnan(unwrap((math.nan,))[0])
-    assert unwrap((-3.0,)) == (math.tau - 3.0,)
-    unwrap.reset()
-    assert unwrap((-3.0,)) == (-3.0,)

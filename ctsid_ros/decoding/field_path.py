@@ -3,7 +3,7 @@
 Field paths: which scalars of a message are signals; their syntax is in `field_grammar.py`.
 
 `euler(path)` turns a quaternion x, y, z, w into the angles of `angles.py`; those of one message
-know nothing of the one before: an `Unwrapper` joins them along a stream.
+know nothing of the one before: they are unwrapped in each window.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import product
 import re
 from typing import Any
 
-from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION, Unwrapper, roll_pitch_yaw
+from ctsid_ros.decoding.angles import EULER_PARTS, QUATERNION, roll_pitch_yaw
 from ctsid_ros.decoding.field_grammar import (
     Name,
     ParseError,
@@ -25,7 +25,7 @@ from ctsid_ros.decoding.field_grammar import (
     path_text,
 )
 
-__all__ = ['FieldError', 'FieldPath', 'Leaf', 'Name', 'ParseError', 'Range', 'Step', 'Unwrapper',
+__all__ = ['FieldError', 'FieldPath', 'Leaf', 'Name', 'ParseError', 'Range', 'Step',
            'nearest', 'parse_field', 'path_text', 'plain', 'roll_pitch_yaw']
 
 Leaf = tuple[str | int | Name, ...]
@@ -81,7 +81,7 @@ class FieldPath:
     @property
     def angles(self) -> tuple[bool, ...]:
         """
-        Which of the scalars are angles that an `Unwrapper` has to join.
+        Which of the scalars are angles that have to be unwrapped.
 
         Raises
         ------
