@@ -210,8 +210,9 @@ def _integrates(model: StateSpace, covariance: Covariance) -> tuple[str, ...]:
     poles, vectors = np.linalg.eig(model.A)
     std = pole_deviation(covariance, model)
     known = [float(std[np.argmin(np.abs(model.poles - p))]) for p in poles]
+    slowest = np.min(np.abs(poles), initial=np.inf)
     near = [k for k, p in enumerate(poles) if p.imag == 0.0
-            and abs(p) < _TOLD * known[k] < np.inf]
+            and slowest == abs(p) < _TOLD * known[k] < np.inf]
     if len(near) != 1:
         return ()
     (k,) = near
@@ -219,6 +220,8 @@ def _integrates(model: StateSpace, covariance: Covariance) -> tuple[str, ...]:
     # While the other modes settle, and for some time more, it moves an output so far.
     far = _SETTLED * rate.real / np.min(np.abs(np.delete(poles, k)), initial=np.inf)
     rest = model.dc_gain - (rate / -poles[k]).real if poles[k] else np.full_like(far, np.nan)
+    if len(poles) == 1:
+        rest = model.D                      # and no rounding
     words = []
     for i, y in enumerate(model.output_names):
         for j, u in enumerate(model.input_names):
