@@ -114,9 +114,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
-    # So do modes that last, and that its past does not tell: of the set point, or of disturbances.
-    if predicted is not None and _last(best.fit.model.poles, samples) > _last(
-            np.linalg.eigvals(predicted.matrices.A), samples) and (
+    # So do modes that last where its past tells of none: of the set point, or of disturbances.
+    if predicted is not None and _growth(predicted, samples) < -_GROWS and np.any(
+            np.abs(best.fit.model.poles.real) * samples.length < _GROWS) and (
             solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
         return solved
     if own.feedthrough:
@@ -452,12 +452,6 @@ def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
         top = climb(thin, start, free, steps=FEWER, least=ROUGHLY)
         return tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
     return None
-
-
-def _last(poles: Array | ComplexArray, samples: Samples) -> int:
-    """Return how many modes neither grow nor decay by more than e within a record."""
-    lasts = np.abs(poles.real) * samples.length < _GROWS
-    return int(np.count_nonzero(lasts & (poles.imag >= 0.0)))
 
 
 def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
