@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.signals.record import Record, Signal
 
+
 class Mixing:
     """
     Remember where samples of one publisher have those of another between them.
