@@ -155,6 +155,13 @@ def test_what_does_not_grow_is_not_good_by_its_predictions(data_folder, joints):
     assert identify(joints(data_folder, [5], 0.0, 15.0)).verdict.grade is not Grade.GOOD
 
 
+def test_predictions_are_no_way_out_where_any_order_simulates(data_folder, joints):
+    """The order that is chosen leaves more than half of the motion, larger ones do not."""
+    estimate = identify(joints(data_folder, [8], 6.2, 10.2))
+    assert not any(c.value == 'predictions' for c in estimate.choices)
+    assert estimate.verdict.grade is not Grade.GOOD
+
+
 def test_a_prediction_of_what_hardly_moves_meanwhile_is_not_good(data_folder, joints):
     """A joint in the walk alone: 74 % 20 ms ahead, in which it moves by half of its motion."""
     estimate = identify(joints(data_folder, [8], 6.2, 10.2), Settings(feedthrough=False))

@@ -383,3 +383,21 @@ def test_spikes_in_new_data_do_not_speak_against_a_model():
     assert len(less.outputs[0].time) == len(output.time) - 2
     assert notes == ('2 corrupt samples of y1 are left out of the fits',)
     assert without_corrupt(second, SETTINGS) == (second, ())
+
+
+def test_an_order_of_the_last_good_model_is_no_change(steady):
+    """Of 2, GOOD, 3, WEAK for its order, and 2 again the last one is as good as the first."""
+    good = identify(steady[0], Settings(order=2))
+    other = identify(steady[0], Settings(order=3))
+    weak = replace(other, verdict=replace(other.verdict, grade=Grade.WEAK))
+    past = tracking._Past()
+    for estimate in (good, weak):
+        assert estimate.model is not None
+        _, past = tracking._following(past, estimate, estimate.model, 1.0)
+    assert good.good
+    assert past.orders == (3, 2)
+    for order, grade in ((2, Grade.GOOD), (3, Grade.GOOD), (4, Grade.WEAK)):
+        found = identify(steady[0], Settings(order=order))
+        given = replace(found, verdict=replace(found.verdict, grade=Grade.GOOD))
+        assert tracking.in_sequence(given, np.array([99.0]), np.array([1.0]), 0.1,
+                                    past.orders).verdict.grade is grade

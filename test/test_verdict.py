@@ -537,16 +537,20 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     (0.05, 0.0, 'Every test is passed')])
 def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved, first):
     one = np.array([0.1])
-    _, verdict = judge(Evidence(
+    evidence = Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
         expected=0.0 * one, driven=one, distance_to_controller=np.ones(1),
         poles=np.array([-1.0 + 0j]), change=Change(), where='', worst='',
         doubt=('modes run', 'x: y'), numbers=replace(
             UNJUDGED, error=one, coloured_error=one, held_out_error=one,
             response_uncertainty=one, curve_gain=np.array([curved]),
-            excitation=(Excitation('u1', 0.1, 10.0, 9.0, 1.0, known),))))
+            excitation=(Excitation('u1', 0.1, 10.0, 9.0, 1.0, known),)))
+    _, verdict = judge(evidence)
     assert verdict.reason.startswith(first)
     assert verdict.reason.endswith(' If it is so, set `x: y`.') == first.startswith('Modes')
+    # What is known to be wrong with the samples needs no guess.
+    _, verdict = judge(replace(evidence, faults=('Samples are mixed; stop one.',)))
+    assert verdict.reason == 'Samples are mixed; stop one.'
 
 
 @pytest.mark.parametrize('curve', ['clipped', *slow('dead zone', 'square', 'relay', 'none')])

@@ -12,6 +12,7 @@ from scipy.linalg import block_diag, expm
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.judge import changed
+from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
@@ -290,3 +291,11 @@ def test_what_two_models_promise_is_what_they_explain_to_first_order(number):
                    for side in (shares <= at, shares > at)) for at in changed._INSTANTS]
     best = np.array(changed._INSTANTS)[np.argsort(promise)[-2:]]
     assert sorted(changed._likely(thin, own)) == pytest.approx(sorted(best))
+
+
+def test_where_the_past_of_an_input_tells_more_no_controller_is_seen():
+    """A fast plant in open loop: what follows an input looks like its inverse, too."""
+    given = experiment('fast-pole', 1, 2)
+    found = identify(given.record, given.settings)
+    assert found.good
+    assert distance_to_controller([given.record], found.model, found.verdict.excitation) == np.inf

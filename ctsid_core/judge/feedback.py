@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from ctsid_core.linear.least_squares import least_norm
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Excitation
 from ctsid_core.signals.record import Record, Signal
@@ -29,7 +29,6 @@ from ctsid_core.signals.record import Record, Signal
 _PAST = 20            # samples of an input, over which the outputs are looked at
 _EACH = 6             # changes for each number, at least
 _MOST = 5000          # samples of an input that are looked at, the last ones
-_LOST = 1.5           # sample intervals without a sample: one was lost
 _TOLERANCE = 1e-10    # of regressors that depend on each other
 _SMOOTH = 1e-10       # power of changes that its own past does not tell: less, and it tells all
 _HIGH = 0.1           # of the Nyquist frequency of the input, up to which ...
@@ -84,34 +83,28 @@ def _answers(signal: Signal, record: Record, at_once: bool) -> list[Array | None
             for s in record.outputs]
     outputs = np.column_stack([s.values[at] for s, at in zip(record.outputs, last, strict=True)])
     past = min(_PAST, len(times) // (_EACH * outputs.shape[1]))
-    # Of samples that were lost on the way the controller knew.
-    lost = np.any([np.diff(times, prepend=times[:1]) > _LOST * signal.period, *(
-        times - s.time[at] > _LOST * s.period
-        for s, at in zip(record.outputs, last, strict=True))], axis=0)
-    known = np.convolve(lost, np.ones(past + 1))[1:len(times)] < 0.5
-    if not np.count_nonzero(known) > 2 * past * outputs.shape[1] > 0:
+    if not past:
         return [None] * signal.width
     changes = np.diff(values, axis=0).T
-    weights, left = _told(outputs[1:], changes, past, known)
+    weights, left = _told(outputs[1:], changes, past)
     found: list[Array | None] = []
     for own, power, w in zip(changes, left, weights, strict=True):
-        _, rest = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past, known[1:])
+        _, rest = _told(own[:-1, np.newaxis], own[np.newaxis, 1:], past)
         tells = power < rest[0] and rest[0] > _SMOOTH * np.mean(own ** 2)
         found.append(w.reshape(past, -1) if tells else None)
     return found
 
 
-def _told(regressors: Array, targets: Array, past: int, counted: Mask) -> tuple[Array, Array]:
+def _told(regressors: Array, targets: Array, past: int) -> tuple[Array, Array]:
     """
-    Return how targets (m, N) depend on so many rows (N, k) up to each, and what is left of them.
+    Return how targets (m, N) depend on so many rows (N, k) up to each, and what is left.
 
-    Weights (m, past k), and the mean squares of what is left (m,), of the targets that count.
+    Weights (m, past k), and the mean squares of what is left (m,).
     """
     count = targets.shape[1] - past + 1
-    rows = counted[past - 1:]
     known = np.vstack([*(regressors[past - 1 - k:past - 1 - k + count].T for k in range(past)),
-                       np.ones((1, count))])[:, rows]
-    wanted = targets[:, past - 1:][:, rows]
+                       np.ones((1, count))])
+    wanted = targets[:, past - 1:]
     weights = least_norm(known, wanted, _TOLERANCE)
-    left = np.sum((wanted - weights @ known) ** 2, axis=1) / max(wanted.shape[1] - len(known), 1)
+    left = np.sum((wanted - weights @ known) ** 2, axis=1) / max(count - len(known), 1)
     return weights[:, :-1], left

@@ -443,23 +443,17 @@ def _compared(part: Joint, corrupt: Corrupt, place: int) -> Compared:
     return Compared(place, part.parts[place].record, tuple(corrupt[place]))
 
 
-def _beside(samples: Samples, found: PredictionFit, free: Free) -> Tried | None:
-    """Return the best simulation near a model by its predictions, or None."""
+def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
+               free: Free, found: PredictionFit) -> Solution | None:
+    """Return the plant that predictions found, if likelier than the best simulation near it."""
     poles = bounded(np.linalg.eigvals(found.matrices.A).astype(complex), free.limit, np.inf)
-    thin = samples.thinned(SEARCHED)
+    thin, near = samples.thinned(SEARCHED), None
     with suppress(np.linalg.LinAlgError):
         start = fit_at(thin, poles, found.found.fit.model.delay[:samples.nu], free)
         top = climb(thin, start, free, steps=FEWER, least=ROUGHLY)
-        return tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
-    return None
-
-
-def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
-               free: Free, found: PredictionFit) -> Solution | None:
-    """Return the plant that predictions found, if likelier than a simulation near it."""
-    rival = _beside(samples, found, free)
-    return None if rival is None else _likelier(
-        part, settings, corrupt, seen, samples, rival, free, found)
+        near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
+    return None if near is None else _likelier(
+        part, settings, corrupt, seen, samples, near, free, found)
 
 
 def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,

@@ -33,7 +33,6 @@ _ZEROS = 3  # messages with a zero header stamp after which a topic is known to 
 _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float], int]  # and the number of the publisher, 0: not known
-_Columns = NDArray[np.intp]
 _Turns = list[tuple[int, float]]  # column, and a full turn of its angle
 _Kind = tuple[str, str, str, str]  # of a signal: role, topic, stamp, hold
 

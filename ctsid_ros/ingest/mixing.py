@@ -47,6 +47,8 @@ class Mixing:
 
     def within(self, signal: Signal, record: Record) -> bool:
         """Whether samples of a signal are mixed within its record, those that were kept."""
+        if not self._turns:
+            return False
         inside = signal.time[signal.rows(record.start, record.end)]
         stamps = np.round(inside * 1e9).astype(np.int64) + record.epoch_ns
-        return bool(self._turns) and bool(np.isin(self._turns, stamps).all(axis=1).any())
+        return bool(np.isin(self._turns, stamps).all(axis=1).any())
