@@ -217,9 +217,12 @@ def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Fr
     if late > 0.0 and len(up_to) > 1 and not samples.effort.beyond(SEARCH):
         known = seen(late)
         if np.min(known.counts.sum(axis=0)) > found[chosen].parameters:
-            rest = {n: _climbed(known, one, free) for n, one in up_to.items()}
+            thin, rest = known.thinned(SEARCHED), {}
+            for n, one in up_to.items():
+                start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
+                rest[n] = tried(thin, climb(thin, start, free, steps=FEWER, least=ROUGHLY), free)
             if choose(rest) < chosen:
-                return known, rest
+                return known, {n: _climbed(known, one, free) for n, one in rest.items()}
     return samples, found
 
 
@@ -539,6 +542,7 @@ class _Subspace:
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
+        self._poles: dict[tuple[int, Subspaces], list[ComplexArray]] = {}
 
     def shown(self, n: int) -> tuple[Array, float]:
         """Return singular values and condition of the middle one of the tunings for order n."""
@@ -557,6 +561,11 @@ class _Subspace:
         subspaces = self._projected(delay)
         if subspaces is None:
             return []
+        if (n, subspaces) not in self._poles:
+            self._poles[n, subspaces] = self._realised(n, subspaces)
+        return self._poles[n, subspaces]
+
+    def _realised(self, n: int, subspaces: Subspaces) -> list[ComplexArray]:
         found = []
         self._effort.spend(_REGRESSION)
         for tuning in subspaces.some_tunings(n):
