@@ -244,11 +244,10 @@ def test_trim_is_estimated_not_averaged_away():
     assert simulation(found.model, moved.between(8.0, 20.0)).fit.min() > 99.9
     naive = identify(moved.between(0.0, 6.0), Settings(trim=False, order=2))
     assert np.abs(match(either(naive).poles, p.poles) - p.poles).max() > 0.05
-    # A mode that takes the trim's place seems to grow, and is put on the axis.
-    axis = identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=2))
-    assert any(c.value == 'disturbed' for c in axis.choices)
-    assert np.abs(either(axis).poles).min() < 1e-12
-    assert not axis.ok
+    # A mode that takes the trim's place seems to grow.
+    other = identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=2))
+    assert 'a mode that grows' in other.verdict.reason
+    assert not other.ok
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ class Stream:
     y: Array         # (N, channels): over the size of each output
     channels: slice  # their places among all outputs
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.inf

@@ -121,8 +121,8 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
         if known and joint.effort.over:
             break
         fit = one.found.fit
-        climbed = _nearby(joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit),
-                          one.free, last)
+        climbed = one if joint is thin else _nearby(
+            joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
         known += [] if climbed is None else [climbed]
     if not known:
         return None

@@ -33,13 +33,13 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of, cost_of
+from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.tall_qr import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
-from ctsid_core.search.by_order import POINT, price
+from ctsid_core.search.by_order import POINT
 
 _MODES = 8            # that sum up the past, ...
 _SLOWEST, _FASTEST = 0.1, 2.0               # ... of so many radians in a sample interval
@@ -58,7 +58,6 @@ class Start:
     """A predictor of the regression."""
 
     model: ModalModel  # initial states and trims are zero
-    score: float       # Schwarz's criterion, one sample ahead: the least is most likely
     parameters: float  # numbers that it is worth: fewer than it has, for what was expected of them
 
 
@@ -71,6 +70,17 @@ class Table(NamedTuple):
     raw: Array           # (nu + ny,): size of each channel that moves states, with all of it
 
 
+class _Past(NamedTuple):
+    """A regression with given dead times."""
+
+    delay: Array         # (nu,) [s]
+    tables: list[Table]
+    weights: Array       # (ny, m, nu): of the modes
+    noise: Array         # (ny,): its power
+    worth: float         # free numbers that they are worth
+    score: float         # -2 log likelihood, whatever the weights: the least is most likely
+
+
 def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[int, Start]:
     """
     Return the likeliest predictor of every order up to `highest`; of few samples none.
@@ -78,27 +88,29 @@ def regressed(joint: Samples, highest: int, known: Array, free: Free) -> dict[in
     `joint` has the outputs' own past among the inputs; `known` dead times (nu,) [s] are 0 where
     they are free; `free` is of the predictors.
     """
-    found: dict[int, Start] = {}
+    best: _Past | None = None
     if np.min(joint.counts.sum(axis=0)) < _ROWS * _MODES:
-        return found
+        return {}
     known, step = np.concatenate((known, np.zeros(joint.ny))), joint.interval
     late, poles = np.array(free.delays), np.geomspace(_SLOWEST, _FASTEST, _MODES) / step
     for shift in _SHIFTS if late.any() else _SHIFTS[:1]:
-        if shift * step > free.longest or found and joint.effort.beyond(POINT):
+        if shift * step > free.longest or best and joint.effort.beyond(POINT):
             break
         with suppress(np.linalg.LinAlgError):
-            for n, one in _at(joint, poles, np.where(late, shift * step, known), highest, free):
-                if n not in found or one.score < found[n].score:
-                    found[n] = one
-    return found
+            delay = np.where(late, shift * step, known)
+            one = _weights(joint, poles, delay, _tables(joint, poles, delay))
+            if best is None or one.score < best.score:
+                best = one
+    with suppress(np.linalg.LinAlgError):
+        return {} if best is None else dict(_reduced(joint, poles, best, highest, free))
+    return {}
 
 
-def _at(joint: Samples, poles: Array, delay: Array, highest: int,
-        free: Free) -> Iterator[tuple[int, Start]]:
-    """Yield predictors of all orders with given dead times."""
+def _reduced(joint: Samples, poles: Array, past: _Past, highest: int,
+             free: Free) -> Iterator[tuple[int, Start]]:
+    """Yield predictors of all orders."""
     m, nu, ny, records = len(poles), joint.nu, joint.ny, len(joint.records)
-    tables, counts = _tables(joint, poles, delay), joint.counts.sum(axis=0)
-    weights, noise, worth = _weights(joint, poles, tables)
+    delay, tables, weights, noise, worth, _ = past
     moved = np.vstack([t.states for t in tables])
     # What a state does to the outputs from now on, over their noise: the integral of squares.
     power, turn = np.linalg.eigh(1.0 / np.add.outer(poles, poles))
@@ -111,26 +123,16 @@ def _at(joint: Samples, poles: Array, delay: Array, highest: int,
     for n in range(1, min(highest, int(np.sum(s > _LEAST * np.max(s, initial=0.0)))) + 1):
         to_state = (left[:, :n] / np.sqrt(s[:n])).T @ seen
         back = moved.T @ (right[:n].T / np.sqrt(s[:n]))
-        C, squares = weights @ back, np.zeros(ny)
-        for t in tables:
-            error = t.y - t.states @ to_state.T @ C[t.channels].T
-            squares[t.channels] = np.sum(error ** 2, axis=0)
-        b, c, p = _modes(to_state @ (A * back), to_state @ B, C, free)
+        b, c, p = _modes(to_state @ (A * back), to_state @ B, weights @ back, free)
         model = ModalModel(p, b, c, np.zeros((records, len(p)), dtype=complex),
                            np.zeros((ny, nu)), np.zeros((records, ny)), delay)
-        number = min(worth, n * (nu + ny))
-        yield n, Start(model, float(cost_of(squares, counts)) + price(joint) * number, number)
+        yield n, Start(model, min(worth, n * (nu + ny)))
 
 
-def _weights(joint: Samples, poles: Array,
-             tables: list[Table]) -> tuple[Array, Array, float]:
-    """
-    Return the likeliest weights of the modes, the noise, and how many free numbers they are worth.
-
-    Of shapes (ny, m, nu) and (ny,).
-    """
+def _weights(joint: Samples, poles: Array, delay: Array, tables: list[Table]) -> _Past:
+    """Return the regression with the likeliest weights of the modes."""
     m, nu, ny = len(poles), joint.nu, joint.ny
-    weights, noise, worth = np.zeros((ny, m, nu)), np.ones(ny), 0.0
+    weights, noise, worth, total = np.zeros((ny, m, nu)), np.ones(ny), 0.0, 0.0
     root = _root(poles, _DECAY / joint.interval)
     joint.effort.spend(_WORK * ny * (m * nu) ** 3)
     for states, y, channels, raw in tables:
@@ -143,11 +145,11 @@ def _weights(joint: Samples, poles: Array,
         for i, target in zip(range(channels.start, channels.stop), y.T, strict=True):
             group = np.full(nu, 2)
             group[nu - ny:], group[nu - ny + i] = 1, 0
-            found, number, noise[i] = _likeliest(gram, turned.T @ target, float(target @ target),
-                                                 count, np.repeat(group, m))
+            found, number, noise[i], score = _likeliest(
+                gram, turned.T @ target, float(target @ target), count, np.repeat(group, m))
             weights[i] = root @ (found.reshape(nu, m) / size[:, np.newaxis]).T
-            worth += number
-    return weights, noise, worth
+            worth, total = worth + number, total + score
+    return _Past(delay, tables, weights, noise, worth, total)
 
 
 def _root(poles: Array, decay: float) -> Array:
@@ -161,16 +163,17 @@ def _root(poles: Array, decay: float) -> Array:
 
 
 def _likeliest(gram: Array, right: Array, power: float, count: float,
-               group: Places) -> tuple[Array, float, float]:
+               group: Places) -> tuple[Array, float, float, float]:
     """
-    Return weights, how many numbers they are worth, and the power of the noise.
+    Return weights, how many numbers they are worth, the power of the noise, and -2 log likelihood.
 
     Their prior covariance is 1 but for lambda of each group; the noise is what is left. What the
     weights cost in -2 log likelihood, log det of what the samples add, is log(count) for each
     number, as in Schwarz's criterion.
     """
     share, best = np.full(int(np.max(group)) + 1, _FIRST), np.inf
-    found = np.zeros(len(gram)), 0.0, max(power / count, ROUNDING)
+    noise = max(power / count, ROUNDING)
+    found = np.zeros(len(gram)), 0.0, noise, count * float(np.log(noise))
     if power <= ROUNDING * count:                   # nothing that moves: outputs have size 1
         return found
     for _ in range(_STEPS):
@@ -182,7 +185,7 @@ def _likeliest(gram: Array, right: Array, power: float, count: float,
         score = volume + count * float(np.log(noise))
         known = 1.0 - cho_solve(factor, np.eye(len(gram))).diagonal()
         if score < best:
-            best, found = score, (size * w, volume / float(np.log(count)), noise)
+            best, found = score, (size * w, volume / float(np.log(count)), noise, score)
         before = share
         share = share * np.bincount(group, w ** 2) / (
             noise * np.maximum(np.bincount(group, known), 1e-9))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,7 +66,7 @@ class Signal:
         """Number of channels m."""
         return int(self.values.shape[1])
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf

@@ -50,11 +50,10 @@ class Subspaces:
                 for b in shifts for p in pasts]
 
     def some_tunings(self, n: int) -> list[Tuning]:
-        """Return a part of the grid: two values of p."""
+        """Return a part of the grid: one value of p."""
         tunings = self.tunings(n)
         pasts = sorted({t.past for t in tunings})
-        kept = {pasts[0], pasts[len(pasts) // 2]} if pasts else set()
-        return [t for t in tunings if t.past in kept]
+        return [t for t in tunings if t.past == pasts[len(pasts) // 2]]
 
     def _pasts(self, n: int) -> tuple[int, ...]:
         needed = n // len(self.projection.y) + 2
