@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from ctsid_core.likelihood.noise_gain import _filtering, continuous_gain, noise_gain
+from ctsid_core.likelihood.noise_gain import _filtering, continuous_gain, noise_gain, uniform
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.signals.record import Record
 
 STEP = 0.02
 
@@ -62,3 +64,13 @@ def test_filters_are_those_of_the_riccati_equation_whatever_the_units():
         for P, share in zip(_filtering(F, C, shares * moved, R), shares, strict=True):
             np.testing.assert_allclose(P, solve_discrete_are(F.T, C.T, share * moved, R),
                                        rtol=1e-5)
+
+
+def test_messages_that_come_in_bursts_are_not_filled_up():
+    """60 in 0.3 ms each second were read at 12 million instants: 9 GB of memory."""
+    t = (np.arange(60.0)[:, np.newaxis] + 5e-6 * np.arange(60.0)).ravel()
+    y = np.random.default_rng(0).standard_normal(len(t))
+    samples = samples_of([Record.from_arrays(t, y, t, y)], [[None]])
+    step, (errors,) = uniform(samples, (((y[:, np.newaxis],),)))
+    assert len(errors) <= 10 * len(t) + 1
+    assert step * len(errors) == pytest.approx(t[-1], rel=1e-3)
