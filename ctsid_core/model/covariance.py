@@ -81,7 +81,7 @@ class Covariance:
     n, nu, ny : int
         Number of states, inputs and outputs.
     rivals : tuple of Rival
-        Models that the response may be that of; none: no other was tried.
+        Models that response and dead times may be those of; none: no other was tried.
 
     Raises
     ------
@@ -281,9 +281,11 @@ def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
         return np.full((model.ny, model.nu), np.inf)
 
 
-def delay_deviation(covariance: Covariance, _: StateSpace) -> Array:
-    """Return the standard deviation of each dead time of a model, (nu,) [s]."""
-    return _deviation(covariance.entries.delay)
+def delay_deviation(covariance: Covariance, model: StateSpace) -> Array:
+    """Return the standard deviation of each dead time of a model, rivals among it, (nu,) [s]."""
+    apart = [np.sqrt(share) * (np.array(other.delay) - model.delay)
+             for share, other in covariance.rivals]
+    return _deviation(np.vstack((covariance.entries.delay, *apart)))
 
 
 def response_deviation(covariance: Covariance, model: StateSpace,
