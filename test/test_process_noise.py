@@ -5,12 +5,14 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, asynchronous, match
+from plants import PLANTS, asynchronous, held_response, match, plant
 import pytest
 from scipy.linalg import block_diag, expm
+from scipy.signal import butter, lfilter
 
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.model.validation import simulation
 from ctsid_ros.examples.flight import Command, Conditions, Flight
 from ctsid_ros.examples.quadrotor_roll import Plant
 from ctsid_ros.studies.experiments import flown
@@ -428,3 +430,27 @@ def test_states_do_not_imitate_what_nobody_measured(seed, number, least):
     given = experiment('second-input', seed, number)
     found = identify(given.record, Settings(feedthrough=True))
     assert np.mean(simulated(found.model or found.rejected_model, given.test)) > least
+
+
+@pytest.mark.parametrize(('edge', 'seed'), [(5.0, 1), *slow((5.0, 0), (10.0, 1), (10.0, 3))])
+@pytest.mark.parametrize('feedthrough', [False, True])
+def test_noise_that_a_filter_has_passed_does_not_cost_the_plant(feedthrough, edge, seed):
+    """
+    Of a driver that filters what it sends hardly anything is left at high frequencies.
+
+    There a plant that predicts a little better was worth 44 % of the motion: 59 % on another run.
+    """
+    p = plant([[0.0, 1.0], [-20.0, -3.0]], [[0.0], [20.0]], [[1.0, 0.0]])
+
+    def run(seed, noise):
+        rng = np.random.default_rng(seed)
+        t_u, t_y = np.arange(0.0, 20.0, 0.02), np.arange(0.0, 20.0, 0.01)
+        u = rng.choice([-1.0, 1.0], 67)[(t_u / 0.3).astype(int), np.newaxis]
+        y = held_response(p, t_u, u, t_y)
+        y = y + noise * y.std() * rng.standard_normal(y.shape)
+        return Record.from_arrays(t_u, u, t_y, lfilter(*butter(2, edge / 50.0), y, axis=0),
+                                  input_hold='zoh')
+
+    found = identify(run(seed, 0.3), Settings(feedthrough=feedthrough))
+    assert found.verdict.grade is Grade.GOOD
+    assert simulation(found.model, run(seed + 100, 0.0), trim='refit').fit.min() > 95.0

@@ -574,3 +574,20 @@ def test_what_a_controller_answers_is_no_curve():
     found = identify(given.record, given.settings)
     assert found.verdict.curve_gain[0] < 6.0
     assert 'not linear' not in found.verdict.reason
+
+
+@pytest.mark.parametrize(('cycles', 'seed'), [
+    (13.0, 1), *slow((12.5, 1), (13.0, 2), (14.0, 2), (20.0, 4))])
+def test_a_periodic_disturbance_may_have_a_whole_number_of_cycles(cycles, seed):
+    """Its mode does not decay: on a line of the record's spectrum its response is endless."""
+    rng = np.random.default_rng(seed)
+    p = plant([[0.0, 1.0], [-20.0, -3.0]], [[0.0], [20.0]], [[1.0, 0.0]])
+    t_u, t_y = np.arange(0.0, 20.0, 0.02), np.arange(0.003, 20.0, 0.01)
+    u = rng.standard_normal(67)[(t_u / 0.3).astype(int), np.newaxis]
+    y = held_response(p, t_u, u, t_y)
+    y += y.std() * (0.3 * np.sin(0.1 * np.pi * cycles * t_y + 1.0)[:, np.newaxis]
+                    + 0.02 * rng.standard_normal(y.shape))
+    found = identify(Record.from_arrays(t_u, u, t_y, y, input_hold='zoh'))
+    print(found.model.poles, found.verdict.reason)
+    assert found.verdict.grade is Grade.GOOD
+    assert found.verdict.excitation[0].uncertainty < 0.03

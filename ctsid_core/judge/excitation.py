@@ -11,7 +11,7 @@ other frequencies in the mean.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,8 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     is that of the model of the moving channels.
     """
     omega, weight, lines, inputs, sent = _input_spectra(samples, delay)
+    # A record tells its mean over a width of 1 / length, finite of modes that do not decay, too.
+    moving = replace(moving, A=moving.A - np.eye(moving.n) / samples.length)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, moved = _uncertain(samples, covariance, moving, omega, lines)
     own = _uncorrelated(inputs)

@@ -153,8 +153,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     best.fit, free, best.independent, _table(settings, found, best),
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_at_bounds(part, best, free)),
-                    doubt=_doubt(best.fit.model.poles, samples, free, own, grows),
+                    (*notes, *_at_bound(best, free)),
+                    doubt=_late(part, best, free)
+                    or _doubt(best.fit.model.poles, samples, free, own, grows),
                     whole=whole, hidden=hidden,
                     smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
@@ -171,8 +172,8 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best. K is not paid, for it is no number of the likelihood that is compared.
     """
     plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _in_colour(samples, plant.simulated, matters) >= _in_colour(
-            samples, best, matters):
+    if plant is None or _misses(plant, best) or _in_colour(
+            samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not solved.whole else best
@@ -187,6 +188,15 @@ class _Plant(NamedTuple):
     matrices: Matrices
     simulated: Tried
     free: Free
+
+
+def _misses(plant: _Plant, best: Tried) -> bool:
+    """
+    Return whether a plant that predictions found misses what the best simulation explains.
+
+    That one may explain more by what disturbances make of its numbers: as much as these are worth.
+    """
+    return criterion(replace(plant.simulated, parameters=0), best) > 0.0
 
 
 def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -> _Plant | None:
@@ -242,8 +252,9 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         (Choice('domain', domain, "predictions from the outputs' own past found the plant, and "
                 'are likelier than those of the one that simulates best; judged as others'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_at_bounds(part, one, plant.free)), plant=plant.matrices, whole=whole,
-        doubt=_doubt(fit.model.poles, samples, plant.free, settings),
+         *_at_bound(one, plant.free)), plant=plant.matrices, whole=whole,
+        doubt=_late(part, one, plant.free)
+        or _doubt(fit.model.poles, samples, plant.free, settings),
         predictor=(found.samples, found.found.fit, found.free))
 
 
@@ -308,18 +319,21 @@ def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
     return tried(samples, climb(samples, start, free), free)
 
 
-def _at_bounds(part: Joint, best: Tried, free: Free) -> tuple[str, ...]:
-    """Return which dead times and poles are about the longest and fastest looked for, in words."""
-    late = tuple(
-        f'the dead time of input {name} is near the longest that is looked for, '
-        f'{free.longest:.3g} s, '
-        'and states may stand in for more; give `delay`, or take a longer window'
-        for name, late, delay in zip(_names(part), free.delays, best.fit.model.delay, strict=True)
-        if late and delay > _NEARLY * free.longest)
+def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
+    """Return that a pole is about as fast as any that is looked for, in words."""
     fast = float(np.max(np.abs(best.fit.model.poles), initial=0.0))
-    return late if fast < _NEARLY * free.fastest else (*late, (
+    return () if fast < _NEARLY * free.fastest else (
         f'the pole of {fast:.3g} rad/s is about the fastest that is looked for ({_FASTEST:g} of '
-        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound'))
+        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound',)
+
+
+def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
+    """Return that a dead time is about as long as any that is looked for, and its setting."""
+    return next(((f'the dead time of input {name} is near the longest that is looked for, '
+                  f'{free.longest:.3g} s, and states may stand in for more', 'delay')
+                 for name, late, delay in zip(
+                     _names(part), free.delays, best.fit.model.delay, strict=True)
+                 if late and delay > _NEARLY * free.longest), None)
 
 
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
@@ -471,6 +485,8 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
+    if plant is not None and _misses(plant, best):
+        return None
     if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
