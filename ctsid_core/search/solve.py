@@ -196,7 +196,9 @@ def _misses(plant: _Plant, best: Tried) -> bool:
 
     That one may explain more by what disturbances make of its numbers: as much as these are worth.
     """
-    return criterion(replace(plant.simulated, parameters=0), best) > 0.0
+    one, other = (replace(t, power=np.maximum(t.power, LEAST ** 2))
+                  for t in (plant.simulated, best))
+    return criterion(replace(one, parameters=0), other) > 0.0
 
 
 def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -> _Plant | None:
