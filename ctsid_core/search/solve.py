@@ -63,7 +63,7 @@ from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import realise
 
-LONGEST = 0.1         # of the window: the longest dead time that is looked for
+LONGEST = 0.25        # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more
 _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
                       # and nearer ones leave too few digits between a mode and the trim
