@@ -300,6 +300,13 @@ def test_a_step_counts_when_it_acts(given):
     assert found.verdict.excitation[0].frequencies > 10.0
 
 
+def test_a_fit_is_of_outputs_that_can_be_simulated():
+    """A tenth of the window, 1.5 s, is looked for; states stand in for the other half of 3 s."""
+    found = identify(one_step(1.0, 3.0))
+    assert not found.good
+    assert found.fit[0] > 0.0
+
+
 @pytest.mark.parametrize(('rate_u', 'rate_y', 'limits'), [
     (200.0, 15.0, (0.5, 1.8)), *slow((1000.0, 10.0, (0.1, 1.8)))])
 def test_a_dead_time_is_known_to_the_interval_of_the_outputs(rate_u, rate_y, limits):

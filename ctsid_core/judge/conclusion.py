@@ -19,7 +19,7 @@ from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import Residuals, fit_states
+from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.residuals import driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -182,7 +182,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
 
     power = solution.fit.power.mean(axis=0)
     white = white_part(errors)
-    error, coloured = _over_all(solution), np.sqrt(np.maximum(power - white ** 2, 0.0))
+    error: Array = np.sqrt(solution.samples.mean(solution.fit.power))
+    coloured = np.sqrt(np.maximum(power - white ** 2, 0.0))
     if solution.by_prediction:
         error = solution.errors_ahead[AHEAD]
         coloured = np.maximum(error, np.sqrt(np.maximum(error ** 2 - white ** 2, 0.0))
@@ -238,15 +239,6 @@ def _moved(solution: Solution, errors: Residuals) -> Array:
     last = solution.part.last
     period = max(s.period for s in solution.part.parts[last].record.outputs)
     return motion_ahead(solution.samples.records[last], errors[last], HORIZONS[AHEAD] * period)
-
-
-def _over_all(solution: Solution) -> Array:
-    """Return the rms error over the motion, of all samples of the window, (ny,)."""
-    whole = solution.whole or solution.samples
-    fit = solution.fit if whole is solution.samples else \
-        fit_states(whole, solution.fit.model, solution.free)
-    error: Array = np.sqrt(whole.mean(fit.power))
-    return error
 
 
 def _where(part: Joint, change: Change) -> str:

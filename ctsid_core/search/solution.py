@@ -44,7 +44,6 @@ class Solution:
     plant: Matrices | None = None
     # Of a plant that predictions found and simulations are judged by: its predictor
     predictor: Fitted | None = None
-    whole: Samples | None = None  # with those left out because a delayed input is not known yet
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     # What tells whether the plant changes or is curved: of a stable plant that was found by its
