@@ -69,6 +69,12 @@ class Solution:
         return self.predictor or (self.samples, self.fit, self.free)
 
     @property
+    def simulated(self) -> Fitted | None:
+        """What simulates: the model, or what stands for it; None of a plant that grows."""
+        return self.simulating or (
+            None if self.by_prediction else (self.samples, self.fit, self.free))
+
+    @property
     def telling(self) -> Fitted | None:
         """The predictor, where it tells changes: in closed loop, or of what nothing simulates."""
         return None if self.plant is None or self.predictor and self.simulating else self.source
