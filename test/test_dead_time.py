@@ -283,6 +283,31 @@ def test_an_experiment_that_is_cut_out_of_another_has_the_order_of_its_plant(del
         assert found.model.poles.real == pytest.approx([-2.0], abs=4.0 * found.pole_std[0])
 
 
+def one_step(at: float, delay: float) -> Record:
+    """Return 15 s of a lag of 1/3 s that takes one step."""
+    t, rng = np.arange(0.0, 15.0, 0.02), np.random.default_rng(0)
+    u = (t > at)[:, np.newaxis] * 1.0
+    y = StateSpace([[-3.0]], [[3.0]], [[1.0]], delay=(delay,)).simulate(
+        [Signal(t, u, 'zoh')], t)
+    return Record.from_arrays(t, u, t, y + 0.01 * rng.standard_normal(y.shape), input_hold='zoh')
+
+
+@pytest.mark.parametrize('given', ['auto', 1.4])
+def test_a_step_counts_when_it_acts(given):
+    """It is sent before the outputs that can be simulated begin, and acts after that."""
+    found = identify(one_step(1.0, 1.4), Settings(delay=given))
+    assert found.good
+    assert found.model.n == 1
+    assert found.verdict.excitation[0].frequencies > 10.0
+
+
+def test_a_fit_is_of_outputs_that_can_be_simulated():
+    """A quarter of the window, 3.7 s, is looked for; states stand in for the rest of 6 s."""
+    found = identify(one_step(1.0, 6.0))
+    assert not found.good
+    assert found.fit[0] > 0.0
+
+
 @pytest.mark.parametrize(('rate_u', 'rate_y', 'limits'), [
     (200.0, 15.0, (0.5, 1.8)), *slow((1000.0, 10.0, (0.1, 1.8)))])
 def test_a_dead_time_is_known_to_the_interval_of_the_outputs(rate_u, rate_y, limits):

@@ -7,6 +7,7 @@ import pytest
 
 from ctsid_core import Record, Settings, Signal, Status
 from ctsid_core.bases.preparation import Usable, usable
+from ctsid_core.bases.records import Joint, join_records
 from ctsid_core.errors import SettingsError
 
 T = np.linspace(0.0, 10.0, 201)
@@ -112,6 +113,22 @@ def test_an_input_that_changes_at_the_edge_of_the_window_moves():
     u = (T > 5.0).astype(float)
     part = usable(replace(record(u, input_hold='zoh'), start=5.02, end=10.0), Settings())
     assert part is Status.NO_EXCITATION or part.u == (0,)
+
+
+@pytest.mark.parametrize(('at', 'delay', 'acts'), [
+    (0.5, 1.0, True), (9.5, 1.0, False), (9.5, 0.0, True)])
+def test_an_input_counts_when_it_reaches_the_outputs(at, delay, acts):
+    given = record((T > at).astype(float), input_hold='zoh')
+    part = usable(given, Settings(delay=delay))
+    assert isinstance(part, Usable) if acts else part is Status.NO_EXCITATION
+    joint = join_records((given, replace(given, epoch_ns=10 ** 10)), Settings(delay=delay))
+    assert isinstance(joint, Joint) is acts
+
+
+def test_each_input_counts_by_its_own_dead_time():
+    u = np.column_stack((T > 0.5, T > 9.5, T > 0.5)).astype(float)
+    part = usable(record(u, input_hold='zoh'), Settings(delay=(1.0, 1.0, 0.0)))
+    assert part.u == (0,)
 
 
 @pytest.mark.parametrize(('width', 'verdict'), [(0.15, 'good'), (2.0, 'note'), (4.0, 'gaps')])

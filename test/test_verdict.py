@@ -170,6 +170,58 @@ def test_a_plant_at_rest_is_not_stuck():
     assert 'exactly the same value' not in verdict.reason
 
 
+def heater(seed: int, *, resolution: float = 0.25) -> Record:
+    """
+    Return 600 s of 30 exp(-6 s) / ((90 s + 1) (5 s + 1)), at rest for the first 60.
+
+    The output keeps its first value until it has moved by half of what the sensor resolves.
+    """
+    rng = np.random.default_rng(seed)
+    p = plant([[-1.0 / 90.0, 0.0], [0.2, -0.2]], [[1.0 / 3.0], [0.0]], [[0.0, 1.0]])
+    t = np.arange(0.0, 600.0)
+    u = np.repeat([0.0, 0.3, *rng.uniform(-0.5, 0.5, 8)], 60)[:, np.newaxis]
+    y = held_response(p, t + 6.0, u, t) + 20.0 + 0.02 * rng.standard_normal((len(t), 1))
+    return Record.from_arrays(t, u, t, np.round(y / resolution) * resolution, input_hold='zoh')
+
+
+@pytest.mark.parametrize('seed', [1, *slow(0, 2, 3)])
+def test_a_coarse_sensor_is_not_stuck_while_the_plant_starts(seed):
+    """Input moves within the run of equal values, but does not act yet, or hardly."""
+    assert judged(heater(seed)).grade is Grade.GOOD
+
+
+@pytest.mark.parametrize(('share', 'method'), [
+    (0.4, 'hd-pbsid'), *slow((0.2, 'hd-pbsid'), (0.6, 'hd-pbsid'), (0.4, 'ct-pbsid'))])
+def test_a_coarse_sensor_that_sticks_is_stuck(share, method):
+    """The model of all samples follows what is stuck; that of the others tells it."""
+    def stick(y):
+        y[int(share * len(y)):] = y[int(share * len(y))]
+    verdict = judged(spoilt(heater(0), stick), Settings(method=method))
+    assert verdict.reason.startswith('Output y1 keeps exactly the same value')
+
+
+@pytest.mark.parametrize('seed', [1, *slow(2)])
+def test_a_plant_that_grows_is_not_stuck_while_its_controller_starts(seed):
+    """Noise of the coarse sensor moves the input now and then, and the set point does later."""
+    rng, t, x = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.02), 0.0
+    target, u, y = np.repeat(rng.uniform(-1.0, 1.0, 20), 50), np.zeros(1000), np.zeros(1000)
+    target[:150] = 0.0
+    for k in range(len(t)):                             # dx/dt = 2 x + 1.5 u
+        y[k] = np.round((x + 0.003 * rng.standard_normal()) / 0.02) * 0.02
+        u[k] = 6.0 * (target[k] - y[k])
+        x = (x + 0.75 * u[k]) * np.exp(0.04) - 0.75 * u[k]
+    verdict = judged(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                     Settings(feedthrough=False))
+    assert verdict.grade is Grade.GOOD
+
+
+def test_a_coarse_sensor_that_sticks_is_stuck_of_models_that_predict():
+    def stick(y):
+        y[240:] = y[240]
+    verdict = judged(spoilt(heater(0), stick), Settings(feedthrough=False))
+    assert verdict.reason.startswith('Output y1 keeps exactly the same value')
+
+
 @pytest.mark.parametrize('seed', [0, *slow(1)])
 def test_an_input_that_does_not_move_is_named(seed):
     record = experiment(seed, 2)

@@ -59,9 +59,11 @@ class Usable:
             corrupt_y=tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
 
 
-def moving(record: Record) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the places of the inputs and of the outputs that move within a record."""
-    return _moving(record, record.inputs)[1], _moving(record, record.outputs)[1]
+def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the places of the inputs that act within a record, and of the outputs that move."""
+    record = replace(record, start=_known_from(record, settings))
+    return (_moving(record, record.inputs, settings.delays(record.nu))[1],
+            _moving(record, record.outputs)[1])
 
 
 def usable(record: Record, settings: Settings,
@@ -80,8 +82,8 @@ def usable(record: Record, settings: Settings,
         notes.append(f'the first {start - record.start:.3g} s were left out: an input has no '
                      'known value there, because of its dead time')
     shorter = replace(record, start=start) if start > record.start else record
-    inputs, u, fixed_u = _moving(shorter, shorter.inputs, keep[0])
-    outputs, y, fixed_y = _moving(shorter, shorter.outputs, keep[1])
+    inputs, u, fixed_u = _moving(shorter, shorter.inputs, settings.delays(record.nu), keep[0])
+    outputs, y, fixed_y = _moving(shorter, shorter.outputs, keep=keep[1])
     for kind, names, fixed in (('input', record.input_names, fixed_u),
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
@@ -184,20 +186,27 @@ def _known_from(record: Record, settings: Settings) -> float:
     return start
 
 
-def _moving(record: Record, signals: tuple[Signal, ...], keep: tuple[int, ...] = (),
-            ) -> tuple[list[Signal], tuple[int, ...], list[int]]:
-    """Return the signals without constant channels, and the places of moving and constant ones."""
+def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ...] = (),
+            keep: tuple[int, ...] = ()) -> tuple[list[Signal], tuple[int, ...], list[int]]:
+    """
+    Return the signals without constant channels, and the places of moving and constant ones.
+
+    As they act: later by the delays of all channels [s], if there are any.
+    """
     kept_signals: list[Signal] = []
     kept: list[int] = []
     fixed: list[int] = []
     for signal, channels in zip(signals, channel_slices(signals), strict=True):
-        inside = signal.rows(record.start, record.end)
-        values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
         moves, places = np.zeros(signal.width, dtype=bool), np.r_[channels]
-        if len(values):
-            rows = np.ascontiguousarray(values.T)      # reductions along rows are far quicker
-            low, high = rows.min(axis=1), rows.max(axis=1)
-            moves = high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high))
+        late = np.array(delays[channels] or (0.0,) * signal.width)
+        for d in set(late.tolist()):
+            inside = signal.rows(record.start - d, record.end - d)
+            values = signal.values[max(inside.start - 1, 0):inside.stop + 1]
+            if len(values):
+                rows = np.ascontiguousarray(values.T)   # reductions along rows are far quicker
+                low, high = rows.min(axis=1), rows.max(axis=1)
+                moves |= (late == d) & (
+                    high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high)))
         moves |= np.isin(places, keep)
         kept += places[moves].tolist()
         fixed += places[~moves].tolist()

@@ -106,7 +106,7 @@ def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusa
     if len(records) == 1:
         part = usable(records[0], settings)
         return Unusable(part) if isinstance(part, Status) else Joint((part,), (1,))
-    moves = [moving(record) for record in records]
+    moves = [moving(record, settings) for record in records]
     keep = tuple(tuple(sorted(set().union(*(own[i] for own in moves)))) for i in (0, 1))
     parts, numbers, remarks, left = [], [], [], []
     for number, (record, own) in enumerate(zip(records, moves, strict=True), 1):

@@ -18,8 +18,9 @@ from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
+from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import Residuals, fit_states
+from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.residuals import driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.matrices import Matrices
@@ -38,7 +39,6 @@ from ctsid_core.search.by_prediction import (
 )
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Doubt, Solution
-from ctsid_core.signals.stuck import stuck_outputs
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
@@ -57,16 +57,15 @@ def conclude(solution: Solution) -> Estimate:
         pole_deviation(covariance, model)
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
                       solution.refit, solution.predictor)
-    simulating = solution.simulating or (
-        None if solution.by_prediction else (samples, fit, solution.free))
-    change = Change() if solution.refit or simulating is None else \
-        most_likely_change(*simulating, solution.smaller, solution.telling)
+    simulated = solution.simulated
+    change = Change() if solution.refit or simulated is None else \
+        most_likely_change(*simulated, solution.smaller, solution.telling)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names)
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
-    curves = curve_gains(*(simulating or (samples, fit, solution.free)))
+    curves = curve_gains(*(simulated or (samples, fit, solution.free)))
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model, moving,
                          deviation, curves)
     status, verdict = judge(evidence)
@@ -182,7 +181,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
 
     power = solution.fit.power.mean(axis=0)
     white = white_part(errors)
-    error, coloured = _over_all(solution), np.sqrt(np.maximum(power - white ** 2, 0.0))
+    error: Array = np.sqrt(solution.samples.mean(solution.fit.power))
+    coloured = np.sqrt(np.maximum(power - white ** 2, 0.0))
     if solution.by_prediction:
         error = solution.errors_ahead[AHEAD]
         coloured = np.maximum(error, np.sqrt(np.maximum(error ** 2 - white ** 2, 0.0))
@@ -207,7 +207,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
-        stuck=tuple(one for p in part.parts for one in stuck_outputs(p.whole)),
+        stuck=stuck_outputs(solution, moving),
         expected=everywhere(unseen.expected), untested=unseen.why, driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
@@ -238,15 +238,6 @@ def _moved(solution: Solution, errors: Residuals) -> Array:
     last = solution.part.last
     period = max(s.period for s in solution.part.parts[last].record.outputs)
     return motion_ahead(solution.samples.records[last], errors[last], HORIZONS[AHEAD] * period)
-
-
-def _over_all(solution: Solution) -> Array:
-    """Return the rms error over the motion, of all samples of the window, (ny,)."""
-    whole = solution.whole or solution.samples
-    fit = solution.fit if whole is solution.samples else \
-        fit_states(whole, solution.fit.model, solution.free)
-    error: Array = np.sqrt(whole.mean(fit.power))
-    return error
 
 
 def _where(part: Joint, change: Change) -> str:

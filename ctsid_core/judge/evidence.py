@@ -6,10 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ctsid_core.judge.changed import Change
+from ctsid_core.judge.stuck import Stuck
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.verdict import Verdict
 from ctsid_core.search.solution import Doubt
-from ctsid_core.signals.stuck import Stuck
 
 
 @dataclass(frozen=True, kw_only=True)

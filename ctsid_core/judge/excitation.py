@@ -40,25 +40,25 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     Of inputs with delays (nu,) [s]: what further ones `samples` has does not count. The covariance
     is that of the model of the moving channels.
     """
-    omega, weight, lines, inputs, sent = _input_spectra(samples, delay)
+    omega, weight, lines, sent, acting = _input_spectra(samples, delay)
     # A record tells its mean over a width of 1 / length, finite of modes that do not decay, too.
     moving = replace(moving, A=moving.A - np.eye(moving.n) / samples.length)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, moved = _uncertain(samples, covariance, moving, omega, lines)
-    own = _uncorrelated(inputs)
+    own = _uncorrelated(sent)
     found = []
     for j, name in enumerate(names):
         seen = weight[:, j] * np.sum(np.abs(response[:, :, j]) ** 2, axis=1)
         total = float(seen.sum())
         if not total > 0.0 or not np.isfinite(total):
-            found.append(Excitation(name, frequencies=sent.count(j), own=float(own[j])))
+            found.append(Excitation(name, frequencies=acting.count(j), own=float(own[j])))
             continue
         part = np.cumsum(seen) / total
         low, high = (float(omega[min(int(np.searchsorted(part, share)), len(omega) - 1)])
                      for share in (_TAIL, 1.0 - _TAIL))
         unsure = float(np.sqrt((weight[:, j, np.newaxis] * variance[:, :, j]).sum() / total)) \
             if own[j] > _ALONE else np.inf
-        found.append(Excitation(name, low, high, sent.count(j, high), float(own[j]), unsure))
+        found.append(Excitation(name, low, high, acting.count(j, high), float(own[j]), unsure))
     seen = np.einsum('fij,jf->fi', response, lines)
     with np.errstate(invalid='ignore', divide='ignore'):
         by_output = np.sqrt(moved / np.sum(np.abs(seen) ** 2, axis=0))
@@ -107,8 +107,8 @@ def _uncorrelated(u: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Sent:
-    """Spectra of the inputs without dead times: omega (M,), power (nu, M), half rates (nu,)."""
+class _Acting:
+    """Spectra of the inputs as they act: omega (M,), power (nu, M), half rates (nu,)."""
 
     omega: Array
     power: Array
@@ -140,12 +140,13 @@ def _half_rates(signal: Signal) -> list[float]:
 
 
 def _input_spectra(samples: Samples, delay: Array
-                   ) -> tuple[Array, Array, ComplexArray, Array, _Sent]:
+                   ) -> tuple[Array, Array, ComplexArray, Array, _Acting]:
     """
     Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
 
-    Of the record in which inputs change most, the strongest lines only. Further the inputs at
-    uniform instants, and the spectra of their differences, without dead times.
+    As they act, later by their dead times, on the record in which they change most; the strongest
+    lines only. Further what was sent of that, at uniform instants, for inputs that move together
+    are not told apart by their dead times; and the spectra of the differences.
     """
     record = max(samples.records, key=_motion)
     finest = min(s.period for s in record.streams)
@@ -153,7 +154,10 @@ def _input_spectra(samples: Samples, delay: Array
     t = np.linspace(record.start, record.end, count)
     ends = np.cumsum([s.width for s in record.inputs])
     inputs = record.inputs[:int(np.searchsorted(ends, len(delay))) + 1]
-    as_sent, u = (steps_of(inputs, d, record.start, t).inputs for d in (0.0 * delay, delay))
+    u = steps_of(inputs, delay, record.start, t).inputs
+    since = record.start - float(np.max(delay))
+    sent = steps_of(inputs, 0.0 * delay, since, np.linspace(
+        since, record.end - float(np.min(delay)), count)).inputs
     lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:]
     omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
     power = np.abs(lines) ** 2 / omega
@@ -162,10 +166,10 @@ def _input_spectra(samples: Samples, delay: Array
     # If the taper were as long as the record, only the middle of a sweep would count.
     inside = np.minimum(np.arange(count - 1), np.arange(count - 1)[::-1]) / (_TAPERED * count)
     taper = 0.5 - 0.5 * np.cos(np.pi * np.minimum(inside, 1.0))
-    tapered = np.abs(np.fft.rfft(np.diff(as_sent, axis=1) * taper, axis=1))[:, 1:] ** 2 / omega
+    tapered = np.abs(np.fft.rfft(np.diff(u, axis=1) * taper, axis=1))[:, 1:] ** 2 / omega
     half_rates = np.array([rate for s in inputs for rate in _half_rates(s)])
-    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), as_sent,
-            _Sent(omega, tapered, half_rates))
+    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), sent,
+            _Acting(omega, tapered, half_rates))
 
 
 def _motion(record: RecordSamples) -> float:

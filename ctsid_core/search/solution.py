@@ -44,7 +44,6 @@ class Solution:
     plant: Matrices | None = None
     # Of a plant that predictions found and simulations are judged by: its predictor
     predictor: Fitted | None = None
-    whole: Samples | None = None  # with those left out because a delayed input is not known yet
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     # What tells whether the plant changes or is curved: of a stable plant that was found by its
@@ -68,6 +67,12 @@ class Solution:
     def source(self) -> Fitted:
         """What the likelihood was of: a simulation, or a predictor."""
         return self.predictor or (self.samples, self.fit, self.free)
+
+    @property
+    def simulated(self) -> Fitted | None:
+        """What simulates: the model, or what stands for it; None of a plant that grows."""
+        return self.simulating or (
+            None if self.by_prediction else (self.samples, self.fit, self.free))
 
     @property
     def telling(self) -> Fitted | None:

@@ -141,7 +141,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             part, settings, seen, samples, best, disturbed, free, found, hidden)):
         return solved
     others = _with(others, climbed, best)
-    whole, late = samples, float(np.max(best.fit.model.delay, initial=0.0))
+    late = float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
     if late > 0.0 or best is not climbed:
@@ -156,8 +156,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
-                    whole=whole, hidden=hidden,
-                    smaller=smaller, rivals=_rivals(others), singular_values=values,
+                    hidden=hidden, smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
@@ -176,7 +175,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
             samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
-    best = _climbed(solved.samples, best, free) if solved.samples is not solved.whole else best
+    best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
     return replace(
         solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
         smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
@@ -242,7 +241,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
                      found: PredictionFit, plant: _Plant,
                      delay: Array | float = 0.0) -> Solution:
     """Return a plant that predictions found, to be judged by its simulation."""
-    whole, one, fit = samples, plant.simulated, plant.simulated.fit
+    one, fit = plant.simulated, plant.simulated.fit
     late = float(np.max(np.maximum(fit.model.delay, delay), initial=0.0))
     if late > 0.0:
         samples = seen(late)
@@ -254,7 +253,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         (Choice('domain', domain, "predictions from the outputs' own past found the plant, and "
                 'are likelier than those of the one that simulates best; judged as others'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_at_bound(one, plant.free)), plant=plant.matrices, whole=whole,
+         *_at_bound(one, plant.free)), plant=plant.matrices,
         doubt=_late(part, one, plant.free)
         or _doubt(fit.model.poles, samples, plant.free, settings),
         predictor=(found.samples, found.found.fit, found.free))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sampled signals, records, sliding windows; corrupt and stuck samples."""
+"""Sampled signals, records, sliding windows; corrupt samples, and such that stand still."""

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Outputs that stop moving: a sensor that hangs, or a driver that repeats its last value.
+Outputs that stand still: a long run of samples that are equal to the last bit.
 
-A long run of samples equal to the last bit says so, if the output does not stand still elsewhere,
-and inputs move meanwhile as they do in the rest of the window, or there is noise elsewhere,
-which never repeats. Coarse sensors repeat values as well, but for a small part of the window, or
-at rest.
+Long enough not to be chance: coarse sensors repeat values as well, but for a small part of the
+window, or again and again.
 """
 
 from __future__ import annotations
@@ -15,43 +13,42 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.types import Array
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import Record, channel_slices
 
 _SHARE = 0.08         # of the window in one run
 _TIMES = 3.0          # as long as the second longest run
 _FEWEST = 10          # samples in it
-_MOVES = 0.3          # spread of an input in the run over that in the window
 _TURNS = 0.3          # of the steps from sample to sample turn around: of white noise 2/3 do, of
                       # what a sensor shows at 8 bits fewer, for some steps are 0
 
 
-@dataclass(frozen=True)
-class Stuck:
-    """An output, by its place among all, and from when to when after the start it is stuck [s]."""
+@dataclass(frozen=True, eq=False)
+class Still:
+    """A run of equal samples of an output, by its place among all."""
 
     output: int
-    start: float
-    end: float
+    times: Array        # of these samples [s]
+    resolution: float   # the smallest step between neighbouring samples elsewhere
+    noise_ends: bool    # whether there is noise elsewhere, which never repeats
 
 
-def stuck_outputs(record: Record) -> tuple[Stuck, ...]:
-    """Return the outputs of a record that are stuck for a part of it."""
+def longest_still(record: Record) -> tuple[Still, ...]:
+    """Return the longest run of each output of a record, where it is too long to be chance."""
     found = []
     for signal, channels in zip(record.outputs, channel_slices(record.outputs), strict=True):
         inside = signal.rows(record.start, record.end)
         times, values = signal.time[inside], signal.values[inside]
         for output, y in enumerate(values.T, channels.start):
             run = _longest_run(times, y, record.duration)
-            if run is None:
-                continue
-            start, end = times[run]
-            if _is_noise(y[:run[0]], y[run[1] + 1:]) or _inputs_move(record, start, end):
-                found.append(Stuck(output, start - record.start, end - record.start))
+            if run is not None:
+                steps = np.abs(np.diff(y))
+                found.append(Still(output, times[run], float(np.min(steps[steps > 0.0])),
+                                   _is_noise(y[:run.start], y[run.stop:])))
     return tuple(found)
 
 
-def _longest_run(times: Array, values: Array, duration: float) -> list[int] | None:
-    """Return the places of the first and last sample of a run too long to be chance, if any."""
+def _longest_run(times: Array, values: Array, duration: float) -> slice | None:
+    """Return the places of a run too long to be chance, if any; other values are beside it."""
     if len(values) < _FEWEST:
         return None
     ends = np.flatnonzero(np.diff(values, append=np.nan) != 0.0)
@@ -62,7 +59,7 @@ def _longest_run(times: Array, values: Array, duration: float) -> list[int] | No
     if len(others) < 2 or ends[longest] - starts[longest] < _FEWEST or \
             spans[longest] < max(_SHARE * duration, _TIMES * float(np.max(others))):
         return None
-    return [int(starts[longest]), int(ends[longest])]
+    return slice(int(starts[longest]), int(ends[longest]) + 1)
 
 
 def _is_noise(*parts: Array) -> bool:
@@ -71,13 +68,3 @@ def _is_noise(*parts: Array) -> bool:
     count = sum(len(step) - 1 for step in steps if len(step) > 1)
     turns = sum(int(np.count_nonzero(step[1:] * step[:-1] < 0.0)) for step in steps)
     return count >= _FEWEST and turns > _TURNS * count
-
-
-def _inputs_move(record: Record, start: float, end: float) -> bool:
-    return any((_spread(s, start, end) > _MOVES * _spread(s, record.start, record.end)).any()
-               for s in record.inputs)
-
-
-def _spread(signal: Signal, start: float, end: float) -> Array:
-    values = signal.values[signal.rows(start, end)]
-    return values.std(axis=0) if len(values) > 1 else np.zeros(signal.width)
