@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ctsid_core.model.covariance import Covariance, gain_deviation
+from ctsid_core.model.covariance import Covariance, gain_deviation, pole_deviation
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import load_estimate
@@ -336,6 +336,14 @@ def test_what_integrates_is_told_by_how_fast_it_moves():
     assert 'cannot be told from 0' in said
     assert 'angle moves by 1.500 in a second for each unit of u' in said
     assert 'the gain from u to rate is 1.500 without it' in said
+    # Of two poles that stand for one neither is known, but what both do at rest.
+    pair = StateSpace(np.diag([-3.3, -5.0]), np.array([[0.1], [9.9]]), np.array([[1.0, 1.0]]))
+    own = np.zeros((1, Covariance.entry_count(2, 1, 1)))
+    own[0, [0, 4]] = 2.6, -2.6 * 0.1 / 3.3
+    found = Covariance(own, 2, 1, 1)
+    assert pole_deviation(found, pair)[0] > 1.0
+    assert gain_deviation(found, pair)[0, 0] < 1e-6
+    assert len(gain_section(pair, found).parts) == 1
     root[0, 0] = 1e-7
     parts = gain_section(plant, Covariance(root, 2, 1, 2)).parts
     assert not any('cannot be told from 0' in str(part) for part in parts)
