@@ -343,6 +343,25 @@ def test_drive_base(base):
         guessed(base, 3)
 
 
+@pytest.mark.parametrize(('noise', 'moving'), [(0.0, True), (0.01, True), (0.01, False)])
+def test_a_measured_effort_is_no_motion(tmp_path, noise, moving):
+    """It only repeats the command, a tick later; but where nothing else is recorded, it is all."""
+    rng, count, sent = np.random.default_rng(17), 3000, []
+    u = lagged(5.0 * rng.standard_normal(count), 30.0, 0.01)
+    w = lagged(u, 1.5, 0.01) + 0.005 * rng.standard_normal(count)
+    for k in range(1, count):
+        stamp, effort = START + k * S // 100, u[k - 1] + noise * rng.standard_normal()
+        sent.append(Sent('/effort_controller/commands', 'std_msgs/msg/Float64MultiArray', stamp,
+                         array(u[k])))
+        sent.append(Sent('/joint_states', 'sensor_msgs/msg/JointState', stamp + S // 1000, make(
+            'sensor_msgs/msg/JointState', header=header(stamp), name=['j'], position=np.zeros(1),
+            velocity=np.array([w[k] * moving]), effort=np.array([effort]))))
+    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+    field = 'velocity[j]' if moving else 'effort[j]'
+    assert keys(found)[0] == (('/effort_controller/commands', 'data[0]'), ('/joint_states', field))
+    assert 'explains' in found.reasons[0]
+
+
 def test_the_file_is_short_and_reads_back(base):
     config = guessed(base).config
     text = dump_brief(config)
