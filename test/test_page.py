@@ -8,6 +8,7 @@ import csv
 from dataclasses import replace
 from html.parser import HTMLParser
 import json
+import math
 from pathlib import Path
 import re
 import sys
@@ -54,7 +55,7 @@ from ctsid_ros.report.tables import Table, percent, pole_text
 from ctsid_ros.report.window_figures import window_figure
 from ctsid_ros.report.words import lines, markdown, printable
 from ctsid_ros.studies.robots.families import experiment
-from ctsid_ros.verbs.arguments import run_of
+from ctsid_ros.verbs.arguments import run_of, span
 
 EVIL = '/<script>alert(1)</script>"\'><img src=x onerror=alert(1)>\x1b[31m`_*|$x\n# head\u202e=1+1'
 TOPIC = '/imu' + ''.join(EVIL.split())     # no topic has blanks
@@ -305,6 +306,22 @@ def test_advice_after_an_interval_is_on_that_interval(folder):
     args = Namespace(command_line='', bag=['bag'], params='p.yaml', start=2.0, duration=0.5)
     assert headline(weak, run_of(args)).command == (
         'ctsid advise bag --params p.yaml --start 2 --duration 0.5')
+
+
+def test_advice_after_intervals_is_on_what_they_span(folder):
+    found = load_estimate(folder / 'res/model.json')
+    args = Namespace(command_line='', bag=['bag'], params='p.yaml', start=0.0, duration=math.inf,
+                     interval=[span('12345.6:12400.1')])
+    for more, words, records in (
+            ((), '--start 12345.6 --duration 54.5', '--start 12345.6 --duration 54.5'),
+            ([span('2:9')], '--start 2 --duration 12398.1',
+             '--interval 12345.6:12400.1 --interval 2:9')):
+        args.interval += more
+        for remedy, command in ((Remedy.EXCITE, f'advise bag --params p.yaml {words}'),
+                                (Remedy.SETTING, f'identify bag --params p.yaml {records}'),
+                                (Remedy.LONGER, 'identify bag --params p.yaml')):
+            weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=remedy))
+            assert headline(weak, run_of(args)).command == f'ctsid {command}'
 
 
 def test_a_gain_that_is_not_known_is_said_to_be_so(folder):
