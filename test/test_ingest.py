@@ -292,17 +292,18 @@ def test_two_doors_give_the_same_records():
     assert live.counts() == replay.counts()
 
 
-@pytest.mark.parametrize(('rate', 'jitter_ms', 'stamp', 'told'), [
-    (0.5, 5.0, 'log', True), (1.01, 1.0, 'log', True), (0.5, 5.0, 'header', False),
-    (1.0, 20.0, 'log', False), (1.0003, 1.0, 'log', False)])
-def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, stamp, told):
+@pytest.mark.parametrize(('rate', 'jitter_ms', 'whole', 'stamp', 'told'), [
+    (0.5, 5.0, 1, 'log', True), (1.01, 1.0, 1, 'log', True), (0.5, 5.0, 1, 'header', False),
+    (1.0, 20.0, 1, 'log', False), (1.0003, 1.0, 1, 'log', False),
+    (1.0, 1.0, S // 128, 'log', False), (1.0, 1.0, S, 'log', False)])     # rounded headers
+def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, stamp, told):
     """A simulation at half the speed is no plant of twice the time constant."""
     rng = np.random.default_rng(1)
     ingest = make(replace(U, stamp=stamp), replace(P, stamp=stamp), window_length=10.0)
     late = np.sort(np.arange(3000) * S // 100 + rng.exponential(jitter_ms * 1e6, 3000).astype(int))
     records = []
     for k, log in enumerate((EPOCH + late).tolist()):
-        header = 10 * S + round(k * S // 100 * rate)
+        header = (10 * S + round(k * S // 100 * rate)) // whole * whole
         ingest.push('/imu', log, 0, header, (math.sin(k),))
         ingest.push('/cmd', log, 0, header if stamp == 'header' else None, (math.cos(k),))
         records += ingest.due()
