@@ -246,6 +246,49 @@ def test_excited_stretches():
     assert [s.start for s in excited(late, ticks)] == pytest.approx([98.5], abs=1.5)
 
 
+def test_how_long_a_recording_rests_does_not_hide_a_short_experiment():
+    rng, ticks = np.random.default_rng(14), clock(1800.0, 20.0)
+    u = np.where(np.abs(ticks.time - 920) < 20, moves(rng, len(ticks.time), 8), 0.0)
+    u[np.abs(ticks.time - 101) < 1] = u[np.abs(ticks.time - 1600) < 2] = 0.5
+    found = excited(u, ticks)
+    assert [s.start for s in found] == pytest.approx([98.0, 898.0, 1596.0], abs=1.5)
+    assert max(found, key=lambda s: s.energy).end == pytest.approx(943.0, abs=1.5)
+
+
+@pytest.mark.parametrize('rest', [0.0, 600.0])
+def test_the_unit_of_time_changes_nothing(tmp_path, rest):
+    """A plant a hundred times slower that is sampled as much more slowly is the same plant."""
+    rng, time = np.random.default_rng(15), np.arange(0.0, 200.0 + rest, 0.1)
+    u = moves(rng, len(time), 20) * (time >= rest)
+    y = lagged(u, 0.5, 0.1) + 0.01 * rng.standard_normal(len(u))
+    found = []
+    for factor in (1, 100):
+        np.savetxt(tmp_path / 'run.csv', np.transpose([factor * time, u, y]), delimiter=',',
+                   comments='', fmt='%.9g', header='t [s],a,b')
+        one = guessed(tmp_path / 'run.csv')
+        settings = one.config.settings
+        seconds = [settings.window_length, settings.window_stride, one.pair.explained.overlap,
+                   *(t for s in one.stretches for t in (s.start, s.end))]
+        found.append([*(np.array(seconds) / factor), one.pair.explained.past,
+                      one.pair.explained.future, one.pair.score])
+        assert keys(one)[0] == (('run', 'a'), ('run', 'b'))
+    assert found[1] == pytest.approx(found[0], rel=2e-3)        # a tick more or less
+    assert len(one.stretches) == (rest > 0)
+
+
+def test_steps_that_wait_for_a_slow_plant_are_one_experiment(tmp_path):
+    """However often it is sampled: ten minutes from step to step, and samples every second."""
+    rng, time = np.random.default_rng(16), np.arange(0.0, 21600.0, 1.0)
+    u = moves(rng, len(time), 600) * (np.abs(time - 12000) < 6000)
+    y = lagged(u, 1 / 900, 1.0) + 0.003 * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([time, u, y]), delimiter=',', comments='',
+               header='t [s],heater_cmd,temperature')
+    found = guessed(tmp_path / 'run.csv')
+    (stretch,) = found.stretches
+    assert (stretch.start, stretch.end) == pytest.approx((6000.0, 19800.0), abs=100.0)
+    assert found.config.settings.window_length == 6000.0
+
+
 # --- guesses
 
 
@@ -298,6 +341,25 @@ def test_drive_base(base):
     assert stretch.start == pytest.approx(11.0, abs=1.5)
     with pytest.raises(BagError, match='only 2 to pick'):
         guessed(base, 3)
+
+
+@pytest.mark.parametrize(('noise', 'moving'), [(0.0, True), (0.01, True), (0.01, False)])
+def test_a_measured_effort_is_no_motion(tmp_path, noise, moving):
+    """It only repeats the command, a tick later; but where nothing else is recorded, it is all."""
+    rng, count, sent = np.random.default_rng(17), 3000, []
+    u = lagged(5.0 * rng.standard_normal(count), 30.0, 0.01)
+    w = lagged(u, 1.5, 0.01) + 0.005 * rng.standard_normal(count)
+    for k in range(1, count):
+        stamp, effort = START + k * S // 100, u[k - 1] + noise * rng.standard_normal()
+        sent.append(Sent('/effort_controller/commands', 'std_msgs/msg/Float64MultiArray', stamp,
+                         array(u[k])))
+        sent.append(Sent('/joint_states', 'sensor_msgs/msg/JointState', stamp + S // 1000, make(
+            'sensor_msgs/msg/JointState', header=header(stamp), name=['j'], position=np.zeros(1),
+            velocity=np.array([w[k] * moving]), effort=np.array([effort]))))
+    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+    field = 'velocity[j]' if moving else 'effort[j]'
+    assert keys(found)[0] == (('/effort_controller/commands', 'data[0]'), ('/joint_states', field))
+    assert 'explains' in found.reasons[0]
 
 
 def test_the_file_is_short_and_reads_back(base):
@@ -505,7 +567,7 @@ def test_try_does_all_in_one_go(base, tmp_path, capsys, monkeypatch):
     config: Config = read_config('res/params.yaml')
     assert config.inputs[0].field == 'twist.linear.x'
     report = (tmp_path / 'res/report.md').read_text(encoding='utf-8')
-    assert '--params res/params.yaml --interval 1' in report
+    assert '--params res/params.yaml --interval 9.9:' in report
 
 
 def test_try_takes_the_time_that_it_is_told(tmp_path, capsys, monkeypatch):

@@ -9,6 +9,7 @@ from ctsid_core.errors import DataError, SettingsError
 from ctsid_core.settings import Settings
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.decoding.field_path import parse_field
+from ctsid_ros.ingest.header_clock import HeaderClock
 from ctsid_ros.ingest.ingest import Ingest
 
 S = 10**9
@@ -289,6 +290,44 @@ def test_two_doors_give_the_same_records():
             assert x.time.tobytes() == z.time.tobytes()
             assert x.values.tobytes() == z.values.tobytes()
     assert live.counts() == replay.counts()
+
+
+@pytest.mark.parametrize(('rate', 'jitter_ms', 'whole', 'stamp', 'told'), [
+    (0.5, 5.0, 1, 'log', True), (1.01, 1.0, 1, 'log', True), (0.5, 5.0, 1, 'header', False),
+    (1.0, 20.0, 1, 'log', False), (1.0003, 1.0, 1, 'log', False),
+    (1.0, 1.0, S // 128, 'log', False), (1.0, 1.0, S, 'log', False)])     # rounded headers
+def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, stamp, told):
+    """A simulation at half the speed is no plant of twice the time constant."""
+    rng = np.random.default_rng(1)
+    ingest = make(replace(U, stamp=stamp), replace(P, stamp=stamp), window_length=10.0)
+    late = np.sort(np.arange(3000) * S // 100 + rng.exponential(jitter_ms * 1e6, 3000).astype(int))
+    records = []
+    for k, log in enumerate((EPOCH + late).tolist()):
+        header = (10 * S + round(k * S // 100 * rate)) // whole * whole
+        ingest.push('/imu', log, 0, header, (math.sin(k),))
+        ingest.push('/cmd', log, 0, header if stamp == 'header' else None, (math.cos(k),))
+        records += ingest.due()
+    assert len(records) > 3
+    for record in records:
+        assert bool(record.faults) is told
+    if told:
+        assert record.faults[0].startswith('Headers of /imu run ')
+        assert 'as fast as the clock of u, p' in record.faults[0]
+        assert float(record.faults[0].split()[4]) == pytest.approx(rate, rel=0.01)
+
+
+def test_the_clock_of_headers_is_the_same_from_rows():
+    rng = np.random.default_rng(2)
+    log = np.cumsum(rng.exponential(0.3e9, 200)).astype(np.int64)
+    header = np.where(rng.uniform(size=200) < 0.1, 0, log // 2 + 1)
+    one, other = HeaderClock(), HeaderClock()
+    for times in zip(log.tolist(), header.tolist(), strict=True):
+        one.take(*times)
+    for rows in np.split(np.arange(200), [3, 50, 51, 120]):
+        other.take_rows(log[rows], header[rows])
+    assert vars(one) == vars(other)
+    one.take(5, 7)      # played again
+    assert vars(one) == {'_pairs': [(5, 7)]}
 
 
 def test_misuse_raises():

@@ -8,6 +8,7 @@ import csv
 from dataclasses import replace
 from html.parser import HTMLParser
 import json
+import math
 from pathlib import Path
 import re
 import sys
@@ -20,7 +21,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ctsid_core.model.covariance import Covariance, gain_deviation
+from ctsid_core.model.covariance import Covariance, gain_deviation, pole_deviation
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import load_estimate
@@ -54,7 +55,7 @@ from ctsid_ros.report.tables import Table, percent, pole_text
 from ctsid_ros.report.window_figures import window_figure
 from ctsid_ros.report.words import lines, markdown, printable
 from ctsid_ros.studies.robots.families import experiment
-from ctsid_ros.verbs.arguments import run_of
+from ctsid_ros.verbs.arguments import run_of, span
 
 EVIL = '/<script>alert(1)</script>"\'><img src=x onerror=alert(1)>\x1b[31m`_*|$x\n# head\u202e=1+1'
 TOPIC = '/imu' + ''.join(EVIL.split())     # no topic has blanks
@@ -307,6 +308,22 @@ def test_advice_after_an_interval_is_on_that_interval(folder):
         'ctsid advise bag --params p.yaml --start 2 --duration 0.5')
 
 
+def test_advice_after_intervals_is_on_what_they_span(folder):
+    found = load_estimate(folder / 'res/model.json')
+    args = Namespace(command_line='', bag=['bag'], params='p.yaml', start=0.0, duration=math.inf,
+                     interval=[span('12345.6:12400.1')])
+    for more, words, records in (
+            ((), '--start 12345.6 --duration 54.5', '--start 12345.6 --duration 54.5'),
+            ([span('2:9')], '--start 2 --duration 12398.1',
+             '--interval 12345.6:12400.1 --interval 2:9')):
+        args.interval += more
+        for remedy, command in ((Remedy.EXCITE, f'advise bag --params p.yaml {words}'),
+                                (Remedy.SETTING, f'identify bag --params p.yaml {records}'),
+                                (Remedy.LONGER, 'identify bag --params p.yaml')):
+            weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=remedy))
+            assert headline(weak, run_of(args)).command == f'ctsid {command}'
+
+
 def test_a_gain_that_is_not_known_is_said_to_be_so(folder):
     found = load_estimate(folder / 'res/model.json')
     assert 'not even its sign' not in str(gain_section(found.model, found.covariance).parts)
@@ -336,6 +353,14 @@ def test_what_integrates_is_told_by_how_fast_it_moves():
     assert 'cannot be told from 0' in said
     assert 'angle moves by 1.500 in a second for each unit of u' in said
     assert 'the gain from u to rate is 1.500 without it' in said
+    # Of two poles that stand for one neither is known, but what both do at rest.
+    pair = StateSpace(np.diag([-3.3, -5.0]), np.array([[0.1], [9.9]]), np.array([[1.0, 1.0]]))
+    own = np.zeros((1, Covariance.entry_count(2, 1, 1)))
+    own[0, [0, 4]] = 2.6, -2.6 * 0.1 / 3.3
+    found = Covariance(own, 2, 1, 1)
+    assert pole_deviation(found, pair)[0] > 1.0
+    assert gain_deviation(found, pair)[0, 0] < 1e-6
+    assert len(gain_section(pair, found).parts) == 1
     root[0, 0] = 1e-7
     parts = gain_section(plant, Covariance(root, 2, 1, 2)).parts
     assert not any('cannot be told from 0' in str(part) for part in parts)

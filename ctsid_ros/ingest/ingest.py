@@ -26,6 +26,7 @@ from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
+from ctsid_ros.ingest.header_clock import HeaderClock
 from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
@@ -58,6 +59,7 @@ class _Topic:
         self.non_finite = dict.fromkeys(self.parts, 0)
         # How many publishers there are now a recording does not tell.
         self.numbers = SequenceNumbers(lambda: 1)
+        self.clock = HeaderClock()
         self.source = self.why = ''  # of the channels whose stamp is 'auto'
         self.routes: list[tuple[str, slice, int]] = []  # group, its values, its source
         self.held: list[_Message] = []  # messages that wait for the source to be known
@@ -194,6 +196,8 @@ class Ingest:
         for number, rows in enumerate(block.columns):
             topic = self._topics[rows.topic]
             who = topic.publishers(rows.sequences)
+            if rows.header_ns is not None:
+                topic.clock.take_rows(rows.log_ns, rows.header_ns)
             for group, part, source in topic.routes if len(rows) else ():
                 place = np.flatnonzero(block.which == number)
                 own, kept = rows, who
@@ -301,6 +305,7 @@ class Ingest:
                 self._count_non_finite(topic, part, values[part])
             elif publisher:
                 self._mixing[group].take(publisher, times[source] or 0)
+        topic.clock.take(times[0], times[2] or 0)
 
     def _count_non_finite(self, topic: _Topic, dropped: slice, values: Sequence[float]) -> None:
         for name, part in topic.parts.items():
@@ -334,6 +339,8 @@ class Ingest:
         finished = self._finished(record)
         for mixing in self._mixing.values():
             mixing.forget(record.epoch_ns)  # the next windows begin later
+        for topic in self._topics.values():
+            topic.clock.forget(record.epoch_ns)
         return finished
 
     def _finished(self, record: Record) -> Record:
@@ -351,6 +358,14 @@ class Ingest:
             if own := [group for group, _, _ in topic.groups if group in mixed]:
                 yield (f'Samples of several publishers are mixed in {", ".join(own)}, of {name}; '
                        'stop all but one of them, or give them topics of their own.')
+        timed = [c.name for c in self._config.channels
+                 if self._topics[c.topic].source_of(c.name)[0] != 'header']
+        for name, topic in self._topics.items() if timed else ():
+            if (rate := topic.clock.rate(record)) != 1.0:
+                yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
+                       f'{", ".join(timed)}, as in a simulation that is not in real time, so '
+                       'time constants are wrong; use topics with headers for all channels, or '
+                       'let recorder and node run with `use_sim_time`.')
 
 
 def _messages(rows: Columns

@@ -11,8 +11,8 @@ from ctsid_ros.recordings.excerpts import Clock
 from ctsid_ros.recordings.guess_pairs import without_slow
 
 _SEGMENTS = 8  # at least, of each stretch: the coherence of one alone would be 1
-_LONGEST = 10.0  # s: of a segment
-_LATEST = 3.0  # s: of a lag that is looked for
+_LONGEST = 10.0  # units of time: of a segment
+_LATEST = 3.0  # units of time: of a lag that is looked for
 
 
 def mean_coherence(u: Array, y: Array, clock: Clock) -> float:
@@ -32,7 +32,7 @@ def mean_coherence(u: Array, y: Array, clock: Clock) -> float:
     """
     found, weights = [], []
     for one, other in _known(u, y, clock):
-        size = int(min(_LONGEST / clock.step, len(one) / _SEGMENTS * 2))
+        size = int(min(_LONGEST * clock.unit, len(one) / _SEGMENTS * 2))
         if size < 8:
             continue
         _, shares = coherence(one, other, 1 / clock.step, nperseg=size)
@@ -46,7 +46,7 @@ def mean_coherence(u: Array, y: Array, clock: Clock) -> float:
 def lag(u: Array, y: Array, clock: Clock) -> float:
     """Return by how much y comes after u where their correlation is largest [s]; NaN if none."""
     total = None
-    reach = round(_LATEST / clock.step)
+    reach = round(_LATEST * clock.unit)
     for one, other in _known(u, y, clock):
         lags = correlation_lags(len(other), len(one))
         near = np.abs(lags) <= reach

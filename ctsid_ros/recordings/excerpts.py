@@ -25,6 +25,7 @@ MOST_NUMBERS = 20_000_000  # that are kept: 160 MB
 _MOST_RATE, _MOST_TICKS = 100.0, 60_000  # of the common clock [Hz]; robots move below 20 Hz
 _LOST = 5.0  # intervals without a sample after which an output is not known
 _LOST_S = 0.3  # s: but not before
+_SECOND, _SAMPLES = 1.0, 10.0  # s: a unit of time; more where samples are rare: plants are slower
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,20 @@ class Clock:
     starts: tuple[int, ...]
 
     @property
+    def unit(self) -> float:
+        """The unit of time, in ticks."""
+        return unit_of_time(self.step) / self.step
+
+    @property
     def parts(self) -> list[slice]:
         """The stretches."""
         return [slice(*pair) for pair in
                 zip(self.starts, (*self.starts[1:], len(self.time)), strict=True)]
+
+
+def unit_of_time(step: float) -> float:
+    """Return what a second is to a robot where samples are so far apart [s]."""
+    return max(_SECOND, _SAMPLES * step)
 
 
 def gather(bag: Bag, survey: Survey, fields: Mapping[str, Sequence[FieldPath]]

@@ -9,14 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.linear.types import Array, Mask
-from ctsid_ros.recordings.excerpts import Clock
+from ctsid_ros.recordings.excerpts import Clock, unit_of_time
 from ctsid_ros.recordings.guess_pairs import moving_sum
 
-_SMOOTH = 0.05  # s: an input is averaged so long to either side; what is faster moves no robot
-_POWER = 1.0  # s: and the power of its derivative so long
-_MERGE = 15.0  # s: a shorter pause is part of an experiment; to keep it costs little
-_SHORTEST = 5.0  # s
-_BEFORE, _AFTER = 1.0, 3.0  # s: added, for the trim and for the response to the last move
+# In units of time: a second of a robot, ten samples of what is slower, see `unit_of_time`.
+_SMOOTH = 0.05  # an input is averaged so long to either side; what is faster moves no robot
+_POWER = 1.0  # and the power of its derivative so long
+_BEFORE = 1.0  # is added, for the trim
+# In the same, or in usual times from one move to the next where these are longer: people wait
+# until a plant has answered.
+_MERGE = 10.0  # a shorter pause is part of an experiment; to keep it costs little
+_AFTER = 3.0  # is added, for the response to the last move
+_SHORTEST = 5.0  # with the unit of time that is 50 samples
+_MOVE = 0.1  # of the usual size of a move: less is noise
 _CONTRAST = 10.0  # loud over quiet power, below which all is one experiment
 _FLOOR = 1e-4  # of the loud power: what is quieter counts as at rest
 _STILL = 0.3  # of the deviation where it moves fast: what keeps nearer to its mean rests
@@ -44,7 +49,22 @@ class Stretch:
     energy: float
 
 
-def excited(u: Array, clock: Clock) -> tuple[Stretch, ...]:
+def pace(u: Array, clock: Clock) -> float:
+    """Return how long an input usually waits from one move to the next [s]; 0 if it never does."""
+    moves = np.abs(np.nan_to_num(np.diff(u)))
+    moves[np.array(clock.starts[1:], int) - 1] = 0.0
+    at = np.flatnonzero(moves > _MOVE * np.sqrt(_usual(moves ** 2)))
+    return _usual(np.diff(clock.time[at]), moves[at[:-1]] ** 2)
+
+
+def _usual(values: Array, weights: Array | None = None) -> float:
+    """Return the median, each value as often as its weight says, or its own size: rest is not."""
+    order = np.argsort(values)
+    total = np.cumsum((values if weights is None else weights)[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)]) if len(total) else 0.0
+
+
+def excited(u: Array, clock: Clock, period: float = 0.0) -> tuple[Stretch, ...]:
     """
     Return the stretches in which an input moves much more than at rest, in order of time.
 
@@ -53,6 +73,8 @@ def excited(u: Array, clock: Clock) -> tuple[Stretch, ...]:
     u : ndarray, shape (N,)
         At the ticks of the clock; NaN where not known.
     clock : Clock
+    period : float, optional
+        Between the samples of what answers, if that is longer than a tick [s].
 
     Returns
     -------
@@ -60,32 +82,34 @@ def excited(u: Array, clock: Clock) -> tuple[Stretch, ...]:
         None if the input moves alike all the time, or nearly so.
     """
     power = _power(u, clock)
-    loud, quiet = np.quantile(power, (0.95, 0.1))
-    quiet = max(float(quiet), _FLOOR * float(loud))
+    loud, quiet = _usual(power), float(np.quantile(power, 0.1))
+    quiet = max(quiet, _FLOOR * loud)
     if loud <= 0.0 or loud < _CONTRAST * quiet:
         return ()
-    active = _and_slow_motion(u, power > np.sqrt(loud * quiet), clock)
-    found = []
+    unit = max(unit_of_time(max(clock.step, period)), pace(u, clock))
+    active = _and_slow_motion(u, power > np.sqrt(loud * quiet), clock, _MERGE * unit)
+    before, found = _BEFORE * clock.unit * clock.step, []
     for part in clock.parts:
-        for start, end in _merged(clock.time[part][active[part]], clock.step):
+        for start, end in _merged(clock.time[part][active[part]], _MERGE * unit):
             low, high = clock.time[part][[0, -1]]
             inside = (clock.time >= start) & (clock.time <= end)
-            found.append(Stretch(max(start - _BEFORE, float(low)), min(end + _AFTER, float(high)),
+            found.append(Stretch(max(start - before, float(low)),
+                                 min(end + _AFTER * unit, float(high)),
                                  float(power[inside].mean() / quiet),
                                  float(power[inside].sum() / power.sum())))
-    found = [s for s in found if s.end - s.start >= _SHORTEST]
+    found = [s for s in found if s.end - s.start >= _SHORTEST * unit]
     total = len(clock.time) * clock.step
     return () if sum(s.end - s.start for s in found) > _ALL * total else tuple(found)
 
 
-def _and_slow_motion(u: Array, active: Mask, clock: Clock) -> Mask:
+def _and_slow_motion(u: Array, active: Mask, clock: Clock, longest: float) -> Mask:
     """
     Return where an input moves fast, and between that where it moves as far, only slower.
 
     A sweep of one amplitude begins so. What is held rests, wherever that is.
     """
     found, size = active.copy(), _STILL * float(np.nanstd(u[active]))
-    pieces = np.floor((clock.time - clock.time[0]) / _MERGE)
+    pieces = np.floor((clock.time - clock.time[0]) / longest)
     for part in clock.parts:
         edges = np.flatnonzero(np.diff(active[part]) | (np.diff(pieces[part]) > 0)) + 1
         for rest in np.split(np.arange(part.start, part.stop), edges):
@@ -96,9 +120,9 @@ def _and_slow_motion(u: Array, active: Mask, clock: Clock) -> Mask:
 
 
 def _power(u: Array, clock: Clock) -> Array:
-    """Return the power of the derivative of the input below 10 Hz, a second around each tick."""
+    """Return the power of the derivative of an input below 10 Hz, about a second long."""
     power = np.zeros(len(u))
-    near, wide = (max(int(t / clock.step), 1) for t in (_SMOOTH, _POWER))
+    near, wide = (max(int(t * clock.unit), 1) for t in (_SMOOTH, _POWER))
     for part in clock.parts:
         own = u[part]
         known = np.flatnonzero(np.isfinite(own))
@@ -109,11 +133,11 @@ def _power(u: Array, clock: Clock) -> Array:
     return power
 
 
-def _merged(times: Array, step: float) -> list[tuple[float, float]]:
+def _merged(times: Array, pause: float) -> list[tuple[float, float]]:
     """Return intervals that hold these ticks; those with short pauses between them are one."""
     if not len(times):
         return []
-    cuts = np.flatnonzero(np.diff(times) > max(_MERGE, 2 * step))
+    cuts = np.flatnonzero(np.diff(times) > pause)
     starts, ends = times[np.r_[0, cuts + 1]], times[np.r_[cuts, len(times) - 1]]
     return [(float(a), float(b)) for a, b in zip(starts, ends, strict=True)]
 

@@ -23,7 +23,8 @@ from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
 from ctsid_ros.decoding.names import title
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.bag import Bag
-from ctsid_ros.recordings.excited import Stretch, excited, together
+from ctsid_ros.recordings.excerpts import unit_of_time
+from ctsid_ros.recordings.excited import Stretch, excited, pace, together
 from ctsid_ros.recordings.guess_candidates import Candidate, is_wanted
 from ctsid_ros.recordings.guess_named import NOBODY, Named
 from ctsid_ros.recordings.guess_pairs import Explained
@@ -214,11 +215,13 @@ def _guess(ranking: Ranking, survey: Survey, pairs: tuple[Pair, ...], pick: int,
     found = {c.key: c for c in ranking.found}
     inputs = [found[key] for key in named.inputs] or [pair.input]
     outputs = [found[key] for key in named.outputs] or [pair.output]
-    config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs))
+    period = max(1 / y.rate for y in outputs)
+    unit = max(unit_of_time(period), *(pace(u.held, ranking.clock) for u in inputs))
+    config = Config(_channels(inputs, outputs, reasons), _settings(survey, outputs, unit))
     others = tuple((*c.key, c.field.std) for c in ranking.found
                    if c not in inputs and c not in outputs)
     return Guess(config, pairs, pick, tuple(reasons), others,
-                 together([excited(u.held, ranking.clock) for u in inputs]),
+                 together([excited(u.held, ranking.clock, period) for u in inputs]),
                  free=not (named.inputs and named.outputs))
 
 
@@ -365,11 +368,9 @@ def _unit(signal: Candidate) -> str:
     return next((unit for pattern, unit in _UNITS if re.search(pattern, text)), '')
 
 
-def _settings(survey: Survey, outputs: Sequence[Candidate]) -> Settings:
-    """Return windows that a newcomer can start with: a tenth of the bag, 10 to 60 s."""
-    length = min(max(survey.duration / 10.0, 10.0), 60.0)
-    if survey.duration < 2 * length:
-        length = survey.duration / 2.0
+def _settings(survey: Survey, outputs: Sequence[Candidate], unit: float) -> Settings:
+    """Return windows to start with: a tenth of the bag, 10 to 60 units of time."""
+    length = min(max(survey.duration / 10.0, 10.0 * unit), 60.0 * unit, survey.duration / 2.0)
     length = max(float(f'{length:.2g}'), 0.01)
     return Settings(feedthrough=any(_AT_ONCE.search(plain(y.key[1])) for y in outputs),
                     window_length=length,

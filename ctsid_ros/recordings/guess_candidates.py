@@ -123,8 +123,8 @@ def likely_roles(topic: TopicSurvey, field: str) -> tuple[float, float]:
     measured += 0.5 * bool(MEASURED_NAME.search(field))
     lean = float(np.clip((command - measured) / 1.5, -1.0, 1.0))
     acts, measures = 0.65 + 0.35 * lean, 0.65 - 0.35 * lean
-    if lean < 0 and FORCE_FIELD.search(field):     # an effort that was measured
-        acts = max(acts, 0.5)
+    if lean < 0 and FORCE_FIELD.search(field):     # an effort that was measured: it moves things,
+        acts, measures = max(acts, 0.5), min(measures, 0.5)    # or only repeats its command
     if STICK.search(name) or kind.endswith(('/Joy', '/ManualControl')):
         acts *= 0.9
     if is_wanted(name):

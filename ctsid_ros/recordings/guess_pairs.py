@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from ctsid_core.linear.types import Array
 from ctsid_ros.recordings.excerpts import Clock
 
-_LONGEST = 10.0  # s: of an impulse response
+_LONGEST = 10.0  # units of time: of an impulse response
 _SHARE = 0.125  # of the data: it is not longer than this either
 STEPS = 22  # of an impulse response
-_SLOW = 20.0  # s: motion slower than this is trim, battery and wind
+_SLOW = 20.0  # units of time: motion slower than this is trim, battery and wind
 _ROWS = 4000  # ticks that are compared
 _FOLDS = 6
 _RIDGES = (1e-5, 1e-3, 1e-1)  # relative to the mean power of the regressors
 _FEWEST_ROWS = 100
-_LOCAL = 8.0  # s: within which the size of the motion is measured
+_LOCAL = 8.0  # units of time: within which the size of the motion is measured
 _REST = 10  # ticks at the start that tell the noise of a signal at rest
 _LEAVES = 5.0  # standard deviations of that noise: what is farther away is at rest no longer,
 _BEGUN = 0.1  # and has begun to move from so much of its range on: gusts before are no beginning
@@ -57,12 +57,12 @@ class Explained:
 
 
 def without_slow(values: Array, clock: Clock) -> Array:
-    """Return a signal without its mean over `_SLOW` seconds around each tick; NaN stays."""
+    """Return a signal without its mean over `_SLOW` units of time around each tick; NaN stays."""
     result = np.full(len(values), np.nan)
     for part in clock.parts:
         known = np.isfinite(values[part])
         if known.any():
-            half = max(int(min(_SLOW, len(known) * clock.step / 3) / clock.step / 2), 1)
+            half = max(int(min(_SLOW * clock.unit, len(known) / 3) / 2), 1)
             result[part] = values[part] - moving_sum(np.where(known, values[part], 0.0), half) \
                 / np.maximum(moving_sum(known.astype(float), half), 0.5)
     return result
@@ -126,9 +126,8 @@ class Comparison:
 
     def __init__(self, clock: Clock, outputs: Sequence[Array]) -> None:
         self._clock = clock
-        shortest = min(p.stop - p.start for p in clock.parts) * clock.step
-        reach = max(min(_LONGEST, _SHARE * len(clock.time) * clock.step, shortest / 3) /
-                    clock.step, 4.0)
+        shortest = min(p.stop - p.start for p in clock.parts)
+        reach = max(min(_LONGEST * clock.unit, _SHARE * len(clock.time), shortest / 3), 4.0)
         edges = np.unique(np.round(np.geomspace(1.0, reach, STEPS)).astype(int))
         self._edges = np.concatenate([[0], edges])
         inside = np.zeros(len(clock.time), bool)
@@ -183,7 +182,7 @@ class Comparison:
         y = without_slow(y, self._clock)
         power = np.nan_to_num(y) ** 2
         local = np.empty(len(y))
-        half = max(int(_LOCAL / 2 / self._clock.step), 1)
+        half = max(int(_LOCAL / 2 * self._clock.unit), 1)
         for part in self._clock.parts:
             local[part] = moving_sum(power[part], half) / moving_sum(
                 np.ones(part.stop - part.start), half)

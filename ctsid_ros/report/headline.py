@@ -36,7 +36,10 @@ class Run:
     span : (float, float)
         Of the data, after the start of the bag [s].
     interval : tuple of str
-        The arguments that chose the span; empty if it is all of the bag.
+        The arguments that choose the span, from the first record to the last; empty if it is all
+        of the bag.
+    records : tuple of str
+        Those of `ctsid identify` that choose the records, which may have pauses between them.
     """
 
     line: str
@@ -45,6 +48,7 @@ class Run:
     model: str = ''
     span: tuple[float, float] = (0.0, math.inf)
     interval: tuple[str, ...] = ()
+    records: tuple[str, ...] = ()
 
     def command(self, verb: str, *more: str) -> str:
         """Return a command line on the same data."""
@@ -126,7 +130,7 @@ def by_predictions(estimate: Estimate) -> bool:
 
 def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
     """Return what to try next, as the reason of the verdict says: what for, and the command."""
-    again = run.command('identify', *run.interval)
+    again = run.command('identify', *run.records)
     info = shlex.join(('ctsid', 'info', *run.bags))
     match estimate.verdict.remedy:
         case Remedy.TEST:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
-_TOLD = 3.0  # standard deviations from 0: a pole nearer to it may integrate
+_TOLD = 3.0  # standard deviations from 0: a pole nearer to it may integrate, if the gain is too
 _SETTLED = 10.0  # time constants of the slowest other mode
 _NOTHING = 0.1     # of the largest response: a gain known to less is known
 _DOMAINS = {            # what the choice of a domain means to whoever uses the model
@@ -197,10 +197,12 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
     heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
     # Beside what the response is elsewhere a gain may be known to be nothing.
     most = np.abs(model.frequency_response(frequencies(model))).max(axis=0)
+    size = np.maximum(np.abs(gain), _NOTHING * most)
     unknown = ('Where the standard deviation is larger than the gain, not even its sign is known: '
                'the data are too short for what happens slowly, or the inputs do not move slowly '
-               'enough.',) if (std > np.maximum(np.abs(gain), _NOTHING * most)).any() else ()
-    integrates = () if covariance is None else _integrates(model, covariance)
+               'enough.',) if (std > size).any() else ()
+    integrates = () if covariance is None or not (_TOLD * std > size).any() else \
+        _integrates(model, covariance)
     return Section('DC gain: output per input', (
         Table(('output', *heads), rows, ('output',)), *(integrates or unknown)))
 

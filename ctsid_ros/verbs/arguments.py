@@ -230,9 +230,15 @@ def run_of(args: argparse.Namespace, model: str = '',
     from ctsid_ros.report.headline import Run
 
     start, duration = getattr(args, 'start', 0.0), getattr(args, 'duration', math.inf)
-    interval = (*(('--start', f'{start:g}') if start else ()),
-                *(('--duration', f'{duration:g}') if math.isfinite(duration) else ()))
-    return Run(args.command_line, bag_words(args), args.params, model, span, interval)
+    several = [(i.start, i.start + i.duration) for i in getattr(args, 'interval', None) or ()]
+    if several:
+        start = min(first for first, _ in several)
+        duration = max(last for _, last in several) - start
+    interval = (*(('--start', f'{start:.10g}') if start else ()),
+                *(('--duration', f'{duration:.10g}') if math.isfinite(duration) else ()))
+    records = tuple(word for first, last in several for word in (
+        '--interval', f'{first:.10g}:{last:.10g}')) if len(several) > 1 else interval
+    return Run(args.command_line, bag_words(args), args.params, model, span, interval, records)
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:
