@@ -16,7 +16,8 @@ from scipy.special import chdtrc
 from ctsid_core.linear.types import Array
 
 LAGS = 20
-FEWEST = 50  # samples
+FEWEST = 50    # samples
+_CELLS = 10.0  # for each residual, at most
 
 
 def whiteness(e: Array) -> float:
@@ -51,7 +52,7 @@ def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
     these lags: shifted by a whole different time, the two have nothing to do with each other but
     keep their own spectra. Coloured residuals and coloured inputs are thereby allowed for without
     being modelled. Residuals e (N,) at increasing times (N,) [s] go into cells of one median
-    interval (lags are right to half a cell), empty cells do not count, and the inputs are known
+    interval, or more if there were many (lags are right to half a cell), empty cells do not count, and the inputs are known
     everywhere by their holds: `inputs_at` stamps (G,) gives (G, nu), after their dead time.
 
     NaN for fewer than 50 samples, constant residuals, or an input that does not move. Conservative
@@ -60,7 +61,8 @@ def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
     """
     if len(times) < FEWEST or not np.ptp(e) > 0:
         return np.full(inputs_at(times[:1]).shape[-1] if len(times) else 0, np.nan)
-    step = float(np.median(np.diff(times)))
+    # Those that came in bursts go into a few times as many cells, not into all that lie between.
+    step = float(max(np.median(np.diff(times)), np.ptp(times) / (_CELLS * len(times))))
     cells = np.rint((times - times[0]) / step).astype(int)
     count = int(cells[-1]) + 1
     binned = np.bincount(cells, e - e.mean(), count)
