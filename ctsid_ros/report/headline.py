@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 import shlex
 
@@ -37,6 +37,8 @@ class Run:
         Of the data, after the start of the bag [s].
     interval : tuple of str
         The arguments that chose the span; empty if it is all of the bag.
+    records : tuple of Run
+        The same of each of several records by itself.
     """
 
     line: str
@@ -45,6 +47,7 @@ class Run:
     model: str = ''
     span: tuple[float, float] = (0.0, math.inf)
     interval: tuple[str, ...] = ()
+    records: tuple[Run, ...] = ()
 
     def command(self, verb: str, *more: str) -> str:
         """Return a command line on the same data."""
@@ -161,28 +164,15 @@ def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
     share = estimate.statistics.get('change_share', math.nan)
     if not math.isfinite(share):
         return 'models of short windows, before and after', run.command('replay')
-    start, end = run.span
-    if several := [r for r in estimate.records
-                   if r.number == estimate.statistics.get('change_record')]:
-        if len(run.bags) > 1:
-            alone = replace(run, bags=run.bags[several[0].number - 1:][:1])
-            if not share:
-                return ('the plant of this recording; leave it out of the others',
-                        alone.command('identify'))
-            return ('models of short windows of the recording that changes',
-                    alone.command('replay'))
-        # Times of a command count from the start of the recording, as the span does.
-        start, end = (start + 1e-9 * (t - estimate.start_ns)
-                      for t in (several[0].start_ns, several[0].end_ns))
+    if number := int(estimate.statistics.get('change_record', 0)):
+        run = run.records[number - 1]
     if not share:
-        return 'the plant of this record', _from_to(run, start, end)
+        return ('the plant of this record; leave it out of the others',
+                run.command('identify', *run.interval))
+    start, end = run.span
     at = start + share * (end - start)
-    return (f'the plant before the change (after it: `--start {at:.1f}` alone)',
-            _from_to(run, start, at))
-
-
-def _from_to(run: Run, start: float, end: float) -> str:
-    return run.command('identify', '--start', f'{start:.1f}', '--duration', f'{end - start:.1f}')
+    return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
+        'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
 
 
 def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:

@@ -76,10 +76,10 @@ def add_bag(parser: argparse.ArgumentParser,
                         )
 
 
-def bag_words(args: argparse.Namespace) -> tuple[str, ...]:
-    """Return the bags and their times as another command line needs them."""
+def bag_words(args: argparse.Namespace, bags: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the bags, or some of them, and their times as another command line needs them."""
     times = getattr(args, 'time', ())
-    return (*args.bag, *(word for column in times for word in ('--time', column)))
+    return (*(bags or args.bag), *(word for column in times for word in ('--time', column)))
 
 
 def span(text: str) -> Interval:
@@ -229,10 +229,14 @@ def run_of(args: argparse.Namespace, model: str = '',
     """Return what a report says of its making: the command line, bags, parameters, model."""
     from ctsid_ros.report.headline import Run
 
-    start, duration = getattr(args, 'start', 0.0), getattr(args, 'duration', math.inf)
-    interval = (*(('--start', f'{start:g}') if start else ()),
-                *(('--duration', f'{duration:g}') if math.isfinite(duration) else ()))
+    interval = interval_words(getattr(args, 'start', 0.0), getattr(args, 'duration', math.inf))
     return Run(args.command_line, bag_words(args), args.params, model, span, interval)
+
+
+def interval_words(start: float, duration: float) -> tuple[str, ...]:
+    """Return the arguments that choose an interval; none for all of a recording."""
+    return (*(('--start', f'{start:g}') if start else ()),
+            *(('--duration', f'{duration:g}') if math.isfinite(duration) else ()))
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:
