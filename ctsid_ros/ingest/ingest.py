@@ -30,6 +30,7 @@ from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
 _ZEROS = 3  # messages with a zero header stamp after which a topic is known to have none
+STILL = 10  # so many for one stamp: a clock of seconds, or none; a few alike are a driver's
 _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float], int]  # and the number of the publisher, 0: not known
@@ -61,12 +62,14 @@ class _Topic:
         self.source = self.why = ''  # of the channels whose stamp is 'auto'
         self.routes: list[tuple[str, slice, int]] = []  # group, its values, its source
         self.held: list[_Message] = []  # messages that wait for the source to be known
+        self.settled = False
+        self.header_ns = 0  # the first stamp in a header, until another one has come
         if 'auto' not in self.stamps.values():
             self.settle('', '')
 
     def settle(self, source: str, why: str) -> list[_Message]:
         """Choose the source of the stamps; return the messages that have waited for it."""
-        self.source, self.why = source, why
+        self.source, self.why, self.settled = source, why, True
         self.routes = [(name, part, _SOURCES[source if stamp == 'auto' else stamp])
                        for name, part, stamp in self.groups]
         held, self.held = self.held, []
@@ -171,7 +174,7 @@ class Ingest:
             raise DataError(f'no channel is of topic {topic!r}'
                             f'{nearest(topic, list(self._topics))}')
         publisher = target.numbers.take(sequence) if sequence else 0
-        if target.routes:
+        if target.settled:
             self._route(target, (log_ns, publish_ns, header_ns), values, publisher)
         else:
             self._choose(target, (log_ns, publish_ns, header_ns), values, publisher)
@@ -225,9 +228,9 @@ class Ingest:
                 self._count_non_finite(topic, part, parts[number].values[row])
 
     def _settle_by(self, block: Block) -> int:
-        """Push messages one by one until all topics have sources of stamps; return how many."""
-        waiting = {number for number, rows in enumerate(block.columns)
-                   if len(rows) and not self._topics[rows.topic].routes}
+        """Push messages one by one until all topics in it are settled; return how many."""
+        waiting = {number: len(rows) for number, rows in enumerate(block.columns)
+                   if len(rows) and not self._topics[rows.topic].settled}
         if not waiting:
             return 0
         messages = [_messages(rows) for rows in block.columns]
@@ -235,8 +238,10 @@ class Ingest:
             if not waiting:
                 return pushed
             self.push(*next(messages[number]))
-            if self._topics[block.columns[number].topic].routes:
-                waiting.discard(number)
+            if number in waiting:
+                waiting[number] -= 1
+                if not waiting[number] or self._topics[block.columns[number].topic].settled:
+                    del waiting[number]
         return len(block)
 
     def due(self) -> Iterator[Record]:
@@ -315,10 +320,13 @@ class Ingest:
         header_ns = times[2]
         if header_ns is None:
             held = topic.settle('log', 'its messages have no header')
-        elif header_ns != 0:
+        elif header_ns not in (0, topic.header_ns):
+            # The first sample is not to wait for the next, which may come late or never.
             held = topic.settle('header', 'its messages have a header with a stamp')
-        elif len(topic.held) == _ZEROS:
-            held = topic.settle('log', 'the stamps in its headers are zero')
+            topic.settled, topic.header_ns = topic.header_ns != 0, header_ns
+        elif len(topic.held) == (STILL if topic.header_ns else _ZEROS):
+            held = topic.settle('log', 'the stamps in its headers '
+                                + ('stand still' if topic.header_ns else 'are zero'))
         else:
             return
         for message in held:
@@ -327,7 +335,8 @@ class Ingest:
     def _settle_all(self) -> None:
         for topic in self._topics.values():
             if topic.held:
-                for message in topic.settle('log', 'the stamps in its headers are zero'):
+                for message in topic.settle(*(topic.source, topic.why) if topic.routes else (
+                        'log', 'the stamps in its headers are zero')):
                     self._route(topic, *message)
 
     def _due(self, record: Record) -> Record:
