@@ -222,6 +222,32 @@ def test_times_that_go_back_are_put_in_order(tmp_path):
     assert 'places where t goes back: 1; the rows were put in the order of time' in notes(path)
 
 
+def test_runs_behind_each_other_in_one_table_are_not_mixed(tmp_path):
+    path, first = tmp_path / 'a.csv', np.arange(60) * 0.01
+    write_csv(path, {'t': [*first + 0.003, *first, *T + 5.0], 'u': range(140)})
+    assert ('time starts again after 60 rows of a: these are several runs; put each into a file'
+            in refused(path))
+
+
+@pytest.mark.parametrize('times', [
+    [*T[:10] + 0.2, *T[10:] - 0.05, *T + 5.0],           # packets that a network has swapped
+    [0.0, 99.0, *T[1:] + 5.0],                           # one time is false
+    np.random.default_rng(0).permutation(400) * 0.01])
+def test_rows_in_disorder_are_one_run(tmp_path, times):
+    path = write_csv(tmp_path / 'a.csv', {'t': times, 'u': range(len(times))})
+    with open_bag(path, ['t']) as bag:
+        assert bag.topics['a'].count == len(times)
+
+
+def test_signals_whose_rows_stand_behind_each_other_are_one_run(tmp_path):
+    """As `pandas.concat` writes those of two rates."""
+    t = np.arange(60) * 0.01
+    path = write_csv(tmp_path / 'a.csv', {
+        't': [*t, *t + 0.002], 'u': [*t, *[''] * 60], 'y': [*[''] * 60, *t]})
+    with open_bag(path) as bag:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {'a/u': 60, 'a/y': 60}
+
+
 def test_names_that_are_no_fields(tmp_path):
     path = write_csv(tmp_path / 'a.csv', {
         't': T, 'motor 1 [rpm]': T, '2nd': T, 'a': T, 'a.b': T, 'q[0]': T, 'q[1]': T, 'p[3]': T,

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_ros.decoding.block import Stamps
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.recording import Recording
 from ctsid_ros.recordings.series import Series, plain_name, recording
@@ -34,6 +35,9 @@ from ctsid_ros.recordings.table_times import (
 # Of the rows that either of two columns fills both do: sampled together, but for lost samples. A
 # sensor of half the rate fills half.
 _ALIKE = 2 / 3
+# Rows on both sides of a step back that lie in the same time: two runs. Rows that a network has
+# swapped are fewer; and of one time that is false, all others are on one side.
+_RUN = 20
 _UNIT = re.compile(r'(.*\S)\s*[\[(<]\s*([^\d\])>][^\])>]*)[\])>]')
 
 
@@ -66,7 +70,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     Raises
     ------
     BagError
-        If no column is a time, or none is left beside it.
+        If no column is a time, or starts again, or none is left beside it.
     """
     stem = plain_name(path.name.partition('.')[0])
     columns = joined_seconds(columns)
@@ -92,8 +96,23 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     if not series:
         raise BagError(f'{path}: there is no column of numbers beside the time '
                        f'({", ".join(time.name for time in times)})')
+    for one in series:
+        if count := _first_run(one.log_ns):
+            raise BagError(f'{path}: time starts again after {count} rows of {one.topic}: these '
+                           'are several runs; put each into a file of its own (if they are one, '
+                           'whose rows are not in order, sort them by time)')
     return recording(series, said, alone=stem,
                      own_clock=not all(time.is_date for time in times))
+
+
+def _first_run(log_ns: Stamps) -> int:
+    """Return after how many rows time starts again; 0 if it does not."""
+    back = np.flatnonzero(np.diff(log_ns) < 0) + 1
+    if not len(back):
+        return 0
+    behind = np.add.reduceat(log_ns < np.maximum.accumulate(log_ns), back)
+    return next((at for at in back[behind >= _RUN].tolist()
+                 if np.count_nonzero(log_ns[:at] > log_ns[at]) >= _RUN), 0)
 
 
 def _remarks(path: Path, column: Column, time: Time, several: bool) -> Iterator[str]:
