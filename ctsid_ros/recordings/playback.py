@@ -111,6 +111,7 @@ def fit_config(bag: Bag, config: Config) -> Config:
     channels = [_fit_channel(bag, channel, faults) for channel in config.channels]
     if faults:
         raise BagError('\n'.join(dict.fromkeys(faults)))
+    bag.note_unused(channel.topic for channel in channels)
     return config.with_channels(channels)
 
 
