@@ -248,6 +248,34 @@ def test_signals_whose_rows_stand_behind_each_other_are_one_run(tmp_path):
         assert {name: topic.count for name, topic in bag.topics.items()} == {'a/u': 60, 'a/y': 60}
 
 
+@pytest.mark.parametrize(('title', 'times', 'said'), [
+    ('Time', [f'00:00:{i:02}' for i in range(20)], "column Time holds '00:00:00', which is read "
+     'neither as a number nor as a date (2024-05-01 10:00:00.25); say which one by --time'),
+    ('Date', ['01/05/2024 22:00:10'] * 20, "column Date holds '01/05/2024 22:00:10', which"),
+    ('time', [1.7e9] * 20, 'time: column time goes back or stands still too often; say')])
+def test_a_time_that_cannot_be_read_is_named(tmp_path, title, times, said):
+    path = write_csv(tmp_path / 'a.csv', {title: times, 'u': 1 - T})
+    assert said in refused(path)
+    if isinstance(times[0], str):
+        with pytest.raises(BagError, match=f'a.csv: column {title} holds'):
+            open_bag(path, [title])
+
+
+@pytest.mark.parametrize(('title', 'scale'), [('ms', 1e-3), ('millis', 1e-3), ('us', 1e-6)])
+def test_a_time_may_be_called_by_its_unit(tmp_path, title, scale):
+    path = write_csv(tmp_path / 'a.csv', {'u': 1 - T, 's': T, title: np.round(T / scale)})
+    np.testing.assert_allclose(stamps(path), T * 1e9, atol=1)
+
+
+@pytest.mark.parametrize('above', [['Operator,Bob', 'Date,2024-05-01', ''], ['Run 3'], []])
+def test_titles_may_stand_below_lines_on_the_recording(tmp_path, above):
+    path = text_file(tmp_path, '\n'.join([*above, 'Time [s],Speed [m/s],Mode', *(
+        f'{t:.2f},{2 * t:.2f},A' for t in T)]) + '\n')
+    np.testing.assert_allclose(np.ravel(numbers(path, 'a', 'Speed')), 2 * T)
+    lines = sum(map(bool, above))
+    assert (f'lines above its titles were left out: {lines}' in notes(path)) is bool(above)
+
+
 def test_names_that_are_no_fields(tmp_path):
     path = write_csv(tmp_path / 'a.csv', {
         't': T, 'motor 1 [rpm]': T, '2nd': T, 'a': T, 'a.b': T, 'q[0]': T, 'q[1]': T, 'p[3]': T,

@@ -9,7 +9,7 @@ times: a topic of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import itertools
 from pathlib import Path
 import re
@@ -53,7 +53,7 @@ def column_of(title: str, values: NDArray[Any]) -> Column:
 
 
 def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str],
-                    notes: Sequence[str]) -> Recording:
+                    notes: Sequence[str], texts: Mapping[str, str]) -> Recording:
     """
     Return a table as what a file of a bag is.
 
@@ -66,6 +66,8 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
         (`100Hz`); told by the table if empty.
     notes : sequence of str
         On what was left out so far.
+    texts : mapping of str to str
+        Columns of text that were left out, and what they begin with.
 
     Raises
     ------
@@ -82,7 +84,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     if rate := constant_rate(wanted, columns):
         rows = np.arange(len(columns[0].values)) if columns else np.empty(0)
         columns, wanted = [Column(wanted[0], 's', rows / rate), *columns], wanted[:1]
-    at = find_times(columns, wanted, str(path))
+    at = find_times(columns, wanted, str(path), texts)
     names = [column.name for column in columns]
     units = dict(split_unit(text, names) for text in wanted)
     times = [read_time(columns[i], units.get(names[i], '')) for i in at]
