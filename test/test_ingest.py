@@ -142,6 +142,30 @@ def test_a_header_that_stands_still_is_left_for_the_log(header):
     assert any('`p`: the stamps in its headers stand still' in line for line in ingest.report())
 
 
+def test_many_samples_under_the_stamp_of_another_are_a_fault_of_the_window():
+    def said(header, value, stamp='auto') -> tuple[str, ...]:
+        ingest = make(U, replace(P, stamp=stamp), window_length=1.0)
+        records = []
+        for k in range(600):
+            time = EPOCH + k * S // 100
+            ingest.push('/cmd', time, 0, time, (float(k),))
+            ingest.push('/imu', time, 0, header(time), (value(k),))
+            records += ingest.due()
+        assert len({record.faults for record in records}) == 1
+        assert ingest.whole().faults == records[0].faults
+        return records[0].faults
+
+    def tenths(time: int) -> int:
+        return time // (S // 10) * (S // 10)
+
+    fault, = said(tenths, float)
+    assert fault == ('90 % of the samples of p are not used, for they have the stamp of another '
+                     'one, but other values; set `stamp` to log, or correct the clock.')
+    assert said(tenths, lambda k: k // 10) == ()        # the same message again and again
+    assert said(lambda time: time // S * S + time % S // (S // 8) * (S // 8), float, 'log') == ()
+    assert said(lambda time: time - S // 100 * (time // (S // 100) % 6 == 5), float) == ()
+
+
 @pytest.mark.parametrize('alike', [2, 9])
 def test_a_driver_that_stamps_a_few_messages_alike_keeps_its_header(alike):
     ingest = make(U, P)

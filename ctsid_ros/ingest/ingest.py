@@ -31,6 +31,9 @@ from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
 _ZEROS = 3  # messages with a zero header stamp after which a topic is known to have none
 STILL = 10  # so many for one stamp: a clock of seconds, or none; a few alike are a driver's
+# Of the samples of a signal. Responses of motors, 20 to 5 samples in a time constant, were within
+# 3 % of the truth with up to a third missing so, 12 % with half, 250 % with four fifths.
+_REPEATED = 0.2
 _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float], int]  # and the number of the publisher, 0: not known
@@ -353,13 +356,23 @@ class Ingest:
         return replace(record, inputs=inputs, outputs=outputs, faults=tuple(self._faults(record)))
 
     def _faults(self, record: Record) -> Iterator[str]:
-        mixed = [group for signal, (group, mixing) in zip(
-                     (*record.inputs, *record.outputs), self._mixing.items(), strict=True)
-                 if mixing.within(signal, record)]
+        signals = dict(zip(self._mixing, (*record.inputs, *record.outputs), strict=True))
         for name, topic in self._topics.items():
-            if own := [group for group, _, _ in topic.groups if group in mixed]:
+            if own := [group for group, _, _ in topic.groups
+                       if self._mixing[group].within(signals[group], record)]:
                 yield (f'Samples of several publishers are mixed in {", ".join(own)}, of {name}; '
                        'stop all but one of them, or give them topics of their own.')
+            for group, _, source in topic.routes:
+                if (share := signals[group].repeated) > _REPEATED:
+                    yield (f'{100 * share:.0f} % of the samples of {group} are not used, for they '
+                           'have the stamp of another one, but other values; '
+                           f'{self._way_out(name, source)}.')
+
+    def _way_out(self, topic: str, source: int) -> str:
+        if any(c.topic == topic and c.type.startswith('table/') for c in self._config.channels):
+            return ('where rows follow each other at a constant rate, say it, `--time 10Hz` for '
+                    'ten in a second')
+        return 'set `stamp` to log, or correct the clock' if source else 'correct the clock'
 
 
 def _messages(rows: Columns
