@@ -556,6 +556,22 @@ def test_recordings_apart_in_time_are_several_records(ctsid, shared, days):
     assert re.search(r'(?m)^\s+2\s+\S*tuesday_1.mcap and 1 more\s+0.0\s+8.0', out)
 
 
+def test_the_recording_of_another_plant_is_named_whatever_was_typed_first(ctsid, shared, tmp_path):
+    def day(name: str, seed: int, seconds: float, gain: float = 1.0) -> Path:
+        return write_mcap(tmp_path / name, moved([replace(s, message=imu(
+            stamp_of(s), gain * s.message.angular_velocity.x)) if s.topic == '/imu' else s
+            for s in flight(10.0, seed=seed)], seconds))
+
+    other = day('other.mcap', 3, 2 * 86_400.0, -2.0)
+    healthy = [day('a.mcap', 1, 0.0), day('b.mcap', 2, 86_400.0)]
+    code, out, _ = ctsid('identify', other, *healthy, '--params', shared / 'params.yaml',
+                         '--json', '--quiet')
+    found = json.loads(out)
+    assert code == 3
+    assert f'record 3 ({other})' in Path(found['results'], 'report.md').read_text()
+    assert found['next'] == f'ctsid identify {other} --params {shared / "params.yaml"}'
+
+
 def test_replay_of_a_folder_with_several_recordings_points_to_batch(ctsid, shared, days):
     code, _, err = ctsid('replay', days[0].parent, '--params', shared / 'params.yaml', '--out',
                          'res', '--duration', 6, '--quiet')

@@ -376,6 +376,8 @@ def nasty(seed: int, count: int = 3000, rare: float | None = None):
                 own -= int(rng.integers(3)) * S // 10
         messages.append((topic, own, own + 5, header_ns if topic == '/imu' else None,
                          tuple(values.tolist()) if sound else ()))
+    if seed % 4 == 2:  # those of the first stand still, for long enough or not
+        messages[:8 * seed] = [(*m[:3], m[3] and EPOCH, m[4]) for m in messages[:8 * seed]]
     if seed % 2:  # no stamps in the first headers
         messages[:seed] = [(*m[:3], m[3] and 0, m[4]) for m in messages[:seed]]
     return messages

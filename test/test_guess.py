@@ -427,6 +427,21 @@ def test_one_topic_with_efforts(tmp_path, noise, hold):
     assert [c.hold for c in found.config.channels] == [hold, 'smooth']
 
 
+@pytest.mark.parametrize(('odom', 'cmd', 'stamps'), [
+    (lambda ns: ns // S * S, lambda ns: ns, ['auto', 'log']),
+    (lambda ns: START, lambda ns: ns, ['auto', 'log']),
+    (lambda ns: ns + 7200 * S, lambda ns: ns, ['log', 'log']),    # local time
+    (lambda ns: ns + 7200 * S, lambda ns: ns + 7200 * S, ['auto', 'auto'])])
+def test_headers_that_cannot_be_used_together_are_not(tmp_path, odom, cmd, stamps):
+    own = {'/odom': odom, '/twist_out': cmd}
+    sent = [replace(s, message=replace(s.message, header=header(own[s.topic](s.log_ns))))
+            for s in drive(20) if s.topic in own]
+    found = guessed(write_mcap(tmp_path / 'bag.mcap', sent))
+    assert [c.topic for c in found.config.channels] == ['/twist_out', '/odom']
+    assert [c.stamp for c in found.config.channels] == stamps
+    assert any('recording' in reason for reason in found.reasons) is ('log' in stamps)
+
+
 def test_what_looks_like_noise_is_not_an_output(tmp_path):
     rng = np.random.default_rng(0)
 

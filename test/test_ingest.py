@@ -130,6 +130,65 @@ def test_a_stream_of_zero_header_stamps_uses_the_log_and_says_so():
     assert plain.report() == []
 
 
+@pytest.mark.parametrize('header', [lambda _: EPOCH + 5, lambda stamp: stamp // S * S])
+def test_a_header_that_stands_still_is_left_for_the_log(header):
+    """Nobody fills it, or its nanoseconds: of 300 samples 1, or 3, would be left."""
+    ingest = make(U, P)
+    for k in range(300):
+        stamp = EPOCH + k * S // 100
+        ingest.push('/cmd', stamp, 0, stamp, (float(k),))
+        ingest.push('/imu', stamp + 3_000_000, 0, header(stamp), (0.0,))
+    counts = ingest.counts().channels['p']
+    assert (counts.source, counts.samples.accepted) == ('log', 300)
+    assert any('`p`: the stamps in its headers stand still' in line for line in ingest.report())
+
+
+def test_many_samples_under_the_stamp_of_another_are_a_fault_of_the_window():
+    def said(header, value, stamp='auto') -> tuple[str, ...]:
+        ingest = make(U, replace(P, stamp=stamp), window_length=1.0)
+        records = []
+        for k in range(600):
+            time = EPOCH + k * S // 100
+            ingest.push('/cmd', time, 0, time, (float(k),))
+            ingest.push('/imu', time, 0, header(time), (value(k),))
+            records += ingest.due()
+        assert len({record.faults for record in records}) == 1
+        assert ingest.whole().faults == records[0].faults
+        return records[0].faults
+
+    def tenths(time: int) -> int:
+        return time // (S // 10) * (S // 10)
+
+    fault, = said(tenths, float)
+    assert fault == ('90 % of the samples of p are not used, for they have the stamp of another '
+                     'one, but other values; set `stamp` to log, or correct the clock.')
+    assert said(tenths, lambda k: k // 10) == ()        # the same message again and again
+    assert said(lambda time: time // S * S + time % S // (S // 8) * (S // 8), float, 'log') == ()
+    assert said(lambda time: time - S // 100 * (time // (S // 100) % 6 == 5), float) == ()
+
+
+@pytest.mark.parametrize('alike', [2, 9])
+def test_a_driver_that_stamps_a_few_messages_alike_keeps_its_header(alike):
+    ingest = make(U, P)
+    for k in range(900):
+        stamp = EPOCH + k * S // 100
+        ingest.push('/cmd', stamp, 0, stamp, (float(k),))
+        ingest.push('/imu', stamp, 0, EPOCH + k // alike * alike * S // 100, (0.0,))
+    counts = ingest.counts().channels['p']
+    assert (counts.source, counts.samples.accepted) == ('header', 900 // alike)
+
+
+def test_a_header_that_comes_once_is_not_waited_for():
+    """As of a command that is sent when it changes: held back, it would be late."""
+    ingest = make(replace(U, hold='linear'), P)
+    for k in range(600):
+        stamp = EPOCH + k * S // 100
+        if k in (0, 400):
+            ingest.push('/cmd', stamp, 0, stamp, (1.0,))
+        ingest.push('/imu', stamp, 0, stamp, (0.0,))
+    assert ingest.counts().channels['u'].samples.accepted == 2
+
+
 @pytest.mark.parametrize('at', [0, 1, 2, 50])
 def test_zero_stamps_in_a_good_stream_are_dropped_not_mixed_in(at):
     ingest = make(U, P)
@@ -390,7 +449,7 @@ def pushed(stamps, values=(1.0,), clock=None, **changes):
      ['their stamps are 3.6e+03 s behind those of other channels', 'clocks are not one']),
     (lambda k: EPOCH - S + k * S // 100, (1.0,),
      ['comes in time: they are up to 1 s behind', 'raise `window.max_delay` (0.1 s)']),
-    (lambda k: EPOCH + S // 2, (1.0,), ['are', 'behind']),
+    (lambda k: EPOCH + S // 2, (1.0,), ['stand still, so the time of recording is used']),
     (lambda k: EPOCH + k * S // 100, (), ['not one of 30 samples could be decoded']),
 ])
 def test_a_channel_without_one_good_sample_gets_the_right_advice(stamps, values, words):

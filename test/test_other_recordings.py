@@ -15,6 +15,7 @@ import pytest
 from recording_files import flight, write_ardupilot, write_csv, write_ulog
 
 from ctsid_core.model.storage import load_estimate
+from ctsid_core.settings import Settings
 from ctsid_ros.cli import main
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.parameter_file import read_config
@@ -242,6 +243,23 @@ def test_no_file_is_in_two_recordings(tmp_path, edges):
     given = [one[1], one[0], other]
     found = [file for group in recordings(given) for file in group]
     assert sorted(found) == sorted(given)
+
+
+def test_a_table_with_one_more_column_or_another_unit_is_a_recording_of_its_own(tmp_path):
+    """Beside `mon.csv` it was not read, without a word."""
+    t = np.arange(50) * 0.01
+    own = {'mon': {'volt [V]': t, 'speed [rad/s]': t}, 'tue': {'volt [V]': t, 'speed [rpm]': t},
+           'wed': {'volt [V]': t, 'speed [rad/s]': t, 'battery': t},
+           'gps': {'speed': t, 'east': t}}
+    files = [str(write_csv(tmp_path / f'{name}.csv', {'t': t, **columns}))
+             for name, columns in own.items()]
+    assert recordings(files[:3]) == [(file,) for file in files[:3]]
+    assert recordings([files[0], files[3]]) == [(files[0], files[3])]
+    config = Config((Channel('u', 'input', 'mon', '', 'volt'),
+                     Channel('y', 'output', 'mon', '', 'speed')), Settings())
+    with open_bag([files[0], files[3]]) as bag:
+        read_record(bag, config)
+        assert bag.notes == ('table gps is not used, for no channel is of it',)
 
 
 def test_only_tables_are_split(tmp_path):

@@ -22,7 +22,7 @@ import pytest
 import yaml
 
 from ctsid_core.model.covariance import Covariance, gain_deviation, pole_deviation
-from ctsid_core.model.estimate import Estimate, RecordShare, Status
+from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Remedy, Verdict
@@ -283,21 +283,23 @@ def test_a_rejection_says_what_to_try_next(status, command):
 
 def test_a_record_that_changes_is_divided_where_it_lies():
     """Times of a command count from the start of the recording, not of the record."""
-    none = np.zeros(1)
-    records = tuple(RecordShare(n, int(s * 1e9), int((s + 5.0) * 1e9), none, none, none)
-                    for n, s in ((1, 100.0), (2, 120.0)))
-    given = Estimate(status=Status.CHANGED, settings=Settings(), records=records, start_ns=int(
-        100e9), end_ns=int(125e9), statistics={'change_share': 0.4, 'change_record': 2.0})
-    assert headline(given, Run('', ('bag',), 'p.yaml', 'model.json', (1.0, 26.0))).command == (
+    given = Estimate(status=Status.CHANGED, settings=Settings(),
+                     statistics={'change_share': 0.4, 'change_record': 2.0})
+    parts = tuple(Run('', ('bag',), 'p.yaml', '', (start, start + 5.0), (
+        '--start', f'{start:g}', '--duration', '5')) for start in (1.0, 21.0))
+    one = replace(parts[0], records=parts)
+    # What was typed, in another order: `identify b a`, or a folder.
+    bags = tuple(Run('', (bag,), 'p.yaml', '', (0.0, 5.0)) for bag in ('a', 'b'))
+    several = Run('', ('b', 'a'), 'p.yaml', records=bags)
+    assert headline(given, one).command == (
         'ctsid identify bag --params p.yaml --start 21.0 --duration 2.0')
-    assert headline(given, Run('', ('a', 'b'), 'p.yaml', 'model.json')).command == (
-        'ctsid replay b --params p.yaml')
+    assert headline(given, several).command == (
+        'ctsid identify b --params p.yaml --start 0.0 --duration 2.0')
     # All of it is of another plant.
     other = replace(given, statistics={'change_share': 0.0, 'change_record': 2.0})
-    assert headline(other, Run('', ('bag',), 'p.yaml', 'model.json', (1.0, 26.0))).command == (
-        'ctsid identify bag --params p.yaml --start 21.0 --duration 5.0')
-    assert headline(other, Run('', ('a', 'b'), 'p.yaml', 'model.json')).command == (
-        'ctsid identify b --params p.yaml')
+    assert headline(other, one).command == (
+        'ctsid identify bag --params p.yaml --start 21 --duration 5')
+    assert headline(other, several).command == 'ctsid identify b --params p.yaml'
 
 
 def test_advice_after_an_interval_is_on_that_interval(folder):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
-from bag_fixtures import IMU, START, Sent, joints, write_mcap, write_rosbag2
+from bag_fixtures import IMU, START, Sent, imu, joints, write_mcap, write_rosbag2
 from flights import PARAMS, TRUTH, S, at, flight, spoilt, stamp_of, write_flight
 import numpy as np
 import pytest
@@ -194,6 +194,23 @@ def test_config_is_completed_from_the_bag(tmp_path):
         ('sensor_msgs/msg/JointState', 'effort[0:3]'),
         ('sensor_msgs/msg/JointState', 'position[1:3]')]
     assert (record.nu, record.ny) == (3, 2)
+
+
+def test_what_comes_before_stamps_jump_back_is_said_not_to_be_used(tmp_path):
+    """A driver was started again after 12 s: the record has only what follows."""
+    path = write_mcap(tmp_path / 'bag.mcap', [
+        Sent('/imu', 'sensor_msgs/msg/Imu', START + k * S // 100, imu(
+            S + (k if k < 1200 else k - 1200) * S // 100, float(k))) for k in range(2000)])
+    config = Config((Channel('u', 'input', '/imu', '', 'angular_velocity.y'),
+                     Channel('y', 'output', '/imu', '', 'angular_velocity.x')))
+    with open_bag(path) as opened:
+        found = read_record(opened, config)
+        said = found.complaints[-1]
+        assert 'only what comes after the last jump back is used, 8.0 s of data' in said
+        assert '`--start 0 --duration 11.9`' in said
+        assert found.samples(config.outputs[0]) == 800
+        first = read_record(opened, config, Interval(0.0, 11.9))
+        assert (first.complaints, first.record.outputs[0].values[0, 0]) == ((), 0.0)
 
 
 def test_delays_of_channels_survive_the_completion(bag):

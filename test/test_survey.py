@@ -52,6 +52,8 @@ def test_stamps_are_measured():
     ([0, 0, 0, 0], False, 'all are zero'), ([0, 0, 0, START], False, '3 of 4 are zero'),
     ([0, START, START + 1, START + 2], True, '1 of 4 are zero'), ([START] * 4, False, 'increase'),
     ([START], True, ''), ([], False, ''),
+    ([START + k // 20 * 10**9 for k in range(200)], False, 'increase'),  # a clock of seconds
+    ([START + k // 5 * 10**9 for k in range(200)], True, ''),  # a driver that stamps 5 alike
     ([START + 10**12, START, START + 12 * 10**11], False, 'increase')])
 def test_stamps_that_cannot_be_used(stamps, usable, why):
     found = stamp_stats('header', np.array(stamps, dtype=np.int64))

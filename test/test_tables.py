@@ -222,6 +222,60 @@ def test_times_that_go_back_are_put_in_order(tmp_path):
     assert 'places where t goes back: 1; the rows were put in the order of time' in notes(path)
 
 
+def test_runs_behind_each_other_in_one_table_are_not_mixed(tmp_path):
+    path, first = tmp_path / 'a.csv', np.arange(60) * 0.01
+    write_csv(path, {'t': [*first + 0.003, *first, *T + 5.0], 'u': range(140)})
+    assert ('time starts again after 60 rows of a: these are several runs; put each into a file'
+            in refused(path))
+
+
+@pytest.mark.parametrize('times', [
+    [*T[:10] + 0.2, *T[10:] - 0.05, *T + 5.0],           # packets that a network has swapped
+    [0.0, 99.0, *T[1:] + 5.0],                           # one time is false
+    np.random.default_rng(0).permutation(400) * 0.01])
+def test_rows_in_disorder_are_one_run(tmp_path, times):
+    path = write_csv(tmp_path / 'a.csv', {'t': times, 'u': range(len(times))})
+    with open_bag(path, ['t']) as bag:
+        assert bag.topics['a'].count == len(times)
+
+
+def test_signals_whose_rows_stand_behind_each_other_are_one_run(tmp_path):
+    """As `pandas.concat` writes those of two rates."""
+    t = np.arange(60) * 0.01
+    path = write_csv(tmp_path / 'a.csv', {
+        't': [*t, *t + 0.002], 'u': [*t, *[''] * 60], 'y': [*[''] * 60, *t]})
+    with open_bag(path) as bag:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {'a/u': 60, 'a/y': 60}
+
+
+@pytest.mark.parametrize(('title', 'times', 'said'), [
+    ('Time', [f'00:00:{i:02}' for i in range(20)], "column Time holds '00:00:00', which is read "
+     'neither as a number nor as a date (2024-05-01 10:00:00.25); say which one by --time'),
+    ('Date', ['01/05/2024 22:00:10'] * 20, "column Date holds '01/05/2024 22:00:10', which"),
+    ('time', [1.7e9] * 20, 'time: column time goes back or stands still too often; say')])
+def test_a_time_that_cannot_be_read_is_named(tmp_path, title, times, said):
+    path = write_csv(tmp_path / 'a.csv', {title: times, 'u': 1 - T})
+    assert said in refused(path)
+    if isinstance(times[0], str):
+        with pytest.raises(BagError, match=f'a.csv: column {title} holds'):
+            open_bag(path, [title])
+
+
+@pytest.mark.parametrize(('title', 'scale'), [('ms', 1e-3), ('millis', 1e-3), ('us', 1e-6)])
+def test_a_time_may_be_called_by_its_unit(tmp_path, title, scale):
+    path = write_csv(tmp_path / 'a.csv', {'u': 1 - T, 's': T, title: np.round(T / scale)})
+    np.testing.assert_allclose(stamps(path), T * 1e9, atol=1)
+
+
+@pytest.mark.parametrize('above', [['Operator,Bob', 'Date,2024-05-01', ''], ['Run 3'], []])
+def test_titles_may_stand_below_lines_on_the_recording(tmp_path, above):
+    path = text_file(tmp_path, '\n'.join([*above, 'Time [s],Speed [m/s],Mode', *(
+        f'{t:.2f},{2 * t:.2f},A' for t in T)]) + '\n')
+    np.testing.assert_allclose(np.ravel(numbers(path, 'a', 'Speed')), 2 * T)
+    lines = sum(map(bool, above))
+    assert (f'lines above its titles were left out: {lines}' in notes(path)) is bool(above)
+
+
 def test_names_that_are_no_fields(tmp_path):
     path = write_csv(tmp_path / 'a.csv', {
         't': T, 'motor 1 [rpm]': T, '2nd': T, 'a': T, 'a.b': T, 'q[0]': T, 'q[1]': T, 'p[3]': T,

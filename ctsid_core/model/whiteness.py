@@ -52,8 +52,9 @@ def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
     these lags: shifted by a whole different time, the two have nothing to do with each other but
     keep their own spectra. Coloured residuals and coloured inputs are thereby allowed for without
     being modelled. Residuals e (N,) at increasing times (N,) [s] go into cells of one median
-    interval, or more if there were many (lags are right to half a cell), empty cells do not count, and the inputs are known
-    everywhere by their holds: `inputs_at` stamps (G,) gives (G, nu), after their dead time.
+    interval, or more if there were many (lags are right to half a cell), empty cells do not
+    count, and the inputs are known everywhere by their holds: `inputs_at` stamps (G,) gives
+    (G, nu), after their dead time.
 
     NaN for fewer than 50 samples, constant residuals, or an input that does not move. Conservative
     for the model's own record. Under feedback, residuals also act on *later* inputs; the test

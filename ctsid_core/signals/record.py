@@ -33,6 +33,9 @@ class Signal:
     hold : {'zoh', 'linear', 'smooth'}
         What is known between the samples: held, on straight lines, or smooth (cubic spline).
     names, units : tuple of str, length m
+    repeated : float
+        Share of the samples that are missing here, for they came with other values under the stamp
+        of another one.
 
     Raises
     ------
@@ -45,6 +48,7 @@ class Signal:
     hold: Hold = 'smooth'
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+    repeated: float = 0.0
 
     def __post_init__(self) -> None:
         t, x = self.time, self.values

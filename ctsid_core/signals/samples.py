@@ -106,8 +106,8 @@ class Samples:
     A part of `SlidingWindow`, which decides what is taken.
     """
 
-    __slots__ = ('after', 'discarded', 'dropped', 'first', 'group', 'newest', 'stamps', 'values',
-                 'width', 'worst_ns')
+    __slots__ = ('after', 'discarded', 'dropped', 'first', 'group', 'newest', 'repeated', 'stamps',
+                 'values', 'width', 'worst_ns')
 
     def __init__(self, group: Group) -> None:
         self.group = group
@@ -119,12 +119,13 @@ class Samples:
         self.forget_worst()
         self.stamps = array('q')
         self.values = array('d')  # row by row
+        self.repeated = array('q')  # stamps under which other values came
         self.clear()
 
     def clear(self) -> None:
         """Forget all samples, for a new stream; the counts go on."""
         self.discarded += len(self.stamps)
-        del self.stamps[:], self.values[:]
+        del self.stamps[:], self.values[:], self.repeated[:]
         self.first: int | None = None
         self.newest = STAMP_MAX  # so that the first sample is not taken for an ordinary one
 
@@ -144,6 +145,8 @@ class Samples:
         """Put a sample at its place; return False if its stamp is taken."""
         index = bisect_left(self.stamps, stamp_ns)
         if index < len(self.stamps) and self.stamps[index] == stamp_ns:
+            if self.values[index * self.width:(index + 1) * self.width] != array('d', values):
+                self.repeated.append(stamp_ns)
             return False
         self.stamps.insert(index, stamp_ns)
         self.values[index * self.width:index * self.width] = array('d', values)
@@ -168,6 +171,7 @@ class Samples:
         if 2 * count > len(self.stamps):
             del self.stamps[:count], self.values[:count * self.width]
             self.discarded += count
+            self.repeated = array('q', filter(before_ns.__le__, self.repeated))
 
     def has_after(self, end_ns: int, passed_ns: int) -> bool:
         """Whether the samples wanted after `end_ns` have come, and are older than `passed_ns`."""
@@ -197,8 +201,10 @@ class Samples:
         time = stamps / 1e9
         # Context from before a gap of months: nanoseconds apart, it can coincide after all.
         keep = np.append(np.diff(time) > 0, True)
+        lost = sum(epoch_ns <= stamp < end_ns for stamp in self.repeated)
+        whole = lost + bisect_left(self.stamps, end_ns) - bisect_left(self.stamps, epoch_ns)
         return Signal(time[keep], values.reshape(-1, self.width)[keep], self.group.hold,
-                      self.group.names, self.group.units)
+                      self.group.names, self.group.units, lost / max(whole, 1))
 
     def counts(self) -> GroupCounts:
         """Return what became of the samples so far."""

@@ -31,6 +31,10 @@ from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
 _ZEROS = 3  # messages with a zero header stamp after which a topic is known to have none
+STILL = 10  # so many for one stamp: a clock of seconds, or none; a few alike are a driver's
+# Of the samples of a signal. Responses of motors, 20 to 5 samples in a time constant, were within
+# 3 % of the truth with up to a third missing so, 12 % with half, 250 % with four fifths.
+_REPEATED = 0.2
 _SOURCES = {'log': 0, 'publish': 1, 'header': 2}  # position among the times of a message
 _Times = tuple[int, int, int | None]  # log, publish, header [ns]
 _Message = tuple[_Times, Sequence[float], int]  # and the number of the publisher, 0: not known
@@ -63,12 +67,14 @@ class _Topic:
         self.source = self.why = ''  # of the channels whose stamp is 'auto'
         self.routes: list[tuple[str, slice, int]] = []  # group, its values, its source
         self.held: list[_Message] = []  # messages that wait for the source to be known
+        self.settled = False
+        self.header_ns = 0  # the first stamp in a header, until another one has come
         if 'auto' not in self.stamps.values():
             self.settle('', '')
 
     def settle(self, source: str, why: str) -> list[_Message]:
         """Choose the source of the stamps; return the messages that have waited for it."""
-        self.source, self.why = source, why
+        self.source, self.why, self.settled = source, why, True
         self.routes = [(name, part, _SOURCES[source if stamp == 'auto' else stamp])
                        for name, part, stamp in self.groups]
         held, self.held = self.held, []
@@ -173,7 +179,7 @@ class Ingest:
             raise DataError(f'no channel is of topic {topic!r}'
                             f'{nearest(topic, list(self._topics))}')
         publisher = target.numbers.take(sequence) if sequence else 0
-        if target.routes:
+        if target.settled:
             self._route(target, (log_ns, publish_ns, header_ns), values, publisher)
         else:
             self._choose(target, (log_ns, publish_ns, header_ns), values, publisher)
@@ -229,9 +235,9 @@ class Ingest:
                 self._count_non_finite(topic, part, parts[number].values[row])
 
     def _settle_by(self, block: Block) -> int:
-        """Push messages one by one until all topics have sources of stamps; return how many."""
-        waiting = {number for number, rows in enumerate(block.columns)
-                   if len(rows) and not self._topics[rows.topic].routes}
+        """Push messages one by one until all topics in it are settled; return how many."""
+        waiting = {number: len(rows) for number, rows in enumerate(block.columns)
+                   if len(rows) and not self._topics[rows.topic].settled}
         if not waiting:
             return 0
         messages = [_messages(rows) for rows in block.columns]
@@ -239,8 +245,10 @@ class Ingest:
             if not waiting:
                 return pushed
             self.push(*next(messages[number]))
-            if self._topics[block.columns[number].topic].routes:
-                waiting.discard(number)
+            if number in waiting:
+                waiting[number] -= 1
+                if not waiting[number] or self._topics[block.columns[number].topic].settled:
+                    del waiting[number]
         return len(block)
 
     def due(self) -> Iterator[Record]:
@@ -320,10 +328,13 @@ class Ingest:
         header_ns = times[2]
         if header_ns is None:
             held = topic.settle('log', 'its messages have no header')
-        elif header_ns != 0:
+        elif header_ns not in (0, topic.header_ns):
+            # The first sample is not to wait for the next, which may come late or never.
             held = topic.settle('header', 'its messages have a header with a stamp')
-        elif len(topic.held) == _ZEROS:
-            held = topic.settle('log', 'the stamps in its headers are zero')
+            topic.settled, topic.header_ns = topic.header_ns != 0, header_ns
+        elif len(topic.held) == (STILL if topic.header_ns else _ZEROS):
+            held = topic.settle('log', 'the stamps in its headers '
+                                + ('stand still' if topic.header_ns else 'are zero'))
         else:
             return
         for message in held:
@@ -332,7 +343,8 @@ class Ingest:
     def _settle_all(self) -> None:
         for topic in self._topics.values():
             if topic.held:
-                for message in topic.settle('log', 'the stamps in its headers are zero'):
+                for message in topic.settle(*(topic.source, topic.why) if topic.routes else (
+                        'log', 'the stamps in its headers are zero')):
                     self._route(topic, *message)
 
     def _due(self, record: Record) -> Record:
@@ -351,13 +363,17 @@ class Ingest:
         return replace(record, inputs=inputs, outputs=outputs, faults=tuple(self._faults(record)))
 
     def _faults(self, record: Record) -> Iterator[str]:
-        mixed = [group for signal, (group, mixing) in zip(
-                     (*record.inputs, *record.outputs), self._mixing.items(), strict=True)
-                 if mixing.within(signal, record)]
+        signals = dict(zip(self._mixing, (*record.inputs, *record.outputs), strict=True))
         for name, topic in self._topics.items():
-            if own := [group for group, _, _ in topic.groups if group in mixed]:
+            if own := [group for group, _, _ in topic.groups
+                       if self._mixing[group].within(signals[group], record)]:
                 yield (f'Samples of several publishers are mixed in {", ".join(own)}, of {name}; '
                        'stop all but one of them, or give them topics of their own.')
+            for group, _, source in topic.routes:
+                if (share := signals[group].repeated) > _REPEATED:
+                    yield (f'{100 * share:.0f} % of the samples of {group} are not used, for they '
+                           'have the stamp of another one, but other values; '
+                           f'{self._way_out(name, source)}.')
         timed = [c.name for c in self._config.channels
                  if self._topics[c.topic].source_of(c.name)[0] != 'header']
         for name, topic in self._topics.items() if timed else ():
@@ -366,6 +382,12 @@ class Ingest:
                        f'{", ".join(timed)}, as in a simulation that is not in real time, so '
                        'time constants are wrong; use topics with headers for all channels, or '
                        'let recorder and node run with `use_sim_time`.')
+
+    def _way_out(self, topic: str, source: int) -> str:
+        if any(c.topic == topic and c.type.startswith('table/') for c in self._config.channels):
+            return ('where rows follow each other at a constant rate, say it, `--time 10Hz` for '
+                    'ten in a second')
+        return 'set `stamp` to log, or correct the clock' if source else 'correct the clock'
 
 
 def _messages(rows: Columns

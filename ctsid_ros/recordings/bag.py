@@ -178,6 +178,13 @@ class Bag:
         _, slash, part = name.partition('/')
         return f'{alone}{slash}{part}' if alone else name
 
+    def note_unused(self, topics: Iterable[str]) -> None:
+        """Note the tables that none of these topics is of."""
+        used = {self.topic(name).name for name in topics}
+        for recording, names in zip(self._recordings, self._names, strict=True):
+            if recording.alone and not used & {*names.values()}:
+                self._note(f'table {recording.alone} is not used, for no channel is of it')
+
     def message_type(self, topic: str) -> MessageType:
         """
         Return the type of a topic's messages.

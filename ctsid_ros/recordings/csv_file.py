@@ -66,8 +66,8 @@ def scan_csv(path: Path, time: Sequence[str] = ()) -> Recording | None:
     notes = damage.notes()
     columns = [column_of(title or f'column_{i + 1}', cells[i].joined())
                for i, title in enumerate(form.titles)]
-    words = [c.name for c, texts in zip(columns, cells, strict=True)
-             if texts.strange > np.count_nonzero(c.known)]
+    words = {c.name: texts.first for c, texts in zip(columns, cells, strict=True)
+             if texts.strange > np.count_nonzero(c.known)}
     strange = [f'{texts.strange} in {c.name} ({texts.first!r})'
                for c, texts in zip(columns, cells, strict=True)
                if texts.strange and c.name not in words]
@@ -75,11 +75,13 @@ def scan_csv(path: Path, time: Sequence[str] = ()) -> Recording | None:
         notes.append(f'left out, for they hold text: {", ".join(words)}')
     if strange:
         notes.append(f'cells that are no numbers were left out: {", ".join(strange)}')
+    if form.above:
+        notes.append(f'lines above its titles were left out: {form.above}')
     if not form.has_header:
         notes.append('it has no header: its columns are called column_1, column_2, and so on')
     kept = [c for c, title in zip(columns, form.titles, strict=True)
             if c.name not in words and (title.strip() or c.known.any())]
-    return table_recording(path, kept, time, [f'{path.name}: {note}' for note in notes])
+    return table_recording(path, kept, time, [f'{path.name}: {note}' for note in notes], words)
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class _Form:
     titles: Sequence[str]
     has_header: bool
     dates: frozenset[int]  # columns
+    above: int  # lines over the titles that are no comments
 
 
 def _form(path: Path) -> _Form | None:
@@ -108,14 +111,20 @@ def _form(path: Path) -> _Form | None:
     lines = lines if whole else lines[:-1]
     skipped = next((i for i, line in enumerate(lines)
                     if line.strip() and not line.lstrip().startswith(_COMMENT)), len(lines))
-    shown = [line for line in lines[skipped:] if line.strip()][:_SHOWN]
+    places = [i for i in range(skipped, len(lines)) if lines[i].strip()][:_SHOWN]
+    shown = [lines[i] for i in places]
     separator = max(_SEPARATORS, key=lambda mark: _regular(shown, mark))
     if not _regular(shown, separator):
         return None
     rows = list(_rows(shown, separator))
-    first = [cell for cell in rows[0] if cell.strip()]
+    counts = [len(row) for row in rows]
+    head = counts.index(max(counts, key=counts.count))
+    if head and not _is_body(rows[head]):       # titles below lines on the recording
+        rows, skipped = rows[head:], places[head]
+    else:
+        head = 0
     titles, has_header, body = rows[0], True, rows[1:]
-    if first and all(map(_is_value, first)):  # the header may be a comment, as NumPy writes it
+    if _is_body(rows[0]):  # the header may be a comment, as NumPy writes it
         body = rows
         comment = lines[skipped - 1].strip().lstrip('#%').strip() if skipped else ''
         titles = next(_rows([comment], separator), [])
@@ -133,7 +142,8 @@ def _form(path: Path) -> _Form | None:
         and not any(map(_DECIMAL_POINT.fullmatch, cells))
     dates = frozenset(i for i in range(len(titles))
                       if any(_DATE.fullmatch(row[i].strip()) for row in body if len(row) > i))
-    return _Form(encoding, separator, ',' if comma else '.', skipped, titles, has_header, dates)
+    return _Form(encoding, separator, ',' if comma else '.', skipped, titles, has_header, dates,
+                 head)
 
 
 def _encoding(start: bytes) -> str:
@@ -159,6 +169,11 @@ def _rows(lines: Iterable[str], separator: str) -> Any:
     if separator == ' ':
         lines = (' '.join(line.split()) for line in lines)
     return csv.reader(lines, delimiter=separator)
+
+
+def _is_body(row: Sequence[str]) -> bool:
+    filled = [cell for cell in row if cell.strip()]
+    return bool(filled) and all(map(_is_value, filled))
 
 
 def _is_value(cell: str) -> bool:

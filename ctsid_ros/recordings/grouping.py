@@ -8,8 +8,9 @@ recorders of different topics run at the same time. Bags that overlap, or follow
 a second, are one recording; between recordings somebody has stopped and started the recorder.
 
 Autopilots and many tables count from a start of their own, so that time tells little: files with
-the same columns are recordings of their own, and files with other columns belong together. Only
-where the times of one table continue those of another, and of no third, a logger has split it.
+the same columns (of tables: or these and more) are recordings of their own, and files with other
+columns belong together. Only where the times of one table continue those of another, and of no
+third, a logger has split it.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from ctsid_ros.recordings.files import files_in, find_files
 from ctsid_ros.recordings.recording import NEAR, Times, successors
 from ctsid_ros.recordings.remote import local
 
+_SIGNALS = 2  # an input and an output
+
 
 @dataclass(frozen=True)
 class _Span:
@@ -37,6 +40,13 @@ class _Span:
     own_clock: bool = False
     types: frozenset[str] = frozenset()  # of those with a clock of their own
     table: bool = False
+    columns: frozenset[frozenset[str]] = frozenset()  # of each topic of a table
+
+    def repeats(self, other: _Span) -> bool:
+        """Whether it has the signals of another: a recording of its own, whatever else it has."""
+        return bool(self.types & other.types) or any(
+            len(one & two) >= _SIGNALS and (one <= two or two <= one)
+            for one in self.columns for two in other.columns)
 
 
 def recordings(paths: Sequence[str], topics: Collection[str] = (),
@@ -110,7 +120,7 @@ def _add_by_columns(groups: list[list[_Span]], chain: Sequence[_Span], topics: f
                     ) -> None:
     """Add files to the last recording if none there has their columns, or both are asked for."""
     last, span = groups[-1] if groups else [], chain[0]
-    again = any(span.types & other.types for other in last)
+    again = any(span.repeats(other) for other in last)
     asked = all(one.topics & topics for one in (span, *last)) \
         and not any(span.topics & other.topics for other in last)
     if last and (asked or not again):
@@ -178,8 +188,10 @@ def _span(path: str, files: tuple[str, ...], time: Sequence[str]) -> _Span:
         filled = frozenset(name for name, topic in bag.topics.items() if topic.count)
         types = frozenset(repr(bag.message_type(name)) for name in filled) if bag.own_clock \
             else frozenset()
+        columns = frozenset(frozenset(map(str, bag.scalar_fields(name))) for name in filled) \
+            if bag.tables else frozenset()
         return _Span(path, files, bag.start_ns, bag.end_ns, filled, bag.own_clock, types,
-                     bag.tables)
+                     bag.tables, columns)
 
 
 def _check_apart(one: _Span, other: _Span, topics: Collection[str]) -> None:

@@ -317,16 +317,21 @@ def _what_moves(found: Sequence[Candidate], survey: Survey) -> str:
 def _channels(inputs: Sequence[Candidate], outputs: Sequence[Candidate], reasons: list[str]
               ) -> tuple[Channel, ...]:
     both = [*inputs, *outputs]
-    stamp = 'auto'
-    if len({c.topic.stamp for c in both}) > 1 and any(abs(c.topic.late) > CLOCKS for c in both):
-        stamp = 'log'
-        reasons.append('the headers are of another clock than the recording, and not all '
-                       'messages have one: all stamps are those of the recording')
+    late = [c.topic.late if c.topic.stamp == 'header' else 0.0 for c in both]
+    apart = max(late) - min(late) > CLOCKS
+    if apart:
+        reasons.append('the stamps in headers are not all of one clock, or not all messages have '
+                       'one: all stamps are those of the recording')
+    unusable = dict.fromkeys((c.topic.info.name, c.topic.stamps[0].why) for c in both
+                             if c.topic.unusable)
+    reasons += [f'the stamps in the headers of {topic} are not used, for {why}: its stamps are '
+                'those of the recording' for topic, why in unusable if not apart]
     taken: set[str] = set()
     roles: list[tuple[Candidate, Role]] = [*((c, 'input') for c in inputs),
                                            *((c, 'output') for c in outputs)]
     channels = [Channel(_name(c.topic, c.key[1], taken), role, c.key[0], c.topic.info.type,
-                        c.key[1], _unit(c), stamp=stamp, turn=c.wraps[0]) for c, role in roles]
+                        c.key[1], _unit(c), stamp='log' if apart or c.topic.unusable else 'auto',
+                        turn=c.wraps[0]) for c, role in roles]
     reasons += [f'{words(c)} jumps {jumps_in_words(*c.wraps)}: it is unwrapped '
                 f'(`{channel.name}.turn: {channel.turn!r}`; 0.0 would leave it as it is)'
                 for channel, c in zip(channels, both, strict=True) if channel.turn]

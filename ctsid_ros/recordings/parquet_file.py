@@ -46,12 +46,12 @@ def scan_parquet(path: Path, time: Sequence[str] = ()) -> Recording:
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise BagError(f'{path}: the file is cut off or damaged ({_line(error)}); the description '
                        'of a Parquet file is at its end, so nothing can be recovered') from None
-    words: list[str] = []
+    words: dict[str, str] = {}  # and what they begin with
     columns = [column_of(name, values) for name, column in _flat(table)
                for name, values in _arrays(name, column, words)]
     if words:
         notes.append(f'{path.name}: left out, for they are no numbers: {", ".join(words)}')
-    return table_recording(path, columns, time, notes)
+    return table_recording(path, columns, time, notes, words)
 
 
 def _groups(file: Any, path: Path, notes: list[str]) -> Any:
@@ -87,7 +87,8 @@ def _flat(table: Any) -> Iterator[tuple[str, Any]]:
         yield name, column.combine_chunks()
 
 
-def _arrays(name: str, column: Any, words: list[str]) -> Iterator[tuple[str, NDArray[Any]]]:
+def _arrays(name: str, column: Any, words: dict[str, str]
+            ) -> Iterator[tuple[str, NDArray[Any]]]:
     """Yield the numbers of a column; of one of lists, those at each place."""
     import pyarrow
     from pyarrow import compute, types
@@ -97,7 +98,7 @@ def _arrays(name: str, column: Any, words: list[str]) -> Iterator[tuple[str, NDA
         length = compute.max(compute.list_value_length(column)).as_py() or 0
         if length > _MOST or not (types.is_integer(kind.value_type)
                                   or types.is_floating(kind.value_type)):
-            words.append(name)
+            words[name] = next(map(str, column), '')
             return
         whole = compute.equal(compute.list_value_length(column), length)
         short = column.filter(whole)
@@ -118,4 +119,4 @@ def _arrays(name: str, column: Any, words: list[str]) -> Iterator[tuple[str, NDA
     elif types.is_integer(kind) or types.is_floating(kind):
         yield name, column.to_numpy(zero_copy_only=False)
     else:
-        words.append(name)
+        words[name] = next(map(str, column), '')

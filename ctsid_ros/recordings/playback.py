@@ -81,6 +81,10 @@ class Played:
     counts: IngestCounts
     complaints: tuple[str, ...]
 
+    def samples(self, channel: Channel) -> int:
+        """Return how many samples of a channel are used."""
+        return self.counts.channels[channel.name].samples.accepted
+
 
 @dataclass(frozen=True)
 class Recorded(Played):
@@ -97,6 +101,11 @@ class Recorded(Played):
     record: Record = field(kw_only=True)
     split: float = math.nan
 
+    def samples(self, channel: Channel) -> int:
+        """Return how many samples of a channel are in the record."""
+        return next(len(s.time) for s in (*self.record.inputs, *self.record.outputs)
+                    if channel.scalar_names[0] in s.names)
+
 
 def fit_config(bag: Bag, config: Config) -> Config:
     """
@@ -111,6 +120,7 @@ def fit_config(bag: Bag, config: Config) -> Config:
     channels = [_fit_channel(bag, channel, faults) for channel in config.channels]
     if faults:
         raise BagError('\n'.join(dict.fromkeys(faults)))
+    bag.note_unused(channel.topic for channel in channels)
     return config.with_channels(channels)
 
 
@@ -172,6 +182,12 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     if record is None or (record.duration < _SLIVER * (bag.end_ns - bag.start_ns) * 1e-9
                           and apart(spans)):
         raise BagError(why_nothing(bag, config, ingest, spans, complaints))
+    before = (log_ns - bag.start_ns) * 1e-9 - interval.start - record.duration - 0.05
+    if ingest.counts().resets and before > 0.1:
+        complaints += (
+            f'only what comes after the last jump back is used, {record.duration:.1f} s of data; '
+            f'for a model of what comes before it: `--start {interval.start:g} --duration '
+            f'{math.floor(10 * before) / 10:.1f}`; with `stamp` set to log all is used',)
     inside = record.start + (mark - record.epoch_ns) * 1e-9
     if split is not None and not record.start < inside < record.end:
         raise BagError(f'{split:g} s does not lie within the recorded signals, which last from '

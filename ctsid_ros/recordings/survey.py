@@ -87,6 +87,11 @@ class TopicSurvey:
         """The source that `stamp: auto` takes."""
         return next((s.source for s in self.stamps if s.usable), 'log')
 
+    @property
+    def unusable(self) -> bool:
+        """Whether its messages have headers, but no stamps in them that can be used."""
+        return self.info.has_header and bool(self.stamps) and not self.stamps[0].usable
+
 
 @dataclass(frozen=True)
 class Survey:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array
 from ctsid_ros.decoding.field_path import FieldPath
+from ctsid_ros.ingest.ingest import STILL
 
 _GAP = 3.0  # an interval is a gap if it is longer than so many median ones
 _CONSTANT = 1e-9  # a range below this part of the size is no movement
@@ -29,7 +30,8 @@ class StampStats:
     why : str
         Why not, if it is not.
     period : float
-        Median interval [s]; NaN for fewer than two stamps, as are those that follow.
+        Median interval of stamps that are not equal [s]; NaN for fewer than two stamps, as are
+        those that follow.
     jitter : float
         Standard deviation of the intervals that are no gaps [s].
     gaps : int
@@ -98,9 +100,10 @@ def stamp_stats(source: str, stamps: NDArray[np.int64], begins: NDArray[np.bool_
     step = np.diff(stamps)[~begins[1:]] * 1e-9
     if not len(step):
         return StampStats(source, bool(len(stamps)))
-    period = float(np.median(step))
+    moved = step[step != 0]
+    period = float(np.median(moved)) if len(moved) else 0.0
     ordinary = step[(step > 0) & (step <= _GAP * period)]
-    if not len(ordinary):
+    if not len(ordinary) or len(step) >= STILL * len(moved):
         return StampStats(source, False, 'most do not increase', period,
                           backward=int((step < 0).sum()), repeated=int((step == 0).sum()))
     return StampStats(

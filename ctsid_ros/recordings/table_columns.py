@@ -9,7 +9,7 @@ times: a topic of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import itertools
 from pathlib import Path
 import re
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_ros.decoding.block import Stamps
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.recording import Recording
 from ctsid_ros.recordings.series import Series, plain_name, recording
@@ -34,6 +35,9 @@ from ctsid_ros.recordings.table_times import (
 # Of the rows that either of two columns fills both do: sampled together, but for lost samples. A
 # sensor of half the rate fills half.
 _ALIKE = 2 / 3
+# Rows on both sides of a step back that lie in the same time: two runs. Rows that a network has
+# swapped are fewer; and of one time that is false, all others are on one side.
+_RUN = 20
 _UNIT = re.compile(r'(.*\S)\s*[\[(<]\s*([^\d\])>][^\])>]*)[\])>]')
 
 
@@ -49,7 +53,7 @@ def column_of(title: str, values: NDArray[Any]) -> Column:
 
 
 def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str],
-                    notes: Sequence[str]) -> Recording:
+                    notes: Sequence[str], texts: Mapping[str, str]) -> Recording:
     """
     Return a table as what a file of a bag is.
 
@@ -62,11 +66,13 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
         (`100Hz`); told by the table if empty.
     notes : sequence of str
         On what was left out so far.
+    texts : mapping of str to str
+        Columns of text that were left out, and what they begin with.
 
     Raises
     ------
     BagError
-        If no column is a time, or none is left beside it.
+        If no column is a time, or starts again, or none is left beside it.
     """
     stem = plain_name(path.name.partition('.')[0])
     columns = joined_seconds(columns)
@@ -78,7 +84,7 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     if rate := constant_rate(wanted, columns):
         rows = np.arange(len(columns[0].values)) if columns else np.empty(0)
         columns, wanted = [Column(wanted[0], 's', rows / rate), *columns], wanted[:1]
-    at = find_times(columns, wanted, str(path))
+    at = find_times(columns, wanted, str(path), texts)
     names = [column.name for column in columns]
     units = dict(split_unit(text, names) for text in wanted)
     times = [read_time(columns[i], units.get(names[i], '')) for i in at]
@@ -92,8 +98,23 @@ def table_recording(path: Path, columns: Sequence[Column], wanted: Sequence[str]
     if not series:
         raise BagError(f'{path}: there is no column of numbers beside the time '
                        f'({", ".join(time.name for time in times)})')
+    for one in series:
+        if count := _first_run(one.log_ns):
+            raise BagError(f'{path}: time starts again after {count} rows of {one.topic}: these '
+                           'are several runs; put each into a file of its own (if they are one, '
+                           'whose rows are not in order, sort them by time)')
     return recording(series, said, alone=stem,
                      own_clock=not all(time.is_date for time in times))
+
+
+def _first_run(log_ns: Stamps) -> int:
+    """Return after how many rows time starts again; 0 if it does not."""
+    back = np.flatnonzero(np.diff(log_ns) < 0) + 1
+    if not len(back):
+        return 0
+    behind = np.add.reduceat(log_ns < np.maximum.accumulate(log_ns), back)
+    return next((at for at in back[behind >= _RUN].tolist()
+                 if np.count_nonzero(log_ns[:at] > log_ns[at]) >= _RUN), 0)
 
 
 def _remarks(path: Path, column: Column, time: Time, several: bool) -> Iterator[str]:

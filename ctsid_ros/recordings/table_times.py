@@ -9,7 +9,7 @@ record comes every few microseconds to every few seconds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import re
 from typing import Any
@@ -82,7 +82,7 @@ class Column:
     @property
     def named_time(self) -> bool:
         """Whether it is called like a time."""
-        return self.is_date or bool(_NAME.fullmatch(self.name.lower()))
+        return self.is_date or _is_called_time(self.name)
 
 
 @dataclass(frozen=True)
@@ -142,9 +142,17 @@ def constant_rate(wanted: Sequence[str], columns: Sequence[Column]) -> float:
     return 0.0
 
 
-def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> list[int]:
+def _is_called_time(name: str) -> bool:
+    word = name.lower()
+    return bool(_NAME.fullmatch(word)) or _WORDS.get(word, 's') != 's'  # `s` may be a length
+
+
+def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str,
+               texts: Mapping[str, str]) -> list[int]:
     """
     Return which of the columns are times: the wanted ones, or those that look so.
+
+    `texts` are columns that could be none, and what they begin with.
 
     Raises
     ------
@@ -156,6 +164,8 @@ def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> l
         chosen = [split_unit(text, names)[0] for text in wanted]
         found = [names.index(name) for name in dict.fromkeys(chosen) if name in names]
         if not found:
+            if held := _texts(texts, chosen):
+                raise BagError(f'{path}: {"; ".join(held)}')
             raise BagError(f'{path}: no column is called {" or ".join(chosen)}'
                            + nearest(chosen[0], names))
         return sorted(found)
@@ -171,10 +181,19 @@ def find_times(columns: Sequence[Column], wanted: Sequence[str], path: str) -> l
               and column.known.all() and (np.diff(column.values) > 0).all()]
     if rising and rising[0] == 0:
         return rising[:1]
-    raise BagError(f'{path}: no column is known to be the time: none is called t or time and '
-                   'increases; say which one by --time COLUMN' + nearest('time', names)
+    why = _texts(texts, filter(_is_called_time, texts)) + [
+        f'column {column.name} goes back or stands still too often' for column in columns
+        if column.named_time]
+    raise BagError(f'{path}: no column is known to be the time: '
+                   + ('; '.join(why) or 'none is called t or time and increases')
+                   + '; say which one by --time COLUMN' + nearest('time', names)
                    + '; if there is none, but rows follow each other at a constant rate, say it '
                    'in rows per second, such as --time 100Hz')
+
+
+def _texts(texts: Mapping[str, str], names: Iterable[str]) -> list[str]:
+    return [f'column {name} holds {texts[name]!r}, which is read neither as a number nor as a '
+            'date (2024-05-01 10:00:00.25)' for name in names if name in texts]
 
 
 def _overlap(columns: Sequence[Column]) -> bool:

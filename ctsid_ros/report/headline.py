@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 import shlex
 
@@ -38,8 +38,10 @@ class Run:
     interval : tuple of str
         The arguments that choose the span, from the first record to the last; empty if it is all
         of the bag.
-    records : tuple of str
+    chosen : tuple of str
         Those of `ctsid identify` that choose the records, which may have pauses between them.
+    records : tuple of Run
+        The same of each of several records by itself.
     """
 
     line: str
@@ -48,7 +50,8 @@ class Run:
     model: str = ''
     span: tuple[float, float] = (0.0, math.inf)
     interval: tuple[str, ...] = ()
-    records: tuple[str, ...] = ()
+    chosen: tuple[str, ...] = ()
+    records: tuple[Run, ...] = ()
 
     def command(self, verb: str, *more: str) -> str:
         """Return a command line on the same data."""
@@ -130,7 +133,7 @@ def by_predictions(estimate: Estimate) -> bool:
 
 def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
     """Return what to try next, as the reason of the verdict says: what for, and the command."""
-    again = run.command('identify', *run.records)
+    again = run.command('identify', *run.chosen)
     info = shlex.join(('ctsid', 'info', *run.bags))
     match estimate.verdict.remedy:
         case Remedy.TEST:
@@ -165,28 +168,15 @@ def _split(estimate: Estimate, run: Run) -> tuple[str, str]:
     share = estimate.statistics.get('change_share', math.nan)
     if not math.isfinite(share):
         return 'models of short windows, before and after', run.command('replay')
-    start, end = run.span
-    if several := [r for r in estimate.records
-                   if r.number == estimate.statistics.get('change_record')]:
-        if len(run.bags) > 1:
-            alone = replace(run, bags=run.bags[several[0].number - 1:][:1])
-            if not share:
-                return ('the plant of this recording; leave it out of the others',
-                        alone.command('identify'))
-            return ('models of short windows of the recording that changes',
-                    alone.command('replay'))
-        # Times of a command count from the start of the recording, as the span does.
-        start, end = (start + 1e-9 * (t - estimate.start_ns)
-                      for t in (several[0].start_ns, several[0].end_ns))
+    if number := int(estimate.statistics.get('change_record', 0)):
+        run = run.records[number - 1]
     if not share:
-        return 'the plant of this record', _from_to(run, start, end)
+        return ('the plant of this record; leave it out of the others',
+                run.command('identify', *run.interval))
+    start, end = run.span
     at = start + share * (end - start)
-    return (f'the plant before the change (after it: `--start {at:.1f}` alone)',
-            _from_to(run, start, at))
-
-
-def _from_to(run: Run, start: float, end: float) -> str:
-    return run.command('identify', '--start', f'{start:.1f}', '--duration', f'{end - start:.1f}')
+    return (f'the plant before the change (after it: `--start {at:.1f}` alone)', run.command(
+        'identify', '--start', f'{start:.1f}', '--duration', f'{at - start:.1f}'))
 
 
 def repeat_section(run: Run, origin: Mapping[str, object], kept: str = MODEL) -> Section:

@@ -87,7 +87,7 @@ def channel_section(played: Played, title: str = 'Signals', *, brief: bool = Tru
         counts = played.counts.channels[c.name]
         rows.append((c.role, label(c.name, c.unit), c.topic, c.field, c.hold,
                      known.get(c.name, _delay(c)) if c.role == 'input' else '',
-                     counts.source, str(counts.samples.accepted)))
+                     counts.source, str(played.samples(c))))
     head = ('role', 'signal', 'topic', 'field', 'hold', 'delay [s]', 'stamps', 'samples')
     messages = {c.name for c in played.config.channels if not c.type.startswith('table/')}
     why = [f'`{name}`: stamps from {counts.source}, for {counts.why}.'

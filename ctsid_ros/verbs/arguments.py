@@ -76,10 +76,10 @@ def add_bag(parser: argparse.ArgumentParser,
                         )
 
 
-def bag_words(args: argparse.Namespace) -> tuple[str, ...]:
-    """Return the bags and their times as another command line needs them."""
+def bag_words(args: argparse.Namespace, bags: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the bags, or some of them, and their times as another command line needs them."""
     times = getattr(args, 'time', ())
-    return (*args.bag, *(word for column in times for word in ('--time', column)))
+    return (*(bags or args.bag), *(word for column in times for word in ('--time', column)))
 
 
 def span(text: str) -> Interval:
@@ -234,11 +234,16 @@ def run_of(args: argparse.Namespace, model: str = '',
     if several:
         start = min(first for first, _ in several)
         duration = max(last for _, last in several) - start
-    interval = (*(('--start', f'{start:.10g}') if start else ()),
-                *(('--duration', f'{duration:.10g}') if math.isfinite(duration) else ()))
-    records = tuple(word for first, last in several for word in (
+    interval = interval_words(start, duration)
+    chosen = tuple(word for first, last in several for word in (
         '--interval', f'{first:.10g}:{last:.10g}')) if len(several) > 1 else interval
-    return Run(args.command_line, bag_words(args), args.params, model, span, interval, records)
+    return Run(args.command_line, bag_words(args), args.params, model, span, interval, chosen)
+
+
+def interval_words(start: float, duration: float) -> tuple[str, ...]:
+    """Return the arguments that choose an interval; none for all of a recording."""
+    return (*(('--start', f'{start:.10g}') if start else ()),
+            *(('--duration', f'{duration:.10g}') if math.isfinite(duration) else ()))
 
 
 def read_truth(args: argparse.Namespace) -> StateSpace | None:

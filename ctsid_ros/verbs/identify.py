@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import json
 import math
 from pathlib import Path
+import re
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import SettingsError
@@ -36,9 +37,11 @@ from ctsid_ros.verbs.arguments import (
     add_params,
     add_results,
     add_style,
+    bag_words,
     better_pairs,
     config_for,
     interval_of,
+    interval_words,
     named,
     read_params,
     read_truth,
@@ -98,6 +101,8 @@ class Source:
     ----------
     bags : tuple of str
         The parts of its recording.
+    interval : Interval
+        Of it.
     data : Recorded
     offset : float
         Of the record's times, after the start of the bag [s].
@@ -106,6 +111,7 @@ class Source:
     """
 
     bags: tuple[str, ...]
+    interval: Interval
     data: Recorded
     offset: float
     notes: tuple[str, ...]
@@ -165,8 +171,13 @@ class Outcome:
         """The estimate as people are told of it: instants by the clock of the bag."""
         from ctsid_ros.replay.clock import by_bag_clock
 
+        if len(self.sources) > 1:
+            reason = re.sub(r'\brecord (\d+)', lambda found: f'{found[0]} ('
+                            f'{named(self.sources[int(found[1]) - 1].bags)})',
+                            self.estimate.verdict.reason)
+            return replace(self.estimate, verdict=replace(self.estimate.verdict, reason=reason))
         start_ns = self.estimate.start_ns - round(self.sources[0].span[0] * 1e9)
-        return by_bag_clock(self.estimate, start_ns) if len(self.sources) == 1 else self.estimate
+        return by_bag_clock(self.estimate, start_ns)
 
     @property
     def config(self) -> Config:
@@ -206,7 +217,7 @@ def command(args: argparse.Namespace) -> int:
         with working('writing the report', quiet=args.quiet):
             better = Better() if outcome.estimate.ok else better_pairs(
                 groups[0], args.time, outcome.config)
-            run = run_of(args, str(out / MODEL), outcome.sources[0].span)
+            run = _run(outcome, args, str(out / MODEL))
             first = headline(outcome.told, run, _facts(outcome), better)
             _write(out, outcome, args, truth, run, first)
     if args.json:
@@ -215,6 +226,14 @@ def command(args: argparse.Namespace) -> int:
         print(to_text(_sections(outcome, truth)))
         print(f'\n{next_text(first)}\n\nResults: {out}/ ({PAGE} has the plots)')
     return ACCEPTED if outcome.estimate.ok else NO_MODEL
+
+
+def _run(outcome: Outcome, args: argparse.Namespace, model: str) -> Run:
+    run, sources = run_of(args, model, outcome.sources[0].span), outcome.sources
+    return replace(run, records=tuple(
+        replace(run, bags=bag_words(args, s.bags), span=s.span, interval=words, chosen=words)
+        for s in sources for words in [interval_words(s.interval.start, s.interval.duration)]
+        ) if len(sources) > 1 else ())
 
 
 def _task(sources: Sequence[Source]) -> str:
@@ -258,7 +277,7 @@ def _read(bags: tuple[str, ...], time: Sequence[str], config: Config, interval: 
         except BagError as error:
             raise BagError(f'{named(bags)}: {error}') from None
         start = data.record.epoch_ns
-        return Source(bags, data, (start - zero_ns(bag, start)) * 1e-9,
+        return Source(bags, interval, data, (start - zero_ns(bag, start)) * 1e-9,
                       (*bag.notes, *data.complaints))
 
 
