@@ -154,7 +154,8 @@ def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free, de
     for late in (delay, known)[:1 + (len(known) > 1 and bool(np.any(delay != known)))]:
         for poles in subspace(n, late):
             poles = bounded(poles, np.inf, free.fastest)
-            yield grid.score(poles, late), 'subspace', poles, late
+            kind = 'subspace' if late is delay else 'subspace, dead times as known'
+            yield grid.score(poles, late), kind, poles, late
 
 
 def affordable(samples: Samples) -> int:
