@@ -17,7 +17,7 @@ from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
-from ctsid_core.search.solution import Solution
+from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import solve
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
@@ -109,13 +109,15 @@ def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -
 def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             effort: Effort) -> Estimate:
     method = METHODS[settings.method]
+    refined = method.refines and settings.refine
 
     def found(part: Joint) -> Solution | None:
-        if method.refines and settings.refine:
+        if refined:
             return solve(part, settings, effort)
         return solve_by(method, part, settings, effort)
 
     solution = given_back(part, found, effort)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
-    return conclude(solution)
+    sought = own_delays(part, settings).unknown_delays(len(part.parts[0].u))
+    return conclude(solution, sought if refined else ())

@@ -33,7 +33,7 @@ BAD = np.array([np.nan, 0.9, 0.9])
 WORST = Evidence(
     input_names=('a', 'b'), output_names=('x', 'y', 'z'), fixed_inputs=(0,), fixed_outputs=(0,),
     stuck=(Stuck(1, 2.0, 9.0),), expected=np.full(3, np.nan), driven=np.zeros(3),
-    distance_to_controller=np.array([1.0, 0.1]),
+    distance_to_controller=np.array([1.0, 0.1]), lead=np.zeros(2),
     poles=np.array([-1.0 + 0.0j, np.nan]), change=Change(cost=50.0), where='about 3 s', worst='',
     numbers=replace(UNJUDGED, error=np.array([np.nan, 0.1, np.inf]), coloured_error=BAD,
                     held_out_error=BAD, response_uncertainty=np.full(3, 2.0),
@@ -52,7 +52,8 @@ def findings() -> list[tuple[Remedy, str]]:
     good = replace(UNJUDGED, grade=Grade.GOOD, reason='Every test is passed.')
     found = [(remedy, reason) for _, remedy, reason in rules._rejections(WORST)]
     line = replace(WORST.numbers, excitation=(Excitation('a', 3.0, 3.0, 9.0, 1.0, 0.01),) * 2)
-    for one in (replace(WORST, unproven=True), *(replace(WORST, numbers=n, fixed_inputs=())
+    late = replace(WORST, lead=np.array([0.1, 0.06]))
+    for one in (replace(WORST, unproven=True), late, *(replace(WORST, numbers=n, fixed_inputs=())
                                                  for n in (line, shared))):
         found += rules._weaknesses(one)
     estimate = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=good)
@@ -77,6 +78,7 @@ def test_every_rule_is_looked_at():
                   'finite', 'zero column', '1 frequency', 'independently', 'move it more',
                   'explain little', 'is not linear', 'held out', 'response to input a is at',
                   'not been tested', 'Nobody', 'minus one over',
+                  'before input a', 'before input b',
                   'badly (its fit there', 'is unstable', 'order has changed', 'A pole has moved',
                   'An earlier window', 'arithmetic', 'acts 0.1 s later', 'gaps', 'gobf failed'):
         assert words in said, words

@@ -575,7 +575,7 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     one = np.array([0.9])
     status, verdict = judge(Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1),
+        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1), lead=np.zeros(1),
         poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 1.5),
         where='about 3 s after the start of the window', worst=worst,
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
@@ -591,7 +591,7 @@ def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved,
     one = np.array([0.1])
     evidence = Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1),
+        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1), lead=np.zeros(1),
         poles=np.array([-1.0 + 0j]), change=Change(), where='', worst='',
         doubt=('modes run', 'x: y'), numbers=replace(
             UNJUDGED, error=one, coloured_error=one, held_out_error=one,

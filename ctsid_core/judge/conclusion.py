@@ -16,6 +16,7 @@ from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.instants import after_start
+from ctsid_core.judge.lead import WITHIN, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.judge.stuck import stuck_outputs
@@ -42,8 +43,12 @@ from ctsid_core.search.solution import Doubt, Solution
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
-def conclude(solution: Solution) -> Estimate:
-    """Return the estimate: the model of all channels, its accuracy, and the verdict."""
+def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
+    """
+    Return the estimate: the model of all channels, its accuracy, and the verdict.
+
+    `sought`: of which moving inputs the dead time was looked for; empty if of none.
+    """
     part, fit, samples = solution.part, solution.fit, solution.samples
     effort = samples.effort
     effort.keep(0.0)
@@ -66,8 +71,10 @@ def conclude(solution: Solution) -> Estimate:
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)))
+    lead = np.zeros(moving.nu) if simulated is None or not sought else \
+        lead_of_outputs(*simulated, sought)
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model, moving,
-                         deviation, curves)
+                         deviation, curves, lead)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
     counts['corrupt_samples'] += float(solution.hidden)
@@ -171,7 +178,7 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
 
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,
               seen: tuple[tuple[Excitation, ...], Array], model: StateSpace, moving: StateSpace,
-              deviation: Array, curves: Array) -> Evidence:
+              deviation: Array, curves: Array, lead: Array) -> Evidence:
     part = solution.part
     last = part.parts[part.last]
     whole, resolution = last.whole, 2.0 * np.pi / part.length
@@ -214,7 +221,17 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
+        lead=_lead(lead, last),
         faults=part.numbered([p.whole.faults for p in part.parts]))
+
+
+def _lead(found: Array, part: Usable) -> Array:
+    """Return by how much outputs answer before each of all inputs; 0 if hardly."""
+    whole = part.whole
+    lead = np.zeros(whole.nu)
+    lead[list(part.u)] = found
+    interval = np.repeat([s.period for s in whole.inputs], [s.width for s in whole.inputs])
+    return np.where(lead > WITHIN * interval, lead, 0.0)
 
 
 def _wrapped(part: Joint) -> Doubt | None:

@@ -122,12 +122,25 @@ def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     """Yield what is wrong with the samples, whatever model they give."""
     for fault in e.faults:
         yield Remedy.SIGNALS, fault
-    for j in np.flatnonzero(e.distance_to_controller < _CONTROLLER).tolist():
+    held = e.distance_to_controller < _CONTROLLER
+    for j in _largest_first(np.where(held, 0.0, e.lead), 0.0):
+        yield Remedy.SETTING, (
+            f'O{_leads(e, j)[1:]}: their clocks differ, or the input is stamped after it '
+            'acts; correct the stamps (in a recording: set `stamp: log` for all channels).')
+    for j in np.flatnonzero(held).tolist():
+        # Inputs that are computed from the outputs follow them as those do that are stamped late.
+        late, first = (f', or {_leads(e, j)}, for it is stamped late',
+                       'correct the stamps if there is no controller, else ') \
+            if e.lead[j] else ('', '')
         yield Remedy.EXCITE, (
             f'The response to input {e.input_names[j]} is minus one over what computes it from '
             f'the outputs, to {100 * e.distance_to_controller[j]:.0f} %: a controller holds the '
-            'plant where it is, and hardly anything else moves the input; move the set point (in '
-            'a recording: take a part in which it moves).')
+            f'plant where it is, and hardly anything else moves the input{late}; {first}move the '
+            'set point (in a recording: take a part in which it moves).')
+
+
+def _leads(e: Evidence, j: int) -> str:
+    return f'outputs answer about {e.lead[j]:.2g} s before input {e.input_names[j]} moves'
 
 
 def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:

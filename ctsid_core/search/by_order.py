@@ -225,6 +225,13 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
 
+def beats(one: Tried, other: Tried) -> bool:
+    """Return whether a model is to be taken instead of another: with more numbers, if it gains."""
+    if one.parameters <= other.parameters:
+        return criterion(one, other) <= 0.0
+    return criterion(other, one) > 0.0 and explains(other, one)
+
+
 def advantage(one: Tried, other: Tried) -> float:
     """Return by how much Akaike's criterion prefers the other one, by independent samples."""
     if other.parameters >= one.parameters:

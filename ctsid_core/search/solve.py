@@ -39,6 +39,7 @@ from ctsid_core.search.by_order import (
     Tried,
     advantage,
     affordable,
+    beats,
     choose,
     criterion,
     explains,
@@ -385,7 +386,7 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     stands = bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
     # A state that the colour of the errors has added, D takes back only if it stands for D.
     fewest = 1 if stands or model.n <= counted else model.n
-    if not stands and not any(_beats(_fitted(samples, one.fit.model, direct), best)
+    if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
                               for n, one in found.items() if fewest <= n <= model.n):
         return best, free
     without = _fitted(known, model, free, best.fit)
@@ -396,7 +397,7 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     if not orders or settings.order not in (0, *orders):
         return best, free
     with_D = orders[settings.order or choose(orders)]
-    if not _beats(with_D, without):
+    if not beats(with_D, without):
         return best, free
     return _fitted(samples, with_D.fit.model, direct, with_D.fit), direct
 
@@ -404,13 +405,6 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
 def _fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
     """Return the best model of other samples, or with D, at a model's poles and dead times."""
     return tried(samples, fit_at(samples, model.poles, model.delay, free, near), free)
-
-
-def _beats(one: Tried, other: Tried) -> bool:
-    """Return whether a model is to be taken instead of another: with more numbers, if it gains."""
-    if one.parameters <= other.parameters:
-        return criterion(one, other) <= 0.0
-    return criterion(other, one) > 0.0 and explains(other, one)
 
 
 def _used(part: Joint, settings: Settings, order: int, delay: Array) -> Settings:

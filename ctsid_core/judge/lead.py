@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whether outputs answer before an input moves: a dead time below zero.
+
+No plant does, but clocks that differ and stamps that come after an input acts look like that. As
+dead times below zero are not looked for, D, a zero, or poles as fast as any stand in for them: the
+model fits, and its phase leads where that of the plant does not. So it is asked whether a lead and
+fewer of these explain the samples better, by the criterion that orders are chosen by, and leave
+nothing but noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.modal import Drive
+from ctsid_core.search.by_order import SEARCHED, Tried, beats, parameters, price, tried
+
+_REACH = 0.1          # of the longest record: leads that are looked for
+WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
+_NOISE = 0.5          # of the samples have errors that are independent with a lead, at least: else
+                      # it explains a part of what it is not, as of gusts in a loop (0.1 at most)
+                      # or of plants that change or are not linear (0.3)
+
+
+def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, ...]) -> Array:
+    """
+    Return by how much outputs answer before each input, (nu,) [s]; 0 if that explains no more.
+
+    Asked of inputs whose dead time is sought, (nu,), and was found to be none.
+    """
+    model, reach = fit.model, _REACH * samples.length
+    asked = np.array(sought) & (model.delay == 0.0)
+    # The same samples and models, told with all stamps of inputs earlier and dead times longer
+    early, delay = _earlier(samples.thinned(SEARCHED), reach), model.delay + reach
+    known = replace(free, longest=2.0 * reach, delays=(False,) * samples.nu)
+    found = none = np.zeros(samples.nu)
+    if not asked.any() or np.min(early.counts.sum(axis=0)) <= parameters(samples, fit, free):
+        return none
+    own: Tried | None = None
+    with suppress(np.linalg.LinAlgError):
+        start = fit_at(early, model.poles, delay, known)
+        for poles, direct in _with_fewer(model.poles, free.feedthrough):
+            leading = replace(known, feedthrough=direct, delays=tuple(asked.tolist()))
+            one = fit_at(early, poles, delay, leading)
+            rival = start.cost + price(early) * (
+                parameters(early, start, known) - parameters(early, one, leading))
+            one = climb(early, one, leading, steps=FEWER, least=ROUGHLY, rival=rival)
+            if one.cost > rival or not (one.model.delay < delay).any():
+                continue
+            led = tried(early, one, leading)
+            if np.any(led.independent < _NOISE * early.counts.sum(axis=0)):
+                continue
+            own = own or _climbed(early, model.poles, delay, known)
+            # It is the lead that explains more, not that there are fewer poles; and where noise
+            # hides a zero of the plant, with fewer numbers it explains as much.
+            alone = _climbed(early, one.model.poles, delay, replace(known, feedthrough=direct))
+            if one.cost < own.fit.cost and beats(led, own) and beats(led, alone):
+                found = np.maximum(delay - one.model.delay, 0.0)
+    return found
+
+
+def _climbed(samples: Samples, poles: ComplexArray, delay: Array, free: Free) -> Tried:
+    """Return the best model near these poles, and what its errors say."""
+    return tried(samples, climb(samples, fit_at(samples, poles, delay, free), free, steps=FEWER,
+                                least=ROUGHLY), free)
+
+
+def _with_fewer(poles: ComplexArray, direct: bool) -> Iterator[tuple[ComplexArray, bool]]:
+    """Yield poles, and whether there is D: as they are, without D, and without the fastest."""
+    if direct:
+        yield poles, True
+    left = poles[np.argsort(np.abs(poles))]
+    while len(left):
+        yield left, False
+        # One state less: a pair becomes a real pole, and that goes.
+        left = left[:-1] if left[-1].imag == 0.0 else np.append(left[:-1], -np.abs(left[-1]))
+
+
+def _earlier(samples: Samples, by: float) -> Samples:
+    """Return samples with all stamps of the inputs earlier, as long as inputs are known."""
+    inputs = [tuple(replace(s, time=s.time - by) for s in r.inputs) for r in samples.records]
+    return replace(samples, records=tuple(
+        replace(r, inputs=own, drives=tuple(Drive.of(s) for s in own))
+        for r, own in zip(samples.records, inputs, strict=True))).between(
+            [(r.start, r.end - by) for r in samples.records])

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps of inputs that come after they act: outputs answer before, as no plant does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from marks import slow
+import numpy as np
+from plants import held_response, noisy, plant
+import pytest
+
+from ctsid_core import Grade, Record, Settings, Signal, identify
+
+SECOND = plant([[0, 1], [-20, -3]], [[0], [20]], [[1, 0]])
+LAG = plant([[-5]], [[5]], [[1]])
+DIRECT = plant([[0, 1], [-20, -3]], [[0], [20]], [[1, 0]], [[0.1]])
+ZERO = plant([[0, 1], [-20, -3]], [[2], [14]], [[1, 0]])
+BACKWARDS = plant([[0, 1], [-20, -3]], [[-2], [26]], [[1, 0]])     # at first
+
+
+def levels(rng, t):
+    """Return random switches every 0.3 s."""
+    return rng.choice([-1.0, 1.0], 1 + int(t[-1] / 0.3))[(t / 0.3).astype(int)]
+
+
+def pilot(rng, t):
+    """Return noise after two lags of 0.25 s."""
+    u, a = np.zeros((2, len(t) + 1)), np.exp(-np.median(np.diff(t)) / 0.25)
+    for k, w in enumerate(rng.standard_normal(len(t))):
+        u[0, k + 1] = a * u[0, k] + w
+        u[1, k + 1] = a * u[1, k] + (1.0 - a) * u[0, k + 1]
+    return u[1, 1:] / u[1].std()
+
+
+def stamped(p, late: float, moves=levels, seed: int = 1, hold='zoh') -> Record:
+    """Return 20 s of a plant with an input at 50 Hz, from rest, stamped late."""
+    rng = np.random.default_rng(seed)
+    t, t_y = np.arange(1000) / 50.0, np.sort(np.arange(2000) / 100.0 + rng.uniform(0, 4e-3, 2000))
+    u = moves(rng, t)[:, np.newaxis]
+    y = held_response(p, np.append(-1e3, t), np.vstack((0.0 * u[:1], u)), t_y)
+    return Record.from_signals([Signal(t + late, u, hold)], [Signal(t_y, noisy(rng, y, 30.0))])
+
+
+@pytest.mark.parametrize(('p', 'late', 'moves', 'feedthrough'), [
+    (SECOND, 0.06, levels, False), (SECOND, 0.06, levels, True), (LAG, 0.06, levels, True),
+    *slow((SECOND, 0.15, levels, False), (SECOND, 0.15, pilot, False), (LAG, 0.06, pilot, False))])
+def test_an_input_stamped_late_is_told(p, late, moves, feedthrough):
+    """They were GOOD with a lead of phase, or "minus one over a controller"."""
+    found = identify(stamped(p, late, moves), Settings(feedthrough=feedthrough))
+    assert found.verdict.grade is Grade.WEAK
+    assert 'before input u1' in found.verdict.reason
+    told = float(found.verdict.reason.split('about ')[1].split()[0])
+    assert abs(told - late) < 0.02
+    assert 'correct the stamps' in found.verdict.reason
+
+
+@pytest.mark.parametrize(('p', 'moves'), [
+    (SECOND, levels), (DIRECT, levels), (ZERO, pilot), (BACKWARDS, levels),
+    *slow((SECOND, pilot), (LAG, levels), (DIRECT, pilot), (ZERO, levels), (BACKWARDS, pilot))])
+@pytest.mark.parametrize('feedthrough', [False, True])
+def test_plants_that_answer_at_once_are_not_called_so(p, moves, feedthrough):
+    found = identify(stamped(p, 0.0, moves), Settings(feedthrough=feedthrough))
+    assert 'before' not in found.verdict.reason
+    assert found.verdict.grade is Grade.GOOD or not feedthrough
+
+
+@pytest.mark.parametrize(('hold', 'late'), [('linear', 0.0), ('zoh', 0.015)])
+def test_a_hold_that_is_wrong_by_half_a_sample_is_not_called_so(hold, late):
+    found = identify(stamped(SECOND, late, pilot, hold=hold))
+    assert 'before' not in found.verdict.reason
+
+
+def test_stamps_that_are_moved_back_are_right():
+    record = stamped(SECOND, 0.06)
+    back = tuple(replace(s, time=s.time - 0.06) for s in record.inputs)
+    assert identify(Record.from_signals(back, record.outputs)).good
+
+
+def test_a_dead_time_that_is_given_is_not_asked():
+    found = identify(stamped(SECOND, 0.06), Settings(delay=0.0))
+    assert 'before' not in found.verdict.reason
+
+
+def test_the_one_of_two_inputs_that_is_late_is_named():
+    one, two = stamped(SECOND, 0.0, seed=2), stamped(LAG, 0.08, seed=3)
+    t, values = one.outputs[0].time, one.outputs[0].values
+    other = np.interp(t, two.outputs[0].time, two.outputs[0].values[:, 0])[:, np.newaxis]
+    found = identify(Record.from_signals(
+        [replace(s, names=(name,)) for s, name in ((one.inputs[0], 'a'), (two.inputs[0], 'b'))],
+        [Signal(t, values + other)]))
+    assert 'before input b' in found.verdict.reason
