@@ -21,7 +21,15 @@ from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb,
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.by_order import SEARCHED, Tried, beats, parameters, price, tried
+from ctsid_core.search.by_order import (
+    SEARCHED,
+    Tried,
+    beats,
+    criterion,
+    parameters,
+    price,
+    tried,
+)
 
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little
@@ -56,7 +64,9 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
             if one.cost > rival or not (one.model.delay < delay).any():
                 continue
             led = tried(early, one, leading)
-            if np.any(led.independent < _NOISE * early.counts.sum(axis=0)):
+            nothing = replace(led, power=np.ones(samples.ny), parameters=0)
+            if criterion(nothing, led) <= 0.0 or np.any(
+                    led.independent < _NOISE * early.counts.sum(axis=0)):
                 continue
             own = own or _climbed(early, model.poles, delay, known)
             # It is the lead that explains more, not that there are fewer poles; and where noise

@@ -172,7 +172,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best. K is not paid, for it is no number of the likelihood that is compared.
     """
     plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _misses(plant, best) or _in_colour(
+    if plant is None or _misses(samples, plant, best) or _in_colour(
             samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
@@ -190,12 +190,16 @@ class _Plant(NamedTuple):
     free: Free
 
 
-def _misses(plant: _Plant, best: Tried) -> bool:
+def _misses(samples: Samples, plant: _Plant, best: Tried) -> bool:
     """
     Return whether a plant that predictions found misses what the best simulation explains.
 
     That one may explain more by what disturbances make of its numbers: as much as these are worth.
+    No disturbance is seen where it explains all but noise, with no more states.
     """
+    if best.fit.model.n <= plant.simulated.fit.model.n and _unexplained(
+            samples, best.fit) < _UNEXPLAINED:
+        return explains(plant.simulated, best)
     one, other = (replace(t, power=np.maximum(t.power, LEAST ** 2))
                   for t in (plant.simulated, best))
     return criterion(replace(one, parameters=0), other) > 0.0
@@ -480,7 +484,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and _misses(plant, best):
+    if plant is not None and _misses(samples, plant, best):
         return None
     if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
