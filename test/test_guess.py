@@ -668,3 +668,14 @@ def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, capsys, mon
     ('accel', True), ('acc', True), ('angular_velocity.x', False), ('account', False)])
 def test_accelerometers_answer_at_once_whoever_names_them(name, at_once):
     assert bool(_AT_ONCE.search(name)) is at_once
+
+
+def test_the_first_level_of_a_command_acts_before_it_moves(tmp_path):
+    """A motor began to turn by it: "the output moves first", and only the inverse was offered."""
+    rng, step = np.random.default_rng(0), 0.01
+    u = moves(rng, 3000, 100)
+    y = lagged(u, 6.7, step) + 0.01 * rng.standard_normal(len(u))
+    np.savetxt(tmp_path / 'run.csv', np.transpose([step * np.arange(len(u)), u, y]), delimiter=',',
+               comments='', header='t [s],duty,speed')
+    config = guessed(tmp_path / 'run.csv').config
+    assert [c.name for c in (*config.inputs, *config.outputs)] == ['duty', 'speed']

@@ -271,10 +271,14 @@ def _enough(told: float) -> float:
 
 
 def in_order(pair: Pair) -> float:
-    """Return a factor for an output that moves before its input, where names do not tell."""
+    """
+    Return a factor for an output that moves before its input, where names do not tell.
+
+    The first level of a command that is held acts from the beginning, though it moves later.
+    """
     u, y = pair.input, pair.output
-    named = u.acts * y.measures > y.acts * u.measures
-    return 1.0 if named or not begins_before(y.smooth, u.smooth) else _EFFECT_FIRST
+    told = u.acts * y.measures > y.acts * u.measures or (u.stays and not y.stays)
+    return 1.0 if told or not begins_before(y.smooth, u.smooth) else _EFFECT_FIRST
 
 
 def _in_crowd(pair: Pair, pairs: Sequence[Pair]) -> Pair:

@@ -149,7 +149,11 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
                 return 'all of the recording', run.command('identify')
             return 'how much longer the data have to be', run.command('advise')
         case Remedy.SETTING:
-            return f'the same once more, with that changed in {run.params or "`--params`"}', again
+            if not run.params:
+                return ('parameters in which to change that, for `ctsid identify ... --params '
+                        'params.yaml`', shlex.join(('ctsid', 'init', *run.bags, '-o',
+                                                    'params.yaml')))
+            return f'the same once more, with that changed in {run.params}', again
         case Remedy.COMPARE:
             return ('what each method makes of the same data',
                     run.command('compare', *run.interval))

@@ -335,7 +335,8 @@ def _print(compared: Compared, out: Path, told: Headline) -> None:
     from ctsid_ros.replay.results import PAGE
 
     print(to_text(_numbers(compared)))
-    print(f'\n{next_text(told)}\n\nResults: {out}/ ({PAGE} has the plots)')
+    after = f'\n{next_text(told)}\n' if told.command else ''
+    print(f'{after}\nResults: {out}/ ({PAGE} has the plots)')
 
 
 def _write(out: Path, compared: Compared, args: argparse.Namespace, title: str) -> Headline:
