@@ -255,7 +255,8 @@ def test_a_dead_time_that_is_as_long_as_any_looked_for_is_noted():
                    'zoh')
     y = plant.simulate([whole], t) + 0.02 * rng.standard_normal((len(t), 1))
     found = identify(Record((Signal(t, u, 'zoh'),), (Signal(t, y),), 0.0, t[-1]))
-    assert any('is near the longest that is looked for, 2.5 s' in note for note in found.notes)
+    assert found.verdict.grade is not Grade.GOOD
+    assert 'is near the longest that is looked for, 2.5 s' in found.verdict.reason
 
 
 def test_a_pole_that_is_as_fast_as_any_looked_for_is_noted():

@@ -157,6 +157,9 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
             'B and D is not measured; leave it out of `inputs`.')
+    if e.doubt and e.doubt[1] == 'delay':
+        yield Remedy.SETTING, (f'{e.doubt[0][0].upper()}{e.doubt[0][1:]}: it is a bound; set '
+                               '`delay`, or take a longer window.')
     # Before all that would advise to move more: what saturates has to move less.
     for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
