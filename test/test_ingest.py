@@ -352,7 +352,8 @@ def test_two_doors_give_the_same_records():
 
 
 @pytest.mark.parametrize(('rate', 'jitter_ms', 'whole', 'stamp', 'told'), [
-    (0.5, 5.0, 1, 'log', True), (1.01, 1.0, 1, 'log', True), (0.5, 5.0, 1, 'header', False),
+    (0.5, 5.0, 1, 'log', True), (1.01, 1.0, 1, 'auto', True), (0.5, 5.0, 1, 'header', False),
+    (1.01, 1.0, 1, 'log', False),               # a sensor's own clock, and it is not used
     (1.0, 20.0, 1, 'log', False), (1.0003, 1.0, 1, 'log', False),
     (1.0, 1.0, S // 128, 'log', False), (1.0, 1.0, S, 'log', False)])     # rounded headers
 def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, stamp, told):
@@ -371,7 +372,9 @@ def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, 
         assert bool(record.faults) is told
     if told:
         assert record.faults[0].startswith('Headers of /imu run ')
-        assert 'as fast as the clock of u, p' in record.faults[0]
+        assert f'as fast as the clock of u{", p" if stamp == "log" else ""}, ' in record.faults[0]
+        assert ('not in real time' in record.faults[0]) is (rate == 0.5)
+        assert ('set `stamp: log`' in record.faults[0]) is (rate == 1.01)
         assert float(record.faults[0].split()[4]) == pytest.approx(rate, rel=0.01)
 
 

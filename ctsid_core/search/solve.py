@@ -48,6 +48,7 @@ from ctsid_core.search.by_order import (
     tried,
 )
 from ctsid_core.search.by_prediction import (
+    AHEAD,
     Compared,
     PredictionFit,
     held_interval,
@@ -172,7 +173,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best. K is not paid, for it is no number of the likelihood that is compared.
     """
     plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _misses(samples, plant, best) or _in_colour(
+    if plant is None or _misses(plant, best) or _in_colour(
             samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
@@ -190,16 +191,13 @@ class _Plant(NamedTuple):
     free: Free
 
 
-def _misses(samples: Samples, plant: _Plant, best: Tried) -> bool:
+def _misses(plant: _Plant, best: Tried) -> bool:
     """
     Return whether a plant that predictions found misses what the best simulation explains.
 
-    That one may explain more by what disturbances make of its numbers: as much as these are worth.
-    No disturbance is seen where it explains all but noise, with no more states.
+    That one may explain more by what disturbances make of its numbers: as much as these are worth
+    in open loop, where disturbances do not move the inputs.
     """
-    if best.fit.model.n <= plant.simulated.fit.model.n and _unexplained(
-            samples, best.fit) < _UNEXPLAINED:
-        return explains(plant.simulated, best)
     one, other = (replace(t, power=np.maximum(t.power, LEAST ** 2))
                   for t in (plant.simulated, best))
     return criterion(replace(one, parameters=0), other) > 0.0
@@ -484,8 +482,6 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and _misses(samples, plant, best):
-        return None
     if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
@@ -506,7 +502,8 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     Return whether the plant that predictions found predicts better than a simulation's.
 
     Where a simulation explains all but noise, a plant that grows must not predict worse where it
-    has grown: less far ahead, a gain that drifts looks like growth.
+    has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
+    not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
     """
     fit = found.found.fit
     noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
@@ -521,7 +518,11 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
         simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
         predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
         errors = found.errors if place == part.last else predicted()
-        gain += information(simulated(), counts) - information(errors, counts)
+        rivals = simulated()
+        gain += information(rivals, counts) - information(errors, counts)
+        if growth <= _GROWS and AHEAD < min(len(errors), len(rivals)):
+            far += float(counts @ np.log(np.maximum(errors[AHEAD], 1e-12)
+                                         / np.maximum(rivals[AHEAD], 1e-12)))
         if doubted:
             length = record.end - record.start
             ahead = min(_GROWN / growth * samples.length, 0.4 * length)

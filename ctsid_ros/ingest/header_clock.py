@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from ctsid_core.signals.record import Record
 
 _SECOND_NS = 10**9  # of each the first message is looked at: more of them tell little more
-_DRIFT = 1e-3  # clocks drift by less: 100 ppm are many
+DRIFT = 1e-3  # clocks of computers drift by less: 100 ppm are many
+REAL_TIME = 0.05  # cheap ones by less: a simulation that is not in real time is far from it
 _FEWEST = 6  # messages: of fewer a line tells no jitter
 
 
@@ -42,8 +43,8 @@ class HeaderClock:
         """Forget what no window from a time on [ns] needs."""
         self._pairs = [pair for pair in self._pairs if pair[0] >= before_ns]
 
-    def rate(self, record: Record) -> float:
-        """Return how fast the headers run within a record; 1 where they may be as fast."""
+    def rate(self, record: Record, drift: float) -> float:
+        """Return how fast the headers run within a record; 1 where it may be by a drift only."""
         start, end = (record.epoch_ns + round(t * 1e9) for t in (record.start, record.end))
         pairs = np.array([pair for pair in self._pairs if start <= pair[0] <= end])
         if len(pairs) < _FEWEST:
@@ -53,4 +54,4 @@ class HeaderClock:
         # Whatever jitter does, or a jump, or headers of whole seconds: if they are never farther
         # from a line than so much, they turn it by no more than three times that, over its length.
         turned = 3.0 * np.max(np.abs(header - np.polyval(line, log))) / log[-1]
-        return float(line[0]) if abs(line[0] - 1.0) > _DRIFT + turned else 1.0
+        return float(line[0]) if abs(line[0] - 1.0) > drift + turned else 1.0

@@ -26,7 +26,7 @@ from ctsid_ros.decoding.cdr import ABSENT, DecodeError, Extracted, Extractor
 from ctsid_ros.decoding.cdr_layout import Raw
 from ctsid_ros.decoding.field_path import FieldPath, nearest
 from ctsid_ros.ingest.counts import SET, ChannelCounts, IngestCounts, complaints
-from ctsid_ros.ingest.header_clock import HeaderClock
+from ctsid_ros.ingest.header_clock import DRIFT, REAL_TIME, HeaderClock
 from ctsid_ros.ingest.mixing import Mixing
 from ctsid_ros.ingest.sequence_numbers import SequenceNumbers
 
@@ -377,11 +377,18 @@ class Ingest:
         timed = [c.name for c in self._config.channels
                  if self._topics[c.topic].source_of(c.name)[0] != 'header']
         for name, topic in self._topics.items() if timed else ():
-            if (rate := topic.clock.rate(record)) != 1.0:
+            # Headers that no channel is stamped by tell of a simulation only.
+            own = any(c.topic == name and c.name not in timed for c in self._config.channels)
+            rate = topic.clock.rate(record, DRIFT if own else REAL_TIME)
+            if abs(rate - 1.0) > REAL_TIME:
                 yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
                        f'{", ".join(timed)}, as in a simulation that is not in real time, so '
                        'time constants are wrong; use topics with headers for all channels, or '
                        'let recorder and node run with `use_sim_time`.')
+            elif rate != 1.0:
+                yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
+                       f'{", ".join(timed)}, so dead times drift; set `stamp: log` for all '
+                       'channels.')
 
     def _way_out(self, topic: str, source: int) -> str:
         if any(c.topic == topic and c.type.startswith('table/') for c in self._config.channels):
