@@ -363,7 +363,8 @@ def test_headers_of_a_clock_at_another_rate_are_a_fault(rate, jitter_ms, whole, 
     late = np.sort(np.arange(3000) * S // 100 + rng.exponential(jitter_ms * 1e6, 3000).astype(int))
     records = []
     for k, log in enumerate((EPOCH + late).tolist()):
-        header = (10 * S + round(k * S // 100 * rate)) // whole * whole
+        begun = EPOCH if stamp == 'auto' else 10 * S
+        header = (begun + round(k * S // 100 * rate)) // whole * whole
         ingest.push('/imu', log, 0, header, (math.sin(k),))
         ingest.push('/cmd', log, 0, header if stamp == 'header' else None, (math.cos(k),))
         records += ingest.due()

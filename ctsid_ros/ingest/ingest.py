@@ -378,8 +378,8 @@ class Ingest:
                  if self._topics[c.topic].source_of(c.name)[0] != 'header']
         for name, topic in self._topics.items() if timed else ():
             # Headers that no channel is stamped by tell of a simulation only.
-            own = any(c.topic == name and c.name not in timed for c in self._config.channels)
-            rate = topic.clock.rate(record, DRIFT if own else REAL_TIME)
+            used = any(c.topic == name and c.name not in timed for c in self._config.channels)
+            rate = topic.clock.rate(record, DRIFT if used else REAL_TIME)
             if abs(rate - 1.0) > REAL_TIME:
                 yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
                        f'{", ".join(timed)}, as in a simulation that is not in real time, so '
