@@ -276,6 +276,12 @@ def test_titles_may_stand_below_lines_on_the_recording(tmp_path, above):
     assert (f'lines above its titles were left out: {lines}' in notes(path)) is bool(above)
 
 
+def test_a_row_of_data_with_text_and_a_comma_too_many_is_no_title(tmp_path):
+    path = text_file(tmp_path, '\n'.join(['t,u,mode', *(
+        f'{t:.2f},{2 * t:.2f},AUTO,' for t in T)]) + '\n')
+    np.testing.assert_allclose(np.ravel(numbers(path, 'a', 'u')), 2 * T, atol=0.01)
+
+
 def test_names_that_are_no_fields(tmp_path):
     path = write_csv(tmp_path / 'a.csv', {
         't': T, 'motor 1 [rpm]': T, '2nd': T, 'a': T, 'a.b': T, 'q[0]': T, 'q[1]': T, 'p[3]': T,

@@ -119,7 +119,7 @@ def _form(path: Path) -> _Form | None:
     rows = list(_rows(shown, separator))
     counts = [len(row) for row in rows]
     head = counts.index(max(counts, key=counts.count))
-    if head and not _is_body(rows[head]):       # titles below lines on the recording
+    if head and not any(map(_is_value, rows[head])):    # titles below lines on the recording
         rows, skipped = rows[head:], places[head]
     else:
         head = 0

@@ -22,6 +22,7 @@ _MERGE = 10.0  # a shorter pause is part of an experiment; to keep it costs litt
 _AFTER = 3.0  # is added, for the response to the last move
 _SHORTEST = 5.0  # with the unit of time that is 50 samples
 _MOVE = 0.1  # of the usual size of a move: less is noise
+_MOVES = 10  # waits in a recording, at least
 _CONTRAST = 10.0  # loud over quiet power, below which all is one experiment
 _FLOOR = 1e-4  # of the loud power: what is quieter counts as at rest
 _STILL = 0.3  # of the deviation where it moves fast: what keeps nearer to its mean rests
@@ -54,7 +55,9 @@ def pace(u: Array, clock: Clock) -> float:
     moves = np.abs(np.nan_to_num(np.diff(u)))
     moves[np.array(clock.starts[1:], int) - 1] = 0.0
     at = np.flatnonzero(moves > _MOVE * np.sqrt(_usual(moves ** 2)))
-    return _usual(np.diff(clock.time[at]), moves[at[:-1]] ** 2)
+    found = _usual(np.diff(clock.time[at]), moves[at[:-1]] ** 2)
+    # Two large steps, to take off and to land, are no pace, whatever is between them.
+    return found if _MOVES * found < len(clock.time) * clock.step else 0.0
 
 
 def _usual(values: Array, weights: Array | None = None) -> float:
