@@ -11,6 +11,7 @@ from ctsid_core.signals.record import Record
 _SECOND_NS = 10**9  # of each the first message is looked at: more of them tell little more
 DRIFT = 1e-3  # clocks of computers drift by less: 100 ppm are many
 REAL_TIME = 0.05  # cheap ones by less: a simulation that is not in real time is far from it
+_KEPT = 4096  # seconds, at most
 _FEWEST = 6  # messages: of fewer a line tells no jitter
 
 
@@ -41,7 +42,7 @@ class HeaderClock:
 
     def forget(self, before_ns: int) -> None:
         """Forget what no window from a time on [ns] needs."""
-        self._pairs = [pair for pair in self._pairs if pair[0] >= before_ns]
+        self._pairs = [pair for pair in self._pairs if pair[0] >= before_ns][-_KEPT:]
 
     def rate(self, record: Record, drift: float) -> float:
         """Return how fast the headers run within a record; 1 where it may be by a drift only."""

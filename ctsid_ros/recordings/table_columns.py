@@ -38,6 +38,7 @@ _ALIKE = 2 / 3
 # Rows on both sides of a step back that lie in the same time: two runs. Rows that a network has
 # swapped are fewer; and of one time that is false, all others are on one side.
 _RUN = 20
+_NEAR = 1000  # rows before it that are looked at
 _UNIT = re.compile(r'(.*\S)\s*[\[(<]\s*([^\d\])>][^\])>]*)[\])>]')
 
 
@@ -114,7 +115,7 @@ def _first_run(log_ns: Stamps) -> int:
         return 0
     behind = np.add.reduceat(log_ns < np.maximum.accumulate(log_ns), back)
     return next((at for at in back[behind >= _RUN].tolist()
-                 if np.count_nonzero(log_ns[:at] > log_ns[at]) >= _RUN), 0)
+                 if np.count_nonzero(log_ns[max(at - _NEAR, 0):at] > log_ns[at]) >= _RUN), 0)
 
 
 def _remarks(path: Path, column: Column, time: Time, several: bool) -> Iterator[str]:
