@@ -504,12 +504,16 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     Where a simulation explains all but noise, a plant that grows must not predict worse where it
     has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
     not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
+    Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
     """
     fit = found.found.fit
     noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = _growth(found, samples), 0.0, 0.0
     doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
+    poles = best.fit.model.poles
+    asked = growth <= _GROWS and not np.any(
+        (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
     for place, counts in enumerate(samples.counts):
         record, last = samples.records[place], _compared(part, corrupt, place)
         rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)
@@ -520,7 +524,7 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
         errors = found.errors if place == part.last else predicted()
         rivals = simulated()
         gain += information(rivals, counts) - information(errors, counts)
-        if growth <= _GROWS and AHEAD < min(len(errors), len(rivals)):
+        if asked and AHEAD < min(len(errors), len(rivals)):
             far += float(counts @ np.log(np.maximum(errors[AHEAD], 1e-12)
                                          / np.maximum(rivals[AHEAD], 1e-12)))
         if doubted:
