@@ -48,7 +48,7 @@ def horizon(model: StateSpace) -> float:
     settling = -poles.real[poles.real < -_STILL * fastest]
     rising = poles.real[poles.real > _STILL * fastest]
     if len(rising):
-        return _UNSETTLED / float(np.max(rising))
+        return min(_UNSETTLED / float(np.max(rising)), _LONGEST / fastest)
     slowest = float(np.min(settling)) if len(settling) else fastest / _SETTLED
     return min(_SETTLED / slowest, _LONGEST / fastest)
 
