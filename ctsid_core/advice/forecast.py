@@ -27,6 +27,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Verdict
+from ctsid_core.model.whiteness import cell
 from ctsid_core.signals.record import Record
 
 _BANDS = 6
@@ -136,7 +137,7 @@ def _power(record: Record, j: int, edges: Sequence[float]) -> list[float]:
     """Return the mean square of an input of a record, less its mean, and that in each band."""
     signal = next(s for s, last in zip(record.inputs, np.cumsum([s.width for s in record.inputs]),
                                        strict=True) if last > j)
-    count = max(int(record.duration / signal.period), 2)
+    count = max(int(record.duration / cell(signal.time)), 2) if len(signal.time) > 1 else 2
     t = record.start + record.duration * np.arange(count) / count
     values = np.hstack([input_polynomials((s,), (0.0,) * s.width, t)[0] for s in record.inputs])
     u = values[:, j] - values[:, j].mean()

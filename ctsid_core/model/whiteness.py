@@ -41,6 +41,15 @@ def whiteness(e: Array) -> float:
     return float(chdtrc(LAGS, count * (count + 2) * np.sum(r ** 2 / (count - lags))))
 
 
+def cell(times: Array) -> float:
+    """
+    Return the median interval of stamps (N,), N > 1 [s].
+
+    More for those that came in bursts: there are a few times as many cells, not all that fit.
+    """
+    return float(max(np.median(np.diff(times)), np.ptp(times) / (_CELLS * len(times))))
+
+
 def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
                  memory: float) -> Array:
     """
@@ -62,8 +71,7 @@ def independence(times: Array, e: Array, inputs_at: Callable[[Array], Array],
     """
     if len(times) < FEWEST or not np.ptp(e) > 0:
         return np.full(inputs_at(times[:1]).shape[-1] if len(times) else 0, np.nan)
-    # Those that came in bursts go into a few times as many cells, not into all that lie between.
-    step = float(max(np.median(np.diff(times)), np.ptp(times) / (_CELLS * len(times))))
+    step = cell(times)
     cells = np.rint((times - times[0]) / step).astype(int)
     count = int(cells[-1]) + 1
     binned = np.bincount(cells, e - e.mean(), count)

@@ -11,7 +11,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction
-from ctsid_core.model.whiteness import LAGS
+from ctsid_core.model.whiteness import LAGS, cell
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
@@ -61,7 +61,7 @@ def _itself(e: Array) -> Axes:
 
 def _inputs(model: StateSpace, record: Record, times: Array, e: Array) -> list[Axes]:
     """Return the correlation of residuals with each input after its dead time, in cells."""
-    step = float(np.median(np.diff(times)))
+    step = cell(times)
     cells = np.rint((times - times[0]) / step).astype(int)
     count = int(cells[-1]) + 1
     binned = np.bincount(cells, e - e.mean(), count)
