@@ -61,7 +61,7 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
                 doubt := evidence.wrapped or (evidence.doubt if doubtful else None)):
             what, setting = doubt
             remedy, reason = Remedy.SETTING, (
-                f'{what[0].upper()}{what[1:]}. If that is not so: {reason[0].lower()}{reason[1:]} '
+                f'{_begun(what)}. If that is not so: {reason[0].lower()}{reason[1:]} '
                 f'If it is so, set `{setting}`.')
         grade = Grade.WEAK if status is Status.OK else Grade.REJECT
         return status, replace(evidence.numbers, grade=grade, reason=reason, remedy=remedy)
@@ -125,7 +125,7 @@ def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     held = e.distance_to_controller < _CONTROLLER
     for j in _largest_first(np.where(held, 0.0, e.lead), 0.0):
         yield Remedy.SETTING, (
-            f'O{_leads(e, j)[1:]}: their clocks differ, or the input is stamped after it '
+            f'{_begun(_leads(e, j))}: their clocks differ, or the input is stamped after it '
             'acts; correct the stamps (in a recording: set `stamp: log` for all channels).')
     for j in np.flatnonzero(held).tolist():
         # Inputs that are computed from the outputs follow them as those do that are stamped late.
@@ -137,6 +137,10 @@ def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'the outputs, to {100 * e.distance_to_controller[j]:.0f} %: a controller holds the '
             f'plant where it is, and hardly anything else moves the input{late}; {first}move the '
             'set point (in a recording: take a part in which it moves).')
+
+
+def _begun(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _leads(e: Evidence, j: int) -> str:
@@ -158,8 +162,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
             'B and D is not measured; leave it out of `inputs`.')
     if e.doubt and e.doubt[1] == 'delay':
-        yield Remedy.SETTING, (f'{e.doubt[0][0].upper()}{e.doubt[0][1:]}: it is a bound; set '
-                               '`delay`, or take a longer window.')
+        yield Remedy.SETTING, (
+            f'{_begun(e.doubt[0])}: it is a bound; set `delay`, or take a longer window.')
     # Before all that would advise to move more: what saturates has to move less.
     for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
