@@ -227,6 +227,8 @@ def test_a_signal_with_two_names_is_named_with_what_to_do(run):
         assert run(*line, '--params', 'alike.yaml')[0] == 0
     assert run('identify', 'tau.csv', '--params', 'alike.yaml', '--out', 'alike_tau')[0] == 0
     assert run('compare', 'of_torque', 'alike_tau', '--out', 'both')[0] == 0
+    code, out, _ = run('show', 'of_torque', 'alike_tau', '--out', 'shown')
+    assert (code, 'Try next' in out, 'Results: shown' in out) == (0, False, True)
     same = ['simulate', 'of_torque', 'torque.csv', '--json']     # a folder, as compare takes it
     assert run(*same)[1] == run('simulate', 'of_torque/model.json', *same[2:])[1] != ''
 

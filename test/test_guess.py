@@ -670,6 +670,15 @@ def test_accelerometers_answer_at_once_whoever_names_them(name, at_once):
     assert bool(_AT_ONCE.search(name)) is at_once
 
 
+def test_two_large_steps_hide_no_experiment():
+    """To take off and to land: the 480 s between them were the pace, and no stretch was left."""
+    rng, ticks = np.random.default_rng(0), clock(600.0, 50.0)
+    t = ticks.time
+    u = 0.002 * moves(rng, len(t), 5) + 5.0 * ((t > 20.0) & (t < 500.0))
+    u += 0.3 * np.sign(moves(rng, len(t), 50)) * ((t > 300.0) & (t < 360.0))
+    assert any(s.start < 305.0 and s.end > 355.0 for s in excited(u, ticks))
+
+
 def test_the_first_level_of_a_command_acts_before_it_moves(tmp_path):
     """A motor began to turn by it: "the output moves first", and only the inverse was offered."""
     rng, step = np.random.default_rng(0), 0.01

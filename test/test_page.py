@@ -324,6 +324,9 @@ def test_advice_after_intervals_is_on_what_they_span(folder):
                                 (Remedy.LONGER, 'identify bag --params p.yaml')):
             weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=remedy))
             assert headline(weak, run_of(args)).command == f'ctsid {command}'
+    args.params = ''
+    weak = replace(found, verdict=replace(found.verdict, grade=Grade.WEAK, remedy=Remedy.SETTING))
+    assert headline(weak, run_of(args)).command == 'ctsid init bag -o params.yaml'
 
 
 def test_a_gain_that_is_not_known_is_said_to_be_so(folder):

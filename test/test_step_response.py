@@ -54,3 +54,9 @@ def test_as_long_as_it_moves(A, seconds):
     model = StateSpace(A, np.ones((len(A), 1)), np.ones((1, len(A))))
     assert horizon(model) == pytest.approx(seconds)
     assert np.isfinite(step_response(model).values).all()
+
+
+@pytest.mark.parametrize('pole', [-1e-8, 0.0, 1e-8])
+def test_what_hardly_grows_is_shown_as_long_as_what_hardly_decays(pole):
+    assert horizon(StateSpace([[pole, 1.0], [0.0, -3.0]], [[0.0], [1.0]],
+                              [[1.0, 0.0]])) <= 1000.0

@@ -13,6 +13,7 @@ from ctsid_core.model import simulation as simulation_module
 from ctsid_core.model.predictor import MEMORY, predictor_gain
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import fit, prediction, residual_tests, simulation, vaf
+from ctsid_core.model.whiteness import cell
 from ctsid_core.signals.record import Record, Signal
 
 STABLE = StateSpace([[0, 1, 0], [-4, -0.8, 1], [0, 0, -5]], [[0, 0], [1, 0], [0, 3]],
@@ -458,3 +459,10 @@ def test_nothing_is_tested_where_nothing_can_be():
     still = replace(noisy.inputs[0], values=noisy.inputs[0].values * [1.0, 0.0])
     found = residual_tests(LAG, replace(noisy, inputs=(still,))).independence
     assert np.isnan(found[0]).tolist() == [False, True]
+
+
+def test_cells_of_bursts_are_not_as_many_as_could_lie_between():
+    """60 samples in 0.3 ms each second: 12 million cells."""
+    times = (np.arange(60.0)[:, np.newaxis] + 5e-6 * np.arange(60.0)).ravel()
+    assert np.ptp(times) / cell(times) <= 10.0 * len(times)
+    assert cell(times[::60]) == 1.0
