@@ -492,3 +492,12 @@ def test_a_channel_that_another_of_its_topic_drops_is_not_said_to_be_silent():
         ingest.push('/imu', 0, 0, EPOCH + k * S // 100, (math.nan, 1.0))
     line, = ingest.report()
     assert line.startswith('`p`: not one of 100 samples is a finite number in ')
+
+
+def test_a_clock_of_headers_is_bounded_whatever_is_forgotten():
+    """In simulated time the log is of another clock than the windows: nothing is old enough."""
+    clock = HeaderClock()
+    for second in range(5000):
+        clock.take((second + 1) * S, second + 1)
+    clock.forget(0)
+    assert len(vars(clock)['_pairs']) < 5000

@@ -299,3 +299,16 @@ def test_where_the_past_of_an_input_tells_more_no_controller_is_seen():
     found = identify(given.record, given.settings)
     assert found.good
     assert distance_to_controller([given.record], found.model, found.verdict.excitation) == np.inf
+
+
+def test_states_are_not_misled_by_the_dead_times_of_fewer():
+    """One state of three inputs had dead times that fit nothing: nine states, -331 %."""
+    found = identify(experiment('random-3x3', 45, 3).record, Settings(feedthrough=False))
+    assert found.verdict.grade is Grade.GOOD
+    assert found.model.n == 4
+
+
+def test_what_a_controller_makes_of_gusts_is_no_lead():
+    """An input that is computed from the outputs follows them: a lead explains a little of that."""
+    given = experiment('rates-1x1', 1, 2)
+    assert 'utputs answer' not in identify(given.record, given.settings).verdict.reason

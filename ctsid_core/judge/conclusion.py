@@ -197,9 +197,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))
-    away = np.full(whole.nu, np.inf)
-    away[list(last.u)] = distance_to_controller(
-        [p.record for p in part.parts], moving, seen[0])
+    away = _spread_out(distance_to_controller(
+        [p.record for p in part.parts], moving, seen[0]), last.u, whole.nu, np.inf)
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
@@ -227,9 +226,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
 
 def _lead(found: Array, part: Usable) -> Array:
     """Return by how much outputs answer before each of all inputs; 0 if hardly."""
-    whole = part.whole
-    lead = np.zeros(whole.nu)
-    lead[list(part.u)] = found
+    whole, lead = part.whole, _spread_out(found, part.u, part.whole.nu, 0.0)
     interval = np.repeat([s.period for s in whole.inputs], [s.width for s in whole.inputs])
     return np.where(lead > WITHIN * interval, lead, 0.0)
 
@@ -243,9 +240,10 @@ def _wrapped(part: Joint) -> Doubt | None:
     return None
 
 
-def _spread_out(values: Array, places: tuple[int, ...], count: int) -> Array:
-    """Put the values of moving channels among all channels; NaN for the constant ones."""
-    out = np.full(count, np.nan)
+def _spread_out(values: Array, places: tuple[int, ...], count: int,
+                constant: float = np.nan) -> Array:
+    """Put the values of moving channels among all channels; constant ones have another."""
+    out = np.full(count, constant)
     out[list(places)] = values
     return out
 

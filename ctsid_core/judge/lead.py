@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Fit, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
@@ -44,14 +44,15 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
 
     Asked of inputs whose dead time is sought, (nu,), and was found to be none.
     """
-    model, reach = fit.model, _REACH * samples.length
+    model, reach, found = fit.model, _REACH * samples.length, np.zeros(samples.nu)
     asked = np.array(sought) & (model.delay == 0.0)
+    if not asked.any():
+        return found
     # The same samples and models, told with all stamps of inputs earlier and dead times longer
     early, delay = _earlier(samples.thinned(SEARCHED), reach), model.delay + reach
     known = replace(free, longest=2.0 * reach, delays=(False,) * samples.nu)
-    found = none = np.zeros(samples.nu)
-    if not asked.any() or np.min(early.counts.sum(axis=0)) <= parameters(samples, fit, free):
-        return none
+    if np.min(early.counts.sum(axis=0)) <= parameters(samples, fit, free):
+        return found
     own: Tried | None = None
     with suppress(np.linalg.LinAlgError):
         start = fit_at(early, model.poles, delay, known)
@@ -60,7 +61,7 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
             one = fit_at(early, poles, delay, leading)
             rival = start.cost + price(early) * (
                 parameters(early, start, known) - parameters(early, one, leading))
-            one = climb(early, one, leading, steps=FEWER, least=ROUGHLY, rival=rival)
+            one = climb_roughly(early, one, leading, rival)
             if one.cost > rival or not (one.model.delay < delay).any():
                 continue
             led = tried(early, one, leading)
@@ -79,8 +80,7 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
 
 def _climbed(samples: Samples, poles: ComplexArray, delay: Array, free: Free) -> Tried:
     """Return the best model near these poles, and what its errors say."""
-    return tried(samples, climb(samples, fit_at(samples, poles, delay, free), free, steps=FEWER,
-                                least=ROUGHLY), free)
+    return tried(samples, climb_roughly(samples, fit_at(samples, poles, delay, free), free), free)
 
 
 def _with_fewer(poles: ComplexArray, direct: bool) -> Iterator[tuple[ComplexArray, bool]]:

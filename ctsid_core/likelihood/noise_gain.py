@@ -31,6 +31,7 @@ from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.recursion import chain
 from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.model.whiteness import cell
 
 _STEPS = 10
 _HALVINGS = 6
@@ -40,7 +41,6 @@ _LEAST = 0.02         # part of the errors' size that innovations must be smalle
 _FIXED_POINT = 20
 _SETTLED = 1e-6       # relative error of what K, or a filter, does from sample to sample
 _LIMIT = 0.999        # largest magnitude of the predictor's modes, unless the plant's are larger
-_DENSE = 10.0         # instants for each sample, at most
 _WORK, _PER_NUMBER = 1.5e7, 4e3         # work: at least, and for each entry of K and sample
 
 
@@ -231,8 +231,8 @@ def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
 
     Samples that came in bursts are read at a few times as many instants, not at all between.
     """
-    most = _DENSE * float(np.max(samples.counts.sum(axis=0)))
-    step, parts = max(samples.interval, samples.length / most), []
+    step, parts = max((cell(s.times) for r in samples.records for s in r.streams
+                       if len(s.times) > 1), default=samples.interval), []
     for record, own in zip(samples.records, errors, strict=True):
         first = max(s.times[0] for s in record.streams)
         last = min(s.times[-1] for s in record.streams)

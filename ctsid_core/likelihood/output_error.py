@@ -37,7 +37,7 @@ ROUGHLY = 0.3         # the same where models are only compared
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 _SPLIT = 1.05         # of a pole beside an equal one, over that
 STEPS = 25            # of a climb, at most ...
-FEWER = 20            # ... and of a climb of a search
+_FEWER = 20           # ... and of a climb of a search
 _DAMPING = 1e-4       # of the first step
 _LEAST_DAMPING = 1e-9
 _AT_BOUND = 1.0 - 1e-9
@@ -132,6 +132,11 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
         if samples.effort.over or np.all(best.power <= ROUNDING):
             break
     return best
+
+
+def climb_roughly(samples: Samples, start: Fit, free: Free, rival: float = np.inf) -> Fit:
+    """Take a model near the maximum of the likelihood, as far as it takes to compare it."""
+    return climb(samples, start, free, steps=_FEWER, least=ROUGHLY, rival=rival)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:

@@ -27,12 +27,11 @@ import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
 from ctsid_core.likelihood.output_error import (
-    FEWER,
-    ROUGHLY,
     STEPS,
     Fit,
     Free,
     climb,
+    climb_roughly,
     fit_at,
     split,
 )
@@ -281,8 +280,8 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
         fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
     best: Fit | None = None
     for start in _different(fits, each):
-        reached = climb(samples, start, free, steps=FEWER, least=ROUGHLY,
-                        rival=needed if best is None else min(best.cost, needed))
+        reached = climb_roughly(samples, start, free,
+                                needed if best is None else min(best.cost, needed))
         if best is None or reached.cost < best.cost:
             best = reached
         if samples.effort.beyond(SEARCH):

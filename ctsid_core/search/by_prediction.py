@@ -30,12 +30,10 @@ from scipy.linalg import logm
 from ctsid_core.likelihood.mode_columns import columns_of, least_cost
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import (
-    FEWER,
-    ROUGHLY,
     Fit,
     Free,
     Guess,
-    climb,
+    climb_roughly,
     fit_at,
     fit_states,
 )
@@ -204,7 +202,7 @@ def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> Predicti
 def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
     try:
-        top = climb(joint, start, free, steps=FEWER, least=ROUGHLY)
+        top = climb_roughly(joint, start, free)
     except np.linalg.LinAlgError:
         top = start
     return _judged(joint, top, free, last) \

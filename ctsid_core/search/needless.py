@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.likelihood.output_error import FEWER, ROUGHLY, Free, climb, fit_at
+from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import entry_changes
 from ctsid_core.search.by_order import Tried, criterion, tried
@@ -41,9 +41,9 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
             continue
         fewer, delay = _fixed(free, places), best.fit.model.delay.copy()
         delay[places] = 0.0
-        other = tried(samples, climb(samples, fit_at(
-            samples, best.fit.model.poles, delay, fewer), fewer, steps=FEWER,
-            least=ROUGHLY, rival=max(best.fit.cost + len(places) * price, nothing)), fewer)
+        start = fit_at(samples, best.fit.model.poles, delay, fewer)
+        other = tried(samples, climb_roughly(
+            samples, start, fewer, max(best.fit.cost + len(places) * price, nothing)), fewer)
         if np.all(other.power < least ** 2) or (
                 criterion(other, best) <= 0.0 and other.rms - best.rms < _MATTERS):
             best, free = other, fewer

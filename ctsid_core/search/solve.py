@@ -16,11 +16,10 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import (
-    FEWER,
-    ROUGHLY,
     Fit,
     Free,
     climb,
+    climb_roughly,
     fit_at,
     fit_states,
 )
@@ -234,7 +233,7 @@ def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Fr
             thin, rest = known.thinned(SEARCHED), {}
             for n, one in up_to.items():
                 start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-                rest[n] = tried(thin, climb(thin, start, free, steps=FEWER, least=ROUGHLY), free)
+                rest[n] = tried(thin, climb_roughly(thin, start, free), free)
             if choose(rest) < chosen:
                 return known, {n: _climbed(known, one, free) for n, one in rest.items()}
     return samples, found
@@ -311,8 +310,8 @@ def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
         delay = np.where(free.delays, model.delay, best.fit.model.delay)
         if (delay != model.delay).any():
             with suppress(np.linalg.LinAlgError):
-                model = climb(samples, fit_at(samples, model.poles, delay, free), free,
-                              steps=FEWER, least=ROUGHLY).model
+                model = climb_roughly(
+                    samples, fit_at(samples, model.poles, delay, free), free).model
         models.append((model, free))
     return tuple(models)
 
@@ -464,7 +463,7 @@ def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, sa
     thin, near = samples.thinned(SEARCHED), None
     with suppress(np.linalg.LinAlgError):
         start = fit_at(thin, poles, found.found.fit.model.delay[:samples.nu], free)
-        top = climb(thin, start, free, steps=FEWER, least=ROUGHLY)
+        top = climb_roughly(thin, start, free)
         near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
     return None if near is None else _likelier(
         part, settings, corrupt, seen, samples, near, free, found)

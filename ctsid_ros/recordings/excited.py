@@ -91,7 +91,7 @@ def excited(u: Array, clock: Clock, period: float = 0.0) -> tuple[Stretch, ...]:
         return ()
     unit = max(unit_of_time(max(clock.step, period)), pace(u, clock))
     active = _and_slow_motion(u, power > np.sqrt(loud * quiet), clock, _MERGE * unit)
-    before, found = _BEFORE * clock.unit * clock.step, []
+    before, found = _BEFORE * unit_of_time(clock.step), []
     for part in clock.parts:
         for start, end in _merged(clock.time[part][active[part]], _MERGE * unit):
             low, high = clock.time[part][[0, -1]]
