@@ -309,6 +309,6 @@ def test_states_are_not_misled_by_the_dead_times_of_fewer():
 
 
 def test_what_a_controller_makes_of_gusts_is_no_lead():
-    """An input that is computed from the outputs follows them: a lead explains a little of that."""
+    """An input that is computed from outputs follows them: a lead explains a little of that."""
     given = experiment('rates-1x1', 1, 2)
     assert 'utputs answer' not in identify(given.record, given.settings).verdict.reason
