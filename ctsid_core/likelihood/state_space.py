@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ _MET = 0.03           # relative distance of two poles below which they share a 
 GAUGE = 1e-7          # relative singular value below which a direction changes nothing
 _SAME = 1e-12         # ... below which two columns are the same
 _SPARE = 0.05         # share of the errors' power that a fit leaves at least
+_WORK = 1.0           # of a covariance, for each sample and pair of numbers
 
 
 def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
@@ -105,6 +105,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     model = fit.model
     rows, _, places = jacobian(samples, fit, free)
     width = rows.shape[1]
+    samples.effort.spend(covariance_work(samples, model.n))
     nuisance = places.of_states(samples.ny, len(samples.records), free.trim)
     wanted = ~nuisance
     if samples.ny == 1:                             # c is 1 then
@@ -152,18 +153,21 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
                    dD * samples.size[:, np.newaxis], delay)
 
 
+def covariance_work(samples: Samples, n: int) -> float:
+    """Return the work of the covariance of a model of n states (`effort.py`)."""
+    width = n * (1 + samples.nu + samples.ny + len(samples.records))
+    return _WORK * float(samples.counts.sum()) * width ** 2
+
+
 def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> Array:
     """
     Return the covariance of the errors' sums over orthonormal directions of the simulation.
 
-    The spectrum of the errors, of those of outputs that are sampled together with what they share,
-    is a mean over as many neighbouring frequencies as can be without error by the fit, and more:
-    what directions take out of it is allowed for.
+    Of outputs that are sampled together with what they share.
     """
     whole = replace(fit, columns=columns_of(samples, fit.model.poles, fit.model.delay,
                                             direct=free.feedthrough, turned=False))
     rows, errors, _ = jacobian(samples, whole, free)
-    samples.effort.check()
     found, at = np.zeros((directions.shape[1],) * 2), 0
     for own in whole.columns.triangles:
         for t in own:
@@ -171,33 +175,52 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
             shape = len(t.channels), t.count
             block = slice(at, at + shape[0] * shape[1])
             at = block.stop
-            seen, noise = (np.fft.rfft(x.reshape(*shape, -1), axis=1) / np.sqrt(t.count)
-                           for x in (rows[block] @ directions, errors[block]))
-            taken = np.einsum('ifd,jfd->ijf', seen, seen.conj())
-            both = 1.0 + (np.arange(taken.shape[2]) % (0.5 * t.count) > 0.0)    # half-planes
-            numbers = np.einsum('iif->if', taken).real @ both
-            reach = min(int(np.ceil(np.max(numbers))), taken.shape[2] - 1)
-            values, turn = np.linalg.eigh(_mean_around(
-                np.eye(shape[0])[:, :, np.newaxis] - taken, reach).transpose(2, 0, 1))
-            less = (turn / np.sqrt(np.maximum(values, _SPARE))[:, np.newaxis]) \
-                @ turn.conj().transpose(0, 2, 1)
-            spectra = less @ _mean_around(noise[:, np.newaxis, :, 0] * noise[:, :, 0].conj(),
-                                          reach).transpose(2, 0, 1) @ less
-            by_frequency = seen.transpose(1, 0, 2)
-            weighed = both[:, np.newaxis, np.newaxis] * spectra @ by_frequency
-            found += (by_frequency.reshape(-1, seen.shape[2]).conj().T
-                      @ weighed.reshape(-1, seen.shape[2])).real
+            turned, noise = (x.reshape(*shape, -1) for x in (rows[block] @ directions,
+                                                             errors[block]))
+            seen = np.empty((t.count // 2 + 1, shape[0], turned.shape[2]), dtype=complex)
+            for k, channel in enumerate(turned):
+                samples.effort.check()
+                seen[:, k] = np.fft.rfft(channel, axis=0)
+            both: Array = np.where(np.arange(len(seen)) % (0.5 * t.count), 2.0, 1.0)
+            root = _root_of_spectra(seen @ _turned(seen) / t.count, np.fft.rfft(
+                noise[:, :, 0], axis=1).T / t.count, both)
+            samples.effort.check()
+            moved = root @ seen
+            for part in (moved.real, moved.imag):
+                part = part.reshape(-1, part.shape[2])
+                found += part.T @ part
     return found
 
 
-def _mean_around(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """Return means over so many neighbours along the last axis, mirrored at its ends."""
+def _root_of_spectra(taken: ComplexArray, noise: ComplexArray, both: Array) -> ComplexArray:
+    """
+    Return roots of the spectra of errors (frequencies, outputs) over both half-planes.
+
+    A spectrum is a mean over as many neighbouring frequencies as can be without error by the fit,
+    and more: what directions have `taken` out of it, (frequencies, outputs, outputs), is allowed
+    for.
+    """
+    numbers = both @ np.einsum('fii->fi', taken).real
+    reach = min(int(np.ceil(np.max(numbers))), len(taken) - 1)
+    values, turn = np.linalg.eigh(_mean_around(np.eye(taken.shape[1]) - taken, reach))
+    less = (turn / np.sqrt(np.maximum(values, _SPARE))[:, np.newaxis]) @ _turned(turn)
+    noise = noise[:, :, np.newaxis]
+    power, turn = np.linalg.eigh(less @ _mean_around(noise @ _turned(noise), reach) @ less)
+    size = np.sqrt(both[:, np.newaxis] * np.maximum(power, 0.0))
+    return np.asarray(size[:, :, np.newaxis] * _turned(turn))
+
+
+def _turned(matrices: ComplexArray) -> ComplexArray:
+    """Return the conjugate transposes of matrices."""
+    return matrices.conj().swapaxes(1, 2)
+
+
+def _mean_around(values: ComplexArray, reach: int) -> ComplexArray:
+    """Return means over so many neighbours along the first axis, mirrored at its ends."""
     ends = [(0, 0)] * (values.ndim - 1)
-    total = np.cumsum(np.pad(np.pad(values, [*ends, (reach, reach)], mode='reflect'),
-                             [*ends, (1, 0)]), axis=-1)
-    found: NDArray[Any] = (total[..., 2 * reach + 1:] - total[..., :-2 * reach - 1]) / (
-        2 * reach + 1)
-    return found
+    total = np.cumsum(np.pad(np.pad(values, [(reach, reach), *ends], mode='reflect'),
+                             [(1, 0), *ends]), axis=0)
+    return np.asarray((total[2 * reach + 1:] - total[:-2 * reach - 1]) / (2 * reach + 1))
 
 
 def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int) -> Array:

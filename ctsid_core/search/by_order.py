@@ -38,6 +38,7 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.pole_grid import PoleGrid
 
@@ -109,6 +110,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             continue
         found[n] = tried(thin, fit, free)
         best = choose(found)
+        samples.effort.keep(_later(samples, max(len(found[best].fit.model.poles), _MODES)))
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if samples.several and looked == {1} and not order:
@@ -162,11 +164,16 @@ def affordable(samples: Samples) -> int:
     most, effort = max(int(np.max(samples.counts.sum(axis=0))), 1), samples.effort
     if not effort.budget:
         return most
-    while most > _FEWEST_SAMPLES and _LATER * evaluation_work(
+    while most > _FEWEST_SAMPLES and _later(
             samples.thinned(most), _MODES) > _FOR_LATER * effort.worth(effort.budget):
         most = int(0.8 * most)
-    effort.keep(_LATER * evaluation_work(samples.thinned(most), _MODES))
+    effort.keep(_later(samples.thinned(most), _MODES))
     return most
+
+
+def _later(samples: Samples, modes: int) -> float:
+    """Return the work that a model of so many modes needs after the search."""
+    return _LATER * evaluation_work(samples, modes) + covariance_work(samples, 2 * modes)
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
