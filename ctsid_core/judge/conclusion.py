@@ -67,7 +67,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         most_likely_change(*simulated, solution.smaller, solution.telling)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
-    seen, unsure = excitations(samples, solution.delay, own, moving, names)
+    ahead = HORIZONS[-1] * held_interval(samples) if solution.by_prediction else samples.length
+    seen, unsure = excitations(samples, solution.delay, own, moving, names, ahead)
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)))

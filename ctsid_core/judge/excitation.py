@@ -33,16 +33,17 @@ _LOBE = 1.93          # lines that one sine has after the taper
 
 
 def excitations(samples: Samples, delay: Array, covariance: Covariance | None, moving: StateSpace,
-                names: tuple[str, ...]) -> tuple[tuple[Excitation, ...], Array]:
+                names: tuple[str, ...], ahead: float) -> tuple[tuple[Excitation, ...], Array]:
     """
     Return the excitation of each moving input, and how unsure the response of each output is.
 
     Of inputs with delays (nu,) [s]: what further ones `samples` has does not count. The covariance
-    is that of the model of the moving channels.
+    is that of the model of the moving channels, which is asked for what it does in a time `ahead`
+    [s]: of a simulation that is the record, of predictions how far they go.
     """
     omega, weight, lines, sent, acting = _input_spectra(samples, delay)
-    # A record tells its mean over a width of 1 / length, finite of modes that do not decay, too.
-    moving = replace(moving, A=moving.A - np.eye(moving.n) / samples.length)
+    # That tells a mean over a width of 1 / ahead, finite of modes that do not decay, too.
+    moving = replace(moving, A=moving.A - np.eye(moving.n) / ahead)
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, moved = _uncertain(samples, covariance, moving, omega, lines)
     own = _uncorrelated(sent)
