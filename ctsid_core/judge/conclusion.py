@@ -67,11 +67,15 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         most_likely_change(*simulated, solution.smaller, solution.telling)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
-    ahead = HORIZONS[-1] * held_interval(samples) if solution.by_prediction else samples.length
+    ahead = samples.length if solution.plant is None else \
+        HORIZONS[-1] * held_interval(solution.source[0])
     seen, unsure = excitations(samples, solution.delay, own, moving, names, ahead)
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)))
+    if solution.plant is not None and curves.any():
+        # A controller makes curves of what disturbs the plant, which its predictor does not see.
+        curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     lead = np.zeros(moving.nu) if simulated is None or not sought else \
         lead_of_outputs(*simulated, sought)
     evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model, moving,
