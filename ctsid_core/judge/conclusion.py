@@ -67,9 +67,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         most_likely_change(*simulated, solution.smaller, solution.telling)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
-    ahead = samples.length if solution.plant is None else \
-        HORIZONS[-1] * held_interval(solution.source[0])
-    seen, unsure = excitations(samples, solution.delay, own, moving, names, ahead)
+    seen, unsure = excitations(samples, solution.delay, own, moving, names,
+                               min(_within(solution), samples.length))
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)))
@@ -225,8 +224,13 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
-        lead=_lead(lead, last),
+        lead=_lead(lead, last), within=_within(solution),
         faults=part.numbered([p.whole.faults for p in part.parts]))
+
+
+def _within(solution: Solution) -> float:
+    """Return for how long the response is known that was found by predictions, or by simulation."""
+    return np.inf if solution.plant is None else HORIZONS[-1] * held_interval(solution.source[0])
 
 
 def _lead(found: Array, part: Usable) -> Array:

@@ -191,7 +191,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
             cure = alone if one.own < _UNCORRELATED else 'move it more'
             yield Remedy.EXCITE, (
-                f'The response to input {one.name} has a standard deviation of '
+                f'The response to input {one.name}{_within(e)} has a standard deviation of '
                 f'{_percent(one.uncertainty)}; {cure}.')
     for i in _largest_first(e.numbers.coloured_error, _DISTURBED):
         yield Remedy.SIGNALS, (
@@ -249,7 +249,12 @@ def _summary(e: Evidence) -> str:
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
             f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
-            f'response to each input has a standard deviation of {_percent(deviation)}.{untested}')
+            f'response to each input{_within(e)} has a standard deviation of '
+            f'{_percent(deviation)}.{untested}')
+
+
+def _within(e: Evidence) -> str:
+    return f' within {e.within:.2g} s' if e.within < np.inf else ''
 
 
 def _listed(names: tuple[str, ...]) -> str:
