@@ -229,7 +229,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
 
 
 def _within(solution: Solution) -> float:
-    """Return for how long the response is known that was found by predictions, or by simulation."""
+    """Return the time within which the response is asked for [s]: as far as predictions go."""
     return np.inf if solution.plant is None else HORIZONS[-1] * held_interval(solution.source[0])
 
 

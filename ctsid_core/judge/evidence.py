@@ -34,7 +34,7 @@ class Evidence:
     numbers: Verdict                # with the numbers that have a place in it
     untested: str = ''              # why nothing was held out, in words
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
-    within: float = float('inf')    # time in which the response is asked for, as far as they go [s]
+    within: float = float('inf')    # time the response is asked for [s]: as they go
     unproven: bool = False          # modes grow of which the data do not show that they do
     doubt: Doubt | None = None      # what it looks like if a setting is not right
     wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it
