@@ -136,7 +136,8 @@ def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     if samples.effort.over:
         return Change()
     found = max((_divided(samples, own, whole, place, share)
-                 for share in _likely(_only(samples, place), own)), key=_clean, default=Change())
+                 for share in _likely(_only(samples, place), own, whole)),
+                key=_clean, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
         found = max(found, *(_divided(samples, own, whole, place, share)
                              for share in (found.share - step, found.share + step)
@@ -149,16 +150,19 @@ def _clean(change: Change) -> tuple[float, float]:
     return -change.left if change.gain > 0.0 else -np.inf, change.gain
 
 
-def _likely(samples: Samples, own: Own) -> list[float]:
+def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     """
     Return the instants at which a model of each side's own promises most, if it is enough.
 
+    Two models of a smaller order than the whole's have to leave less than the whole does.
     With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
     samples before an instant says all of that side, and 1 - Q'Q all of the other one.
     """
     samples = samples.thinned(2 * _SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
-    _, rows, error, states, shares, _ = _slopes(samples, own)
+    fit, rows, error, states, shares, _ = _slopes(samples, own)
+    rival = fit if own is whole else fit_states(samples, *whole)
+    most = float(np.sum(samples.counts * rival.power / fit.power))
     order = np.argsort(shares, kind='stable')
     # What a side's own states and trims explain is no change: they come first.
     columns = np.column_stack((rows[:, states], rows[:, ~states]))[order]
@@ -177,7 +181,7 @@ def _likely(samples: Samples, own: Own) -> list[float]:
     least = np.argmin([len(s.times) for s in record.streams])
     span = (record.streams[least].times - record.start) / (record.end - record.start)
     early = np.searchsorted(span, _INSTANTS, side='right')
-    promise = np.zeros(len(_INSTANTS))
+    promise, left = np.zeros(len(_INSTANTS)), np.zeros(len(_INSTANTS))
     for side, count in ((before, early), (unit - before, len(span) - early)):
         samples.effort.check()
         seen = side @ told
@@ -185,11 +189,13 @@ def _likely(samples: Samples, own: Own) -> list[float]:
         by = np.linalg.solve(root, seen[:, :-1, np.newaxis])[:, :, 0] ** 2
         own_states, all_of_it = (np.maximum(seen @ told - by[:, :k].sum(axis=1), 1e-300)
                                  for k in (nuisance, by.shape[1]))
+        left += all_of_it
         # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
         gain = samples.ny * count * np.log(own_states / all_of_it)
         promise += np.where(count >= fewest, gain, 0.0)
     price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
-    return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:] if promise[k] > price]
+    return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:]
+            if promise[k] > price and left[k] < most]
 
 
 def _slopes(samples: Samples, own: Own) -> tuple[Fit, Array, Array, Mask, Array, Array]:
