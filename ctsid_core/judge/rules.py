@@ -121,7 +121,7 @@ def change_note(e: Evidence) -> tuple[str, ...]:
 def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     """Yield what is wrong with the samples, whatever model they give."""
     for fault in e.faults:
-        yield Remedy.SIGNALS, fault
+        yield Remedy.RECORD, fault
     held = e.distance_to_controller < _CONTROLLER
     for j in _largest_first(np.where(held, 0.0, e.lead), 0.0):
         yield Remedy.SETTING, (
