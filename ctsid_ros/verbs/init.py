@@ -100,7 +100,7 @@ def _taken(guessed: Guess) -> str:
 
 def pair_section(guessed: Guess) -> Section:
     """Return the pairs that were found, with the figures behind them."""
-    rows = tuple(_row(i, pair, i == guessed.pick or not guessed.free)
+    rows = tuple(_row(i, pair, any(pair is one for one in guessed.taken))
                  for i, pair in enumerate(guessed.pairs, 1))
     remarks = tuple(f'pair {i}: {cell(pair.input.key[0])} drives {cell(pair.nearer)}, which is '
                     'nearer to the plant' for i, pair in enumerate(guessed.pairs, 1)
