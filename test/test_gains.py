@@ -10,10 +10,15 @@ import pytest
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.model.covariance import Covariance, Entries
+from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.gains import gains, grows
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.verdict import UNJUDGED, Grade
+from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.document import to_text
+from ctsid_ros.report.explorer import facts
 from ctsid_ros.report.sections import choice_section, gain_section
+from ctsid_ros.report.window_figures import gain_figures
 
 RATE = 3.0
 
@@ -63,6 +68,23 @@ def test_what_grows_or_integrates_twice_has_no_gain():
     once = replace(twice, A=[[0.0, 1.0], [0.0, -2.0]])
     assert gains(once).value == pytest.approx(0.5)
     assert gains(StateSpace([[-2.0]], [[1.0]], [[1.0]])).value == pytest.approx(0.5)
+
+
+def test_gains_along_a_bag_are_those_that_are_known():
+    """The DC gain of two windows is 1e3 and -1e3 with deviations as large; the rate is 3."""
+    found = []
+    for k, pole in enumerate((-0.003, 0.003, -0.002)):
+        model = StateSpace([[pole]], [[RATE]], [[1.0]], input_names=('u',), output_names=('y',))
+        own = Estimate(status=Status.OK, settings=Settings(), model=model, verdict=replace(
+            UNJUDGED, grade=Grade.GOOD), covariance=known(model, 0.05), start_ns=k, end_ns=k + 1)
+        found.append(own)
+        assert facts(own, {})['gain'].startswith('3.000 ± ')
+        assert facts(own, {})['gain'].endswith(' /s')
+    times = np.arange(3.0)
+    (drawn,) = gain_figures(Windows(found, times, times + 1.0, np.full((3, 1), np.nan)))
+    (panel,) = drawn.drawing.panels
+    assert panel.title == 'gain per second'
+    assert panel.curves[0].y.tolist() == [RATE] * 3
 
 
 def held_in_wind(seed: int) -> Record:

@@ -336,7 +336,7 @@ def _gains(f: Flight) -> str:
     """Return the gains of all inputs to the first output, to the next, ..., as far as they go."""
     found = [gain_text(_known(g['gain'] if rate is None else rate),
                        _known(g['gain_std'] if rate is None else g['rate_gain_std']),
-                       rate=rate is not None)
+                       rate is not None)
              for g in f.best.get('gains') or [] for rate in (g['rate_gain'],)]
     return ' / '.join(found[:_MOST_GAINS]) + ' / ...' * (len(found) > _MOST_GAINS) or '-'
 

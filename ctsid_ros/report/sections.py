@@ -202,7 +202,7 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
     if found is None:
         return Section('', ())
     rows = tuple((label(y, model.output_units[i]),
-                  *(gain_text(found.value[i, j], found.std[i, j], rate=bool(found.rate[i, j]))
+                  *(gain_text(found.value[i, j], found.std[i, j], bool(found.rate[i, j]))
                     for j in range(model.nu)))
                  for i, y in enumerate(model.output_names))
     table = Table(('output', *(label(u, model.input_units[j])
