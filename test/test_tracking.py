@@ -424,6 +424,9 @@ def test_windows_that_are_short_of_dead_times_say_so_and_invent_no_change():
         assert estimate.status is Status.TOO_SHORT
         assert estimate.verdict.remedy is Remedy.LONGER
         assert estimate.verdict.reason.endswith('take windows of 16 s or more.')
+    still = whole.between(14.0, 24.0)
+    rest = replace(still, inputs=tuple(replace(s, values=0.0 * s.values) for s in still.inputs))
+    assert short.take(rest).estimate.status is Status.NO_EXCITATION
     long = Tracker(Settings(feedthrough=False))
     for start in (4.0, 14.0, 19.0):
         estimate = long.take(whole.between(start, start + 16.0)).estimate

@@ -341,7 +341,8 @@ def short_of_delays(estimate: Estimate, delay: float, length: float) -> Estimate
     The dead time is that of the last GOOD model. In short windows states stand in for it, and
     nothing follows the inputs, or the plant seems to change.
     """
-    if estimate.verdict.remedy not in _MISLED or length >= DELAYS_LONG * delay:
+    if estimate.verdict.remedy not in _MISLED or estimate.status not in _FAULTY \
+            or length >= DELAYS_LONG * delay:
         return estimate
     reason = (f'The dead time of the last GOOD model, {delay:.3g} s, may not be found in a window '
               f'of {length:.3g} s, and without it other models are; take windows of '
