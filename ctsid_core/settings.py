@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from ctsid_core.errors import SettingsError
 
+DELAYS_LONG = 8.0      # so many dead times a window has to be long: half of the longest looked for
 LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s]
 OF_STRIDE = 0.8  # budget of a window: the rest is for publishing, and for estimates of work
 Hold = Literal['zoh', 'linear', 'smooth']

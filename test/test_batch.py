@@ -173,6 +173,9 @@ def test_rows_are_those_of_a_replay(alone, fleet):
         assert [complex(p['re'], p['im']) for p in row['poles']] == model.poles.tolist()
         assert [p['std'] for p in row['poles']] == estimate.pole_std.tolist()
         assert [p['damping'] for p in row['poles']] == model.damping.tolist()
+        assert row['gains'] == [{
+            'input': 'torque', 'output': 'rate', 'gain': model.dc_gain[0, 0],
+            'gain_std': estimate.dc_gain_std[0, 0], 'rate_gain': None, 'rate_gain_std': None}]
         assert [(f['output'], f['fit']) for f in row['fits']] == [('rate', estimate.fit[0])]
         assert [d['delay'] for d in row['delays']] == list(model.delay)
         assert row['failure'] is None
@@ -199,6 +202,10 @@ def test_a_batch_is_the_same_as_one_bag_after_the_other(batch, alone, tmp_path):
     assert sorted(rows) == ['broken.mcap', 'flight1', 'flight2', 'flight3']
     assert float(rows['flight3']['pole1_re [rad/s]']) == pytest.approx(
         TRUTH.poles.real[0], abs=0.2)
+    gain, std = (float(rows['flight3'][f'{word}_torque_to_rate']) for word in ('gain', 'gain_std'))
+    assert abs(gain - TRUTH.dc_gain[0, 0]) < 4.0 * std
+    assert rows['flight3']['rate_gain_torque_to_rate [1/s]'] == ''
+    assert f'{gain:.3f} ± ' in out
     assert rows['broken.mcap']['failure'] != '' == rows['flight3']['failure']
     page = (tmp_path / 'out/report.html').read_text()
     assert 'Poles by vehicle and date' in page

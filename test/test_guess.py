@@ -289,6 +289,25 @@ def test_steps_that_wait_for_a_slow_plant_are_one_experiment(tmp_path):
     assert found.config.settings.window_length == 6000.0
 
 
+def test_windows_are_long_beside_a_dead_time(tmp_path, monkeypatch):
+    """Of 120 s windows of 12 s were written: four dead times, of which "nothing follows"."""
+    rng, time = np.random.default_rng(3), np.arange(0.0, 120.0, 0.05)
+    u = moves(rng, len(time), 10)
+    y = lagged(np.concatenate((np.zeros(60), u[:-60])), 2.0, 0.05)
+    np.savetxt(tmp_path / 'run.csv', np.transpose([
+        time, u, y + 0.02 * rng.standard_normal(len(u))]), delimiter=',', comments='',
+        header='t [s],a,b')
+    assert 24.0 <= guessed(tmp_path / 'run.csv').config.settings.window_length <= 32.0
+    # Where the recording does not tell how late an output is, its model does.
+    monkeypatch.setattr('ctsid_ros.recordings.coherence.lag', lambda *_: math.nan)
+    assert guessed(tmp_path / 'run.csv').config.settings.window_length == 12.0
+    assert main(['try', str(tmp_path / 'run.csv'), '--out', str(tmp_path / 'out'),
+                 '--quiet']) == 0
+    settings = parse_config(yaml.safe_load((tmp_path / 'out/params.yaml').read_text())).settings
+    assert settings.window_length == 24.0
+    assert settings.window_stride == 2.4
+
+
 # --- guesses
 
 

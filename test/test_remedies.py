@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 import re
 
-from bag_fixtures import START, Sent, array, imu
+from bag_fixtures import START, Sent, array, imu, write_mcap
 from flights import PARAMS, TRUTH, S, at, flight, spoilt, stamp_of, write_flight, write_params
 from marks import slow
 import numpy as np
@@ -22,6 +22,7 @@ from ctsid_core.judge.stuck import Stuck
 from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.model_json import from_json, to_json
+from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade, Remedy
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
@@ -102,7 +103,7 @@ def test_every_remedy_has_a_command():
                                 if status is Status.OK else Grade.REJECT))
             for run in (RUN, replace(RUN, params=None), replace(RUN, interval=('--start', '3'))):
                 told = headline(given, run)
-                assert told.command.startswith('ctsid '), remedy
+                assert told.command.startswith(('ctsid ', 'ros2 bag record ')), remedy
                 assert told.purpose, remedy
 
 
@@ -180,3 +181,37 @@ def test_what_saturates_is_not_advised_to_move_more():
     remedy, reason = next(r for r in reasons if 'move' in r[1])
     assert remedy is Remedy.PART
     assert 'take a part of the data in which it moves less' in reason
+
+
+def test_a_simulation_at_half_the_speed_is_to_be_recorded_by_its_own_clock(tmp_path):
+    """`ctsid info` was named, which says nothing more; with the right clock it is the plant."""
+    def recorded(rate: float) -> list[Sent]:
+        return [replace(one, log_ns=START + round((one.log_ns - START) / rate))
+                for one in flight(20.0)]
+
+    params = PARAMS.replace(', field:', ', stamp: log, field:')     # as `ctsid init` writes it
+    write_params(tmp_path / 'params.yaml', params)
+    found = {}
+    for rate in (1.0, 0.5):
+        write_mcap(tmp_path / 'sim.mcap', recorded(rate))
+        assert main(['identify', str(tmp_path / 'sim.mcap'), '--params', str(
+            tmp_path / 'params.yaml'), '--out', str(tmp_path / 'out'), '--force', '--quiet']) == 0
+        found[rate] = load_estimate(tmp_path / 'out/model.json'), (
+            tmp_path / 'out/report.md').read_text(encoding='utf-8')
+    assert found[1.0][0].good
+    assert 'use-sim-time' not in found[1.0][1]
+    assert not found[0.5][0].good
+    assert found[0.5][0].verdict.remedy is Remedy.RECORD
+    assert 'record with `--use-sim-time`' in found[0.5][0].verdict.reason
+    assert 'ros2 bag record -a --use-sim-time' in found[0.5][1]
+
+
+@pytest.mark.parametrize(('reason', 'command'), [
+    ('mixed; stop all but one of them.', 'ros2 bag record -a -o ANOTHER_BAG'),
+    ('drift; set `stamp: log` for all channels.', 'ctsid identify bag --params params.yaml'),
+    ('rounded; say it, `--time 10Hz`.',
+     'ctsid identify bag --params params.yaml --time 10Hz')])
+def test_what_mends_samples_is_the_command(reason, command):
+    given = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=replace(
+        UNJUDGED, remedy=Remedy.RECORD, reason=reason, grade=Grade.WEAK))
+    assert headline(given, Run('', ('bag',), 'params.yaml')).command == command

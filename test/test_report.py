@@ -520,7 +520,7 @@ def test_choices_are_told_in_the_files_only():
 
 @pytest.mark.parametrize(('domain', 'said'), [
     ('predictions', 'which know the outputs before as well as the inputs'),
-    ('disturbed', 'Something that was not measured (wind? another input?) moves the output')])
+    ('disturbed', 'where a controller holds the plant, its set point')])
 def test_what_a_domain_means_is_told_everywhere(domain, said):
     section = choice_section(estimate(choices=(Choice('domain', domain, 'it is likelier'),)),
                              brief=True)

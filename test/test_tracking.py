@@ -17,12 +17,12 @@ from ctsid_core.identify import identify
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
-from ctsid_core.model.verdict import EXPLAINED, Grade, Verdict
+from ctsid_core.model.verdict import EXPLAINED, Grade, Remedy, Verdict
 from ctsid_core.sequence import tracking
 from ctsid_core.sequence.alignment import aligning
 from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Record
+from ctsid_core.signals.record import Record, Signal
 
 S = 10**9
 SETTINGS = Settings(order=2)
@@ -401,3 +401,34 @@ def test_an_order_of_the_last_good_model_is_no_change(steady):
         given = replace(found, verdict=replace(found.verdict, grade=Grade.GOOD))
         assert tracking.in_sequence(given, np.array([99.0]), np.array([1.0]), 0.1,
                                     past.orders).verdict.grade is grade
+
+
+def late_lag(delay: float, duration: float) -> Record:
+    """A lag of 0.5 s behind a dead time, moved every half second."""
+    rng = np.random.default_rng(0)
+    t_u, t_y = np.arange(0.0, duration, 0.05), np.arange(0.0, duration, 0.02)
+    u = np.repeat(rng.uniform(-1.0, 1.0, len(t_u) // 10 + 1), 10)[:len(t_u), np.newaxis]
+    y = StateSpace([[-2.0]], [[2.0]], [[1.0]], delay=(delay,)).simulate(
+        (Signal(t_u, u, 'zoh'),), t_y)[:, 0]
+    return Record.from_arrays(t_u, u, t_y, y + 0.02 * rng.standard_normal(len(y)),
+                              input_hold='zoh')
+
+
+def test_windows_that_are_short_of_dead_times_say_so_and_invent_no_change():
+    """Of windows of five dead times two were GOOD, and then "does not follow the inputs"."""
+    whole = late_lag(2.0, 50.0)
+    short = Tracker(Settings(feedthrough=False))
+    found = [short.take(whole.between(s, s + 10.0)).estimate for s in (4.0, 14.0, 19.0)]
+    assert [e.verdict.grade for e in found] == [Grade.GOOD, Grade.REJECT, Grade.REJECT]
+    for estimate in found[1:]:
+        assert estimate.status is Status.TOO_SHORT
+        assert estimate.verdict.remedy is Remedy.LONGER
+        assert estimate.verdict.reason.endswith('take windows of 16 s or more.')
+    still = whole.between(14.0, 24.0)
+    rest = replace(still, inputs=tuple(replace(s, values=0.0 * s.values) for s in still.inputs))
+    assert short.take(rest).estimate.status is Status.NO_EXCITATION
+    long = Tracker(Settings(feedthrough=False))
+    for start in (4.0, 14.0, 19.0):
+        estimate = long.take(whole.between(start, start + 16.0)).estimate
+        assert estimate.good
+        assert estimate.model.delay[0] == pytest.approx(2.0, abs=0.02)

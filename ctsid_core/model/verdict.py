@@ -37,6 +37,7 @@ class Remedy(Enum):
     SPLIT = 'identify each side of the change by itself'
     LONGER = 'take a longer window'
     SETTING = 'change the setting that is named'
+    RECORD = 'take or record the samples as is said'
     COMPARE = 'compare the methods'
     WAIT = 'wait until that has left the window'
 

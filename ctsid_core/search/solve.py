@@ -426,7 +426,8 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
              beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
-    why = f', and one {"more" if beside > 0 else "less"}, for errors in their own colour say so'
+    why = f', and one {"more" if beside > 0 else "less"}: likelier once it is allowed for that ' \
+        'errors last from sample to sample'
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
         'samples' + (why if beside else ''))]

@@ -7,7 +7,7 @@ The metadata of the file say what it was made of: the content of the bag, parame
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 import io
@@ -18,6 +18,7 @@ import numpy as np
 
 from ctsid_core.errors import StorageError
 from ctsid_core.linear.types import Array
+from ctsid_core.model.gains import gains
 from ctsid_ros.replay.along import Windows, along
 
 if TYPE_CHECKING:
@@ -67,18 +68,19 @@ def schema() -> pa.Schema:
     number = pa.float64()
     time = pa.timestamp('ns', 'UTC')
 
-    def listed(word: str, *names: str) -> pa.DataType:
-        return pa.list_(pa.struct([*([(word, pa.string())] if word else []),
+    def listed(words: tuple[str, ...], *names: str) -> pa.DataType:
+        return pa.list_(pa.struct([*((word, pa.string()) for word in words),
                                    *((name, number) for name in names)]))
 
     return pa.schema([
         ('bag', pa.string()), ('recorded', time), ('window', pa.int32()),
         ('start', time), ('end', time), ('status', pa.string()), ('verdict', pa.string()),
         ('reason', pa.string()), ('best', pa.bool_()), ('order', pa.int32()),
-        ('poles', listed('', 're', 'im', 'std', 'natural_frequency', 'natural_frequency_std',
+        ('poles', listed((), 're', 'im', 'std', 'natural_frequency', 'natural_frequency_std',
                          'damping', 'damping_std')),
-        ('fits', listed('output', 'fit', 'held_out_fit', 'next_fit')),
-        ('delays', listed('input', 'delay', 'delay_std')),
+        ('gains', listed(('input', 'output'), 'gain', 'gain_std', 'rate_gain', 'rate_gain_std')),
+        ('fits', listed(('output',), 'fit', 'held_out_fit', 'next_fit')),
+        ('delays', listed(('input',), 'delay', 'delay_std')),
         ('bag_verdict', pa.string()), ('bag_reason', pa.string()), ('failure', pa.string())])
 
 
@@ -182,25 +184,32 @@ def _row(estimate: Estimate, next_fit: Array) -> dict[str, Any]:
         'order': None if model is None else model.n}
     shown = model or estimate.rejected_model
     if shown is not None:
-        row['fits'] = _structs(shown.output_names, 'output', fit=estimate.fit,
+        row['fits'] = _structs({'output': shown.output_names}, fit=estimate.fit,
                                held_out_fit=estimate.held_out_fit, next_fit=next_fit)
     if model is None:
         return row
-    row['poles'] = _structs(None, '', re=model.poles.real, im=model.poles.imag,
+    row['poles'] = _structs({}, re=model.poles.real, im=model.poles.imag,
                             std=estimate.pole_std, natural_frequency=model.natural_frequency,
                             natural_frequency_std=estimate.natural_frequency_std,
                             damping=model.damping, damping_std=estimate.damping_std)
-    row['delays'] = _structs(model.input_names, 'input', delay=np.array(model.delay),
+    found = gains(model, estimate.covariance)
+    row['gains'] = [] if found is None else _structs(
+        {'input': model.input_names * model.ny,
+         'output': [name for name in model.output_names for _ in range(model.nu)]},
+        **{f'{word}{more}': np.where(found.rate == (word == 'rate_gain'), values, np.nan).ravel()
+           for word in ('gain', 'rate_gain')
+           for more, values in (('', found.value), ('_std', found.std))})
+    row['delays'] = _structs({'input': model.input_names}, delay=np.array(model.delay),
                              delay_std=estimate.delay_std)
     return row
 
 
-def _structs(names: Sequence[str] | None, word: str, **columns: Array) -> list[dict[str, Any]]:
+def _structs(words: Mapping[str, Sequence[str]], **columns: Array) -> list[dict[str, Any]]:
     """Return an entry for each place of arrays; none in place of what is not known."""
-    count = max((len(c) for c in columns.values()), default=0) if names is None else len(names)
-    named = [{}] * count if names is None else [{word: name} for name in names]
-    return [own | {key: _number(values, i) for key, values in columns.items()}
-            for i, own in enumerate(named)]
+    count = max(map(len, words.values() or columns.values()), default=0)
+    return [{key: names[i] for key, names in words.items()}
+            | {key: _number(values, i) for key, values in columns.items()}
+            for i in range(count)]
 
 
 def _number(values: Array, place: int) -> float | None:

@@ -21,16 +21,18 @@ from ctsid_ros.batch.rows import UNREAD, Rows, made_of, read_rows
 from ctsid_ros.replay.along import CHANGED, PARTLY
 from ctsid_ros.report.document import Bullets, Figure, Headline, Section
 from ctsid_ros.report.drawing import COLORS, Axes, Curve, Drawing
-from ctsid_ros.report.tables import Table, number, percent, pole_text, thinned
+from ctsid_ros.report.tables import Table, gain_text, number, percent, pole_text, thinned
 from ctsid_ros.report.words import spreadsheet
 
 GRADES = ('GOOD', 'WEAK', 'REJECT')
 FAILED = 'FAILED'
 # Words for bags, the gravest first: in this order they are told.
 WORDS = (CHANGED, PARTLY, 'REJECT', FAILED, 'WEAK', 'GOOD')
-_COLUMNS = ('recorded', 'window', 'verdict', 'best', 'order', 'poles', 'fits', 'delays',
-            'bag_verdict', 'bag_reason', 'failure')
+_COLUMNS = ('recorded', 'window', 'verdict', 'best', 'order', 'poles', 'gains', 'fits',
+            'delays', 'bag_verdict', 'bag_reason', 'failure')
+_GAINS = {'gain': '', 'gain_std': '', 'rate_gain': ' [1/s]', 'rate_gain_std': ' [1/s]'}
 _MOST_ROWS = 300    # of a table on the page; bags.csv has all
+_MOST_GAINS = 4     # in a cell of it
 _MOST_NAMED = 40    # bags in a list
 _MOST_TOLD = 3      # bags in the first sentence
 _DAY = 86_400e9     # ns
@@ -143,9 +145,14 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
         entry[word] for f in flights for entry in f.best.get(column) or []))
         for column, word in (('fits', 'output'), ('delays', 'input')))
     names = ('re', 'im', 'std')
+    paths = [(f'{word}_{spreadsheet(u)}_to_{spreadsheet(y)}{unit}', word, (u, y))
+             for u, y in dict.fromkeys((g['input'], g['output']) for f in flights
+                                       for g in f.best.get('gains') or [])
+             for word, unit in _GAINS.items()]
     head = ['bag', 'vehicle', 'date', 'verdict', 'windows', *(g.lower() for g in GRADES),
             'best_window', 'order',
             *(f'pole{k}_{n} [rad/s]' for k in range(1, most + 1) for n in names),
+            *(head for head, _, _ in paths),
             *(f'fit_{spreadsheet(name)} [%]' for name in outputs),
             *(f'delay_{spreadsheet(name)} [s]' for name in inputs), 'outlier', 'copy_of', 'reason',
             'failure']
@@ -157,10 +164,13 @@ def table(flights: Sequence[Flight], odd: Mapping[str, str]) -> str:
         poles = [p[n] for p in f.best.get('poles') or [] for n in names]
         fits = {e['output']: e['fit'] for e in f.best.get('fits') or []}
         delays = {e['input']: e['delay'] for e in f.best.get('delays') or []}
+        gains = {(word, (g['input'], g['output'])): g[word]
+                 for g in f.best.get('gains') or [] for word in _GAINS}
         writer.writerow([
             spreadsheet(f.bag, whole=True), spreadsheet(f.vehicle), f.date, f.verdict, f.windows,
             *f.grades.values(), f.best.get('window', ''), f.best.get('order', ''), *poles,
             *[''] * (3 * most - len(poles)),
+            *(gains.get((word, path)) for _, word, path in paths),
             *(fits.get(name) for name in outputs), *(delays.get(name) for name in inputs),
             odd.get(f.bag, ''), spreadsheet(same.get(f.bag, ''), whole=True),
             spreadsheet(f.reason, whole=True),
@@ -303,11 +313,11 @@ def _slowest(flights: Sequence[Flight]) -> str:
 def _bags(flights: Sequence[Flight], shown: Mapping[str, str]) -> Section:
     rows = [(shown[f.bag], f.vehicle or '-', f.date or '-', f.verdict,
              ' / '.join(str(n) for n in f.grades.values()), str(f.best.get('order', '-')),
-             ', '.join(_pole(p) for p in f.poles) or '-',
+             ', '.join(_pole(p) for p in f.poles) or '-', _gains(f),
              ' / '.join(percent(_known(e['fit'])) for e in f.best.get('fits') or []) or '-')
             for f in flights]
     head = ('bag', 'vehicle', 'date', 'verdict', '/'.join(GRADES), 'order', 'poles [rad/s]',
-            'fit [%]')
+            'gain', 'fit [%]')
     few = () if len(rows) <= _MOST_ROWS else (
         f'About {_MOST_ROWS} of {len(rows)} bags; bags.csv has all.',)
     return Section('All bags', (*few, Table(head, thinned(rows, _MOST_ROWS),
@@ -320,6 +330,15 @@ def _pole(pole: Mapping[str, float | None]) -> str:
     text = pole_text(complex(pole['re'] or 0.0, pole['im'] or 0.0))
     std = _known(pole['std'])
     return text if math.isnan(std) else f'{text} (std {number(std, 2)})'
+
+
+def _gains(f: Flight) -> str:
+    """Return the gains of all inputs to the first output, to the next, ..., as far as they go."""
+    found = [gain_text(_known(g['gain'] if rate is None else rate),
+                       _known(g['gain_std'] if rate is None else g['rate_gain_std']),
+                       rate is not None)
+             for g in f.best.get('gains') or [] for rate in (g['rate_gain'],)]
+    return ' / '.join(found[:_MOST_GAINS]) + ' / ...' * (len(found) > _MOST_GAINS) or '-'
 
 
 def _figures(flights: Sequence[Flight], shown: Mapping[str, str]) -> list[Section]:
@@ -391,7 +410,8 @@ def words(flights: Sequence[Flight]) -> list[dict[str, Any]]:
              'reason': f.reason, 'windows': f.windows,
              **{g.lower(): n for g, n in f.grades.items()},
              'best_window': f.best.get('window'), 'order': f.best.get('order'),
-             'poles': f.best.get('poles') or [], 'fits': f.best.get('fits') or [],
+             'poles': f.best.get('poles') or [], 'gains': f.best.get('gains') or [],
+             'fits': f.best.get('fits') or [],
              'delays': f.best.get('delays') or [], 'failure': f.failure,
              'copy_of': same.get(f.bag)} for f in flights]
 

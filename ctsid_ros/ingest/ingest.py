@@ -384,7 +384,7 @@ class Ingest:
                 yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
                        f'{", ".join(timed)}, as in a simulation that is not in real time, so '
                        'time constants are wrong; use topics with headers for all channels, or '
-                       'let recorder and node run with `use_sim_time`.')
+                       'record with `--use-sim-time` (the node: `use_sim_time`).')
             elif rate != 1.0:
                 yield (f'Headers of {name} run {rate:.4g} times as fast as the clock of '
                        f'{", ".join(timed)}, so dead times drift; set `stamp: log` for all '

@@ -16,7 +16,7 @@ import shlex
 
 import numpy as np
 
-from ctsid_core.settings import Settings
+from ctsid_core.settings import DELAYS_LONG, Settings
 from ctsid_core.signals.wrapped import jumps_in_words
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
 from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
@@ -89,6 +89,11 @@ class Guess:
         return self.pairs[self.pick - 1]
 
     @property
+    def taken(self) -> tuple[Pair, ...]:
+        """The pairs of which the channels are: the one that was taken, or all that were named."""
+        return (self.pair,) if self.free else self.pairs
+
+    @property
     def best_stretches(self) -> tuple[Stretch, ...]:
         """The stretches to identify from: those with most energy, in order of time."""
         best = sorted(self.stretches, key=lambda s: -s.energy)[:_MOST_STRETCHES]
@@ -119,7 +124,18 @@ def guess(bag: Bag, survey: Survey, pick: int = 1, named: Named = NOBODY) -> Gue
     if pick > len(guesses):
         raise BagError(f'there {"is" if len(guesses) == 1 else "are"} only {len(guesses)} to pick '
                        'from; `ctsid init` without --pick shows them')
-    return guesses[pick - 1]
+    return _spanning_lags(guesses[pick - 1], survey.duration)
+
+
+def _spanning_lags(guessed: Guess, duration: float) -> Guess:
+    """Return a guess whose windows are long beside the lags of its outputs, as they are shown."""
+    from ctsid_ros.recordings.coherence import lag
+
+    # No dead time is longer than how much later both are most alike.
+    late = max(lag(p.input.held, p.output.smooth, p.clock) for p in guessed.taken)
+    config = guessed.config
+    return replace(guessed, config=replace(
+        config, settings=spanning(config.settings, late, duration)))
 
 
 def all_guesses(bag: Bag, survey: Survey, *, strict: bool = False, named: Named = NOBODY
@@ -376,7 +392,17 @@ def _unit(signal: Candidate) -> str:
 def _settings(survey: Survey, outputs: Sequence[Candidate], unit: float) -> Settings:
     """Return windows to start with: a tenth of the bag, 10 to 60 units of time."""
     length = min(max(survey.duration / 10.0, 10.0 * unit), 60.0 * unit, survey.duration / 2.0)
+    return _windows(Settings(feedthrough=any(_AT_ONCE.search(plain(y.key[1])) for y in outputs)),
+                    length)
+
+
+def spanning(settings: Settings, late: float, duration: float) -> Settings:
+    """Return settings whose windows span a dead time [s] often enough, as far as a bag lasts."""
+    length = min(DELAYS_LONG * late, duration / 2.0)
+    return _windows(settings, length) if length > settings.window_length else settings
+
+
+def _windows(settings: Settings, length: float) -> Settings:
     length = max(float(f'{length:.2g}'), 0.01)
-    return Settings(feedthrough=any(_AT_ONCE.search(plain(y.key[1])) for y in outputs),
-                    window_length=length,
-                    window_stride=float(f'{max(length / 10.0, 0.001):.2g}'))
+    return settings.replace(window_length=length,
+                            window_stride=float(f'{max(length / 10.0, 0.001):.2g}'))

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-import math
 from typing import Any
 
 import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.gains import gains
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.step_response import step_response
 from ctsid_ros.replay.along import Windows
@@ -26,7 +26,7 @@ from ctsid_ros.report.responses import (
     response_std,
     step_length,
 )
-from ctsid_ros.report.tables import fit_words, label, number, plus_minus, pole_text
+from ctsid_ros.report.tables import fit_words, gain_text, label, number, plus_minus, pole_text
 from ctsid_ros.report.tracks import modes_of
 from ctsid_ros.report.words import cell, printable
 
@@ -195,11 +195,10 @@ def facts(estimate: Estimate, fits: Mapping[str, str]) -> Mapping[str, str]:
     if any(model.delay):
         found['dead time [s]'] = '; '.join(
             plus_minus(d, s, 3) for d, s in zip(model.delay, std, strict=True))
-    if (model.poles.real < 0.0).all():
-        found['DC gain'] = '; '.join(
-            plus_minus(float(g), float(s)) for g, s in zip(
-                model.dc_gain.ravel(), estimate.dc_gain_std.ravel(), strict=True)
-            if math.isfinite(g))
+    if known := gains(model, estimate.covariance):
+        found['gain' if known.rate.any() else 'DC gain'] = '; '.join(
+            gain_text(float(g), float(s), bool(rate)) for g, s, rate in zip(
+                known.value.ravel(), known.std.ravel(), known.rate.ravel(), strict=True))
     return found
 
 

@@ -149,11 +149,9 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
                 return 'all of the recording', run.command('identify')
             return 'how much longer the data have to be', run.command('advise')
         case Remedy.SETTING:
-            if not run.params:
-                return ('parameters in which to change that, for `ctsid identify ... --params '
-                        'params.yaml`', shlex.join(('ctsid', 'init', *run.bags, '-o',
-                                                    'params.yaml')))
-            return f'the same once more, with that changed in {run.params}', again
+            return _set(run)
+        case Remedy.RECORD:
+            return _recorded(estimate.verdict.reason, run)
         case Remedy.COMPARE:
             return ('what each method makes of the same data',
                     run.command('compare', *run.interval))
@@ -166,6 +164,27 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
             return 'models of short windows: in which parts one is right', run.command('replay')
         case Remedy.SIGNALS:
             return 'which signals are in the recording, at which rates, and when they move', info
+
+
+def _set(run: Run) -> tuple[str, str]:
+    if not run.params:
+        return ('parameters in which to change that, for `ctsid identify ... --params '
+                'params.yaml`', shlex.join(('ctsid', 'init', *run.bags, '-o', 'params.yaml')))
+    return (f'the same once more, with that changed in {run.params}',
+            run.command('identify', *run.chosen))
+
+
+def _recorded(reason: str, run: Run) -> tuple[str, str]:
+    """Return how to come to samples without a fault, by the option that its sentence names."""
+    if '`stamp' in reason:
+        return _set(run)
+    if '`--time' in reason:
+        return ('the same, rows at a constant rate (yours in place of 10 Hz)',
+                run.command('identify', *run.chosen, '--time', '10Hz'))
+    if '`--use-sim-time`' in reason:
+        return ('another recording, by the clock of the simulation',
+                'ros2 bag record -a --use-sim-time -o ANOTHER_BAG')
+    return 'another recording, without that', 'ros2 bag record -a -o ANOTHER_BAG'
 
 
 def _split(estimate: Estimate, run: Run) -> tuple[str, str]:

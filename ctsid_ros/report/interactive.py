@@ -8,7 +8,10 @@ fifth of it) and filled in by the page, so that they follow light, dark and prin
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Sequence
+from functools import cache
+import gzip
 from html import escape
 import math
 from typing import Any
@@ -33,13 +36,17 @@ _DIGITS, _DATE_DIGITS = 8, 12    # of x; days since 1970 to less than a second
 
 
 def plotly_js() -> str | None:
-    """Return the library for a page; None where plotly is not installed."""
+    """Return the library for a page, as base64 of gzip; None where plotly is not installed."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
         return None
-    text: str = get_plotlyjs()
-    return text
+    return _packed(get_plotlyjs())
+
+
+@cache
+def _packed(text: str) -> str:
+    return b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 def figure(drawing: Drawing, points: int = POINTS) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctsid_core.linear.types import Array
-from ctsid_core.model.covariance import Covariance, gain_deviation, pole_deviation
+from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.gains import gains, grows
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests
 from ctsid_core.model.verdict import Grade
@@ -25,6 +26,7 @@ from ctsid_ros.report.responses import (
 from ctsid_ros.report.tables import (
     Table,
     fit_words,
+    gain_text,
     join,
     label,
     number,
@@ -43,16 +45,12 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # of the table of windows
 _MOST_MODES = 4  # in a row of it
 _NEAR_TRUTH = 3.0  # standard deviations
-_TOLD = 3.0  # standard deviations from 0: a pole nearer to it may integrate, if the gain is too
-_SETTLED = 10.0  # time constants of the slowest other mode
-_NOTHING = 0.1     # of the largest response: a gain known to less is known
-_DOMAINS = {            # what the choice of a domain means to whoever uses the model
-    'predictions': 'The fits of this model are of predictions, which know the outputs before as '
-                   'well as the inputs: its plant grows by itself and cannot be simulated for '
-                   'long, or the inputs alone explain less than half of the motion.',
-    'disturbed': 'Something that was not measured (wind? another input?) moves the output for '
-                 'longer than the plant remembers. The model says how the inputs act; poles that '
-                 'the inputs hardly move may be those of the disturbance.'}
+_DISTURBED = (
+    'Something that is not among the inputs moves the output for longer than the plant remembers: '
+    'wind or a load; an input that was left out; or, where a controller holds the plant, its set '
+    'point, of which the input is what the controller makes. The model says how the inputs act; '
+    'poles that the inputs hardly move may be those of the disturbance. If something that moved '
+    'the plant was recorded, add it to `inputs`.')
 
 
 def record_section(estimate: Estimate, records: Sequence[tuple[str, float, float]]) -> Section:
@@ -106,9 +104,22 @@ def complaint_section(notes: Sequence[str]) -> Section:
 def choice_section(estimate: Estimate, *, brief: bool = False) -> Section:
     """Return what was chosen from the data, and why."""
     lines = tuple(f'`{c.name}` = {_value(c.value)}: {c.why}' for c in estimate.choices)
-    words = tuple(_DOMAINS[str(c.value)] for c in estimate.choices
-                  if c.name == 'domain' and c.value in _DOMAINS)
+    domain = next((c.value for c in estimate.choices if c.name == 'domain'), '')
+    words = (_predicted(estimate),) if domain == 'predictions' else \
+        (_DISTURBED,) if domain == 'disturbed' else ()
     return Section('Chosen from the data', (Bullets(lines), *words) if lines else (), brief=brief)
+
+
+def _predicted(estimate: Estimate) -> str:
+    """Say what it means that a model is judged by its predictions."""
+    model, known = estimate.model or estimate.rejected_model, estimate.covariance
+    why = 'the inputs alone explain too little of the motion'
+    if model and grows(model, known):
+        why = 'its plant grows by itself and cannot be simulated for long'
+    elif model and ((found := gains(model, known)) is None or found.rate.any()):
+        why = f'its plant integrates, so that what disturbs it stays in the output, and {why}'
+    return ('The fits of this model are of predictions, which know the outputs before as well as '
+            f'the inputs: {why}.')
 
 
 def _value(value: object) -> str:
@@ -186,53 +197,26 @@ def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
 
 
 def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Section:
-    """Return the DC gains, where they mean something, with their standard deviations."""
-    if not (model.poles.real < 0).all():
+    """Return the gains, where they mean something, with their standard deviations."""
+    found = gains(model, covariance)
+    if found is None:
         return Section('', ())
-    gain = model.dc_gain
-    std = np.full_like(gain, np.nan) if covariance is None else gain_deviation(covariance, model)
     rows = tuple((label(y, model.output_units[i]),
-                  *(plus_minus(gain[i, j], std[i, j]) for j in range(model.nu)))
+                  *(gain_text(found.value[i, j], found.std[i, j], bool(found.rate[i, j]))
+                    for j in range(model.nu)))
                  for i, y in enumerate(model.output_names))
-    heads = tuple(label(u, model.input_units[j]) for j, u in enumerate(model.input_names))
-    # Beside what the response is elsewhere a gain may be known to be nothing.
-    most = np.abs(model.frequency_response(frequencies(model))).max(axis=0)
-    size = np.maximum(np.abs(gain), _NOTHING * most)
+    table = Table(('output', *(label(u, model.input_units[j])
+                               for j, u in enumerate(model.input_names))), rows, ('output',))
+    if found.rate.any():
+        return Section('Gain: output per input', (
+            table, f'The pole of {number(found.pole, 3)} rad/s cannot be told from 0: the plant '
+            'integrates, or is too slow for these data to tell. A gain with /s says by how much '
+            'the output moves in each second, for each unit of a constant input.'
+            + ('' if found.rate.all() else ' Any other is without that pole.')))
     unknown = ('Where the standard deviation is larger than the gain, not even its sign is known: '
                'the data are too short for what happens slowly, or the inputs do not move slowly '
-               'enough.',) if (std > size).any() else ()
-    integrates = () if covariance is None or not (_TOLD * std > size).any() else \
-        _integrates(model, covariance)
-    return Section('DC gain: output per input', (
-        Table(('output', *heads), rows, ('output',)), *(integrates or unknown)))
-
-
-def _integrates(model: StateSpace, covariance: Covariance) -> tuple[str, ...]:
-    """Say what a pole does that cannot be told from 0: how fast outputs move, and what rests."""
-    poles, vectors = np.linalg.eig(model.A)
-    std = pole_deviation(covariance, model)
-    known = [float(std[np.argmin(np.abs(model.poles - p))]) for p in poles]
-    slowest = np.min(np.abs(poles), initial=np.inf)
-    near = [k for k, p in enumerate(poles) if p.imag == 0.0
-            and slowest == abs(p) < _TOLD * known[k] < np.inf]
-    if len(near) != 1:
-        return ()
-    (k,) = near
-    rate = np.outer(model.C @ vectors[:, k], np.linalg.solve(vectors, model.B.astype(complex))[k])
-    # While the other modes settle, and for some time more, it moves an output so far.
-    far = _SETTLED * rate.real / np.min(np.abs(np.delete(poles, k)), initial=np.inf)
-    rest = model.dc_gain - (rate / -poles[k]).real if poles[k] else np.full_like(far, np.nan)
-    if len(poles) == 1:
-        rest = model.D                      # and no rounding
-    words = []
-    for i, y in enumerate(model.output_names):
-        for j, u in enumerate(model.input_names):
-            words.append(f'the gain from {u} to {y} is {number(rest[i, j], 4)} without it'
-                         if abs(far[i, j]) < abs(rest[i, j]) else
-                         f'{y} moves by {number(rate[i, j].real, 4)} in a second for each unit of '
-                         f'{u}')
-    return (f'The pole of {number(poles[k].real, 3)} rad/s cannot be told from 0. If it '
-            f'integrates, {"; ".join(words)}.',)
+               'enough.',) if found.vague else ()
+    return Section('DC gain: output per input', (table, *unknown))
 
 
 def bode_section(model: StateSpace, points: int = 13, covariance: Covariance | None = None,

@@ -82,6 +82,11 @@ def plus_minus(value: float, std: float, digits: int = 4) -> str:
     return shown if alone else f'{shown} ± {number(std, 2)}'
 
 
+def gain_text(value: float, std: float, rate: bool) -> str:
+    """Return a gain, marked where it says how fast the output moves."""
+    return plus_minus(value, std) + (' /s' if rate else '')
+
+
 def percent(value: float) -> str:
     """Return a fit [%] with one decimal; '-' for NaN, '< -999' for a diverged one."""
     return '-' if math.isnan(value) else '< -999' if value < -999 else f'{value:.1f}'

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ctsid_core.linear.types import Array
+from ctsid_core.model.gains import gains
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import Grade
 from ctsid_ros.replay.along import Windows, changes
@@ -130,25 +131,25 @@ def _dead_times(windows: Windows, marks: Sequence[tuple[float, str]]) -> Iterato
 
 
 def gain_figures(windows: Windows) -> list[Figure]:
-    """Draw the DC gains over time, of the models that settle."""
-    settles = [e.model is not None and bool((e.model.poles.real < 0.0).all())
-               for e in windows.estimates]
-    first = next((e.model for e, does in zip(windows.estimates, settles, strict=True)
-                  if does and e.model is not None), None)
+    """Draw the gains over time, of the models that have any: most of them DC gains, or rates."""
+    found = [None if e.model is None else gains(e.model, e.covariance) for e in windows.estimates]
+    first = next((e.model for e, own in zip(windows.estimates, found, strict=True) if own), None)
     if first is None:
         return []
-    none = np.full((first.ny, first.nu), np.nan)
-    gains, stds = (np.array(rows) for rows in zip(*(
-        (e.model.dc_gain, e.dc_gain_std) if does and e.model is not None else (none, none)
-        for e, does in zip(windows.estimates, settles, strict=True)), strict=True))
+    rates = np.mean([own.rate for own in found if own], axis=0) > 0.5
+    none = np.full(rates.shape, np.nan)
+    values, stds = (np.array([none if own is None else np.where(
+        own.rate == rates, getattr(own, key), np.nan) for own in found])
+        for key in ('value', 'std'))
     figures = []
     for i, j in [(i, j) for i in range(first.ny) for j in range(first.nu)][:_MOST_GAINS]:
-        y, s = gains[:, i, j], stds[:, i, j]
+        y, s = values[:, i, j], stds[:, i, j]
         unit = _per(first.output_units[i], first.input_units[j])
         limits = around(y[np.isfinite(y)].tolist(), log=False, std=s)
+        name = 'gain per second' if rates[i, j] else 'DC gain'
         figures.append(Figure(Drawing((Axes(
             [Curve(windows.middles, y, '', 1, 'both', y - 2 * s, y + 2 * s)],
-            label('DC gain', unit), _TIME, height=140.0, y_limits=limits),),
+            label(name, unit), _TIME, height=140.0, y_limits=limits),),
             link='time', picks=True), '', f'{first.input_names[j]} → {first.output_names[i]}'))
     return figures
 

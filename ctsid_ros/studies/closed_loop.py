@@ -56,13 +56,8 @@ def lines(found: Summary, q: float) -> list[tuple[str, ...]]:
     """Return the rows of the table for one level of process noise."""
     least, rows = bound(q), []
     for pole, i in of_poles(flown(0, q).model):
-        cells = found.rmse[i], least[i]
         rows.append((f'{q:g}', pole, f'{found.bias[i]:.3g}', f'{found.std[i]:.3g}',
-                     f'{found.bias[i] / found.std[i]:.2f}', *(f'{x:.3g}' for x in cells),
-                     f'{found.rmse[i] / least[i]:.2f}',
-                     f'{found.deviation[i] / found.rmse[i]:.2f}',
-                     f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %',
-                     str(found.runs)))
+                     f'{found.bias[i] / found.std[i]:.2f}', *found.beside(least, i)))
     return rows
 
 

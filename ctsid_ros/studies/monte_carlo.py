@@ -108,6 +108,13 @@ class Summary:
         return np.asarray(np.sqrt(np.sum(np.abs(self.errors) ** 2, axis=0)
                                   / (len(self.errors) or np.nan)))
 
+    def beside(self, bound: Array, i: int) -> tuple[str, ...]:
+        """Return cells of a pole: its error, a bound, how both compare, and how often it is."""
+        return (*(f'{x:.3g}' for x in (self.rmse[i], bound[i])), *(
+            f'{x / y:.2f}' for x, y in ((self.rmse[i], bound[i]),
+                                        (self.deviation[i], self.rmse[i]))),
+            f'{100 * self.right:.1f} %', f'{100 * self.ok:.1f} %', str(self.runs))
+
 
 def summary(outcomes: Sequence[Outcome]) -> Summary:
     """Return what outcomes amount to."""

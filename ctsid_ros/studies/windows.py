@@ -56,12 +56,8 @@ def lines(found: Summary, name: str, snr: float) -> list[tuple[str, ...]]:
     """Return the rows of the table for one experiment."""
     least, rows = bound(name, snr), []
     for pole, i in of_poles(experiment(0, name, snr).model):
-        cells = found.bias[i], found.std[i], found.rmse[i], least[i]
-        rows.append((name, f'{snr} dB', pole, *(f'{x:.3g}' for x in cells),
-                     f'{found.rmse[i] / least[i]:.2f}',
-                     f'{found.deviation[i] / found.rmse[i]:.2f}',
-                     f'{100 * found.right:.1f} %', f'{100 * found.ok:.1f} %',
-                     str(found.runs)))
+        rows.append((name, f'{snr} dB', pole, f'{found.bias[i]:.3g}', f'{found.std[i]:.3g}',
+                     *found.beside(least, i)))
     return rows
 
 

@@ -35,6 +35,10 @@ example: ctsid init flight.mcap -o params.yaml --output '/imu angular_velocity.x
 
 How the pairs are found, and what the columns mean: docs/choosing_signals.md."""
 _MOST_OTHERS = 8
+_BACKWARDS = (
+    'Later input: what the input is after the output. No plant answers to that. Where it explains '
+    'as much, a controller computes the input from the output (then move its set point), or the '
+    'two are the wrong way round.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,15 +100,16 @@ def _taken(guessed: Guess) -> str:
 
 def pair_section(guessed: Guess) -> Section:
     """Return the pairs that were found, with the figures behind them."""
-    rows = tuple(_row(i, pair, i == guessed.pick or not guessed.free)
+    rows = tuple(_row(i, pair, any(pair is one for one in guessed.taken))
                  for i, pair in enumerate(guessed.pairs, 1))
     remarks = tuple(f'pair {i}: {cell(pair.input.key[0])} drives {cell(pair.nearer)}, which is '
                     'nearer to the plant' for i, pair in enumerate(guessed.pairs, 1)
                     if pair.nearer)
     return Section('Inputs and outputs, the most promising pair first', (
-        Table(('pair', 'input', 'output', 'explained [%]', 'from future [%]', 'coherence',
+        Table(('pair', 'input', 'output', 'explained [%]', 'by later input [%]', 'coherence',
                'lag [s]', 'frequencies', 'both [s]', 'rates [Hz]'), rows, ('input', 'output')),
-        *([Bullets(remarks)] if remarks else [])))
+        *([Bullets(remarks)] if remarks else []), *([_BACKWARDS] if any(
+            pair.explained.future >= pair.explained.past for pair in guessed.pairs) else [])))
 
 
 def _row(index: int, pair: Pair, taken: bool) -> tuple[str, ...]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 import shlex
 from typing import TYPE_CHECKING
@@ -22,6 +23,8 @@ from ctsid_ros.verbs.arguments import (
 )
 
 if TYPE_CHECKING:
+    from ctsid_core.model.estimate import Estimate
+    from ctsid_ros.config.channels import Config
     from ctsid_ros.recordings.guess import Guess
 
 HELP = 'look at a bag, choose input and output, identify, and write the report'
@@ -46,14 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> int:
     """Look, guess, identify, write, print."""
-    from ctsid_core.model.storage import write_file
+    from ctsid_core.model.storage import load_estimate, write_file
     from ctsid_ros.config.parameter_text import dump_brief
     from ctsid_ros.progress import working
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.guess import guess
     from ctsid_ros.recordings.guess_named import named
     from ctsid_ros.recordings.survey import survey
-    from ctsid_ros.replay.results import results_folder
+    from ctsid_ros.replay.results import MODEL, results_folder
     from ctsid_ros.report.document import to_text
     from ctsid_ros.verbs.info import stretch_section, topic_section
     from ctsid_ros.verbs.init import head, next_command, pair_section
@@ -70,9 +73,14 @@ def command(args: argparse.Namespace) -> int:
                         force=args.force) as out:
         params = out / PARAMS
         line = next_command(guessed, bag_words(args), str(params))
-        text = head(guessed, line) + dump_brief(guessed.config)
-        write_file(params, text.encode(), force=True)
+
+        def write(config: Config) -> None:
+            write_file(params, (head(guessed, line) + dump_brief(config)).encode(), force=True)
+
+        write(guessed.config)
         code = _identify(line, args, out)
+        if code == ACCEPTED:
+            write(_spanning(guessed.config, load_estimate(out / MODEL), found.duration))
     if not args.json and code != ACCEPTED:
         print(_otherwise(guessed, args))
     return code
@@ -89,6 +97,14 @@ def _identify(line: str, args: argparse.Namespace, out: Path) -> int:
     own = parser.parse_args([*words, *('--json',) * args.json, *('--quiet',) * args.quiet])
     own.command_line = shlex.join(('ctsid', 'identify', *words))
     return identify.command(own)
+
+
+def _spanning(config: Config, estimate: Estimate, duration: float) -> Config:
+    """Return the parameters, their windows long enough for the dead time that was found."""
+    from ctsid_ros.recordings.guess import spanning
+
+    delay = max(estimate.model.delay, default=0.0) if estimate.model else 0.0
+    return replace(config, settings=spanning(config.settings, delay, duration))
 
 
 def _otherwise(guessed: Guess, args: argparse.Namespace) -> str:

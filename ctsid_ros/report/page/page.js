@@ -1,5 +1,22 @@
 'use strict';
-(function () {
+(async function () {
+  // The library of the drawings is most of the page: it is kept as base64 of gzip.
+  async function unpack(text) {
+    const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'));
+    const script = document.createElement('script');
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+  }
+  try {
+    await unpack(document.getElementById('library').textContent);
+  } catch (error) {
+    const words = document.createElement('footer');
+    words.textContent = `The drawings need a browser of 2023 or later (${error.message}).`;
+    document.body.append(words);
+    throw error;
+  }
+
   const figures = JSON.parse(document.getElementById('figures').textContent);
   const { frames, windows } = JSON.parse(document.getElementById('series').textContent);
   const touch = matchMedia('(pointer: coarse)').matches;

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The gain of a model: what an output becomes for a constant input, or how fast it moves if it does.
+
+With one pole p at 0, as far as is known, outputs settle or move at a constant rate:
+
+    y(t) -> sum_j C P_j B u / -p_j + D u + t C P B u,   P_j, P the projectors on the modes.     (1)
+
+Its rate C P B is known where the DC gain, C P B / -p + ..., is not. To first order P changes by
+
+    dP = P dA S + S dA P,   S = sum_j P_j / (p - p_j).                                          (2)
+
+Source for (2): T. Kato, "Perturbation Theory for Linear Operators", chapter II, section 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from ctsid_core.linear.types import Array, Mask
+from ctsid_core.model.covariance import Covariance, gain_deviation
+from ctsid_core.model.statespace import StateSpace
+
+_TOLD = 3.0         # standard deviations from 0: a pole nearer to it may integrate
+_ROUNDING = 1e-9    # of the fastest pole: what is slower is 0
+_SETTLED = 10.0     # time constants of the slowest other mode
+_NOTHING = 0.1      # of the largest response: a gain known to less is known
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """
+    What a constant input does to each output, in the end.
+
+    Parameters
+    ----------
+    value, std : ndarray, shape (ny, nu)
+        Gains, or rates [1/s] where `rate` says so, with standard deviations; NaN: not known.
+    rate : ndarray of bool, shape (ny, nu)
+        Whether the output moves on, by `value` in a second for each unit of the input.
+    pole : float
+        Of the mode that integrates [rad/s], 0 as far as is known; NaN if there is none.
+    vague : bool
+        Whether of one the standard deviation is larger than itself and than what the response is
+        elsewhere.
+    """
+
+    value: Array
+    std: Array
+    rate: Mask
+    pole: float = math.nan
+    vague: bool = False
+
+
+def gains(model: StateSpace, covariance: Covariance | None = None) -> Gains | None:
+    """Return the gains of a model; None where it has none, for a mode grows or two integrate."""
+    if not (model.poles.real < 0.0).all():
+        return _integrating(model, covariance)
+    value, none = model.dc_gain, np.zeros((model.ny, model.nu), dtype=bool)
+    if covariance is None:
+        return Gains(value, np.full(value.shape, np.nan), none)
+    std = gain_deviation(covariance, model)
+    # Beside what the response is elsewhere a gain may be known to be nothing.
+    most = np.abs(model.frequency_response(model.natural_frequency)).max(axis=0, initial=0.0)
+    size = np.maximum(np.abs(value), _NOTHING * most)
+    moving = _integrating(model, covariance) if (_TOLD * std > size).any() else None
+    return moving or Gains(value, std, none, vague=bool((std > size).any()))
+
+
+def grows(model: StateSpace, covariance: Covariance | None = None) -> bool:
+    """Return whether a mode grows, as far as is known."""
+    return bool((model.poles.real > _uncertain(model, covariance)).any())
+
+
+def _uncertain(model: StateSpace, covariance: Covariance | None) -> Array:
+    """
+    Return how far from 0 each pole may be and be at 0, (n,) [rad/s].
+
+    To first order, as deviations of gains are: a fast mode that is hardly known takes with it no
+    slow one that is.
+    """
+    size = np.abs(model.poles)
+    std = np.zeros(model.n) if covariance is None else \
+        np.linalg.norm(covariance.pole_changes(model), axis=0)
+    found: Array = np.maximum(_TOLD * std, _ROUNDING * np.max(size, initial=0.0))
+    return found
+
+
+def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | None:
+    """Return the gains (1) if the slowest mode, and no other, moves outputs at constant rates."""
+    poles, right = np.linalg.eig(model.A)
+    try:
+        left = np.linalg.inv(right)
+    except np.linalg.LinAlgError:
+        return None
+    k = int(np.argmin(np.abs(poles)))
+    pole, rest = poles[k], np.arange(len(poles)) != k
+    own = int(np.argmin(np.abs(model.poles - pole)))
+    if pole.imag or abs(pole) > _uncertain(model, covariance)[own] or (
+            poles[rest].real >= 0.0).any():
+        return None
+    others = right[:, rest] / (pole - poles[rest]) @ left[rest]                 # S in (2)
+    P = np.outer(right[:, k], left[k])
+    value = (model.C @ P @ model.B).real
+    gain = (model.C @ (right[:, rest] / -poles[rest]) @ left[rest] @ model.B).real + model.D
+    std = np.full(value.shape, np.nan)
+    if covariance is not None:
+        e = covariance.entries
+        dP = P @ e.A @ others + others @ e.A @ P
+        std = np.linalg.norm(
+            e.C @ P @ model.B + model.C @ dP @ model.B + model.C @ P @ e.B, axis=0)
+    # While the other modes settle, and for some time more, it moves an output so far.
+    slowest = np.min(np.abs(poles[rest]), initial=np.inf)
+    moves = (value != 0.0) if not rest.any() else \
+        _SETTLED * np.abs(value) >= np.abs(gain) * slowest
+    if not (moves & ~(_TOLD * std > np.abs(value))).any():
+        return None         # as of two modes that are alike
+    return Gains(np.where(moves, value, gain), np.where(moves, std, np.nan), moves, float(
+        pole.real))
