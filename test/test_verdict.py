@@ -519,7 +519,7 @@ def test_well_excited_windows_are_good():
 
 @pytest.mark.parametrize(('seed', 'what'), [
     (29, 'Modes neither grow nor decay'), (39, 'Predictions find a mode that grows'),
-    *slow(*((seed, '') for seed in range(19, 200, 10) if seed not in (29, 39, 119)))])
+    *slow(*((seed, '') for seed in range(9, 200, 10) if seed not in (29, 39)))])
 def test_what_points_to_a_controller_is_the_first_reason(seed, what):
     """Not told of it, a simulation finds anything but the plant, and is not GOOD."""
     name, record, _ = excited(seed)
@@ -533,15 +533,6 @@ def test_what_points_to_a_controller_is_the_first_reason(seed, what):
     told = identify(record, Settings(feedthrough=False))
     assert told.good
     assert not any('as when' in note for note in told.notes)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('seed', [9, 119])
-def test_a_plant_that_no_simulation_tells_is_found_without_that(seed):
-    """Two of the same twenty loops leave more than half of the motion to any simulation."""
-    found = identify(excited(seed)[1])
-    assert found.good
-    assert np.sort(found.model.poles.real) == pytest.approx([-3.0, 2.0], abs=0.25)
 
 
 @pytest.mark.parametrize(('seed', 'noise'), [

@@ -290,7 +290,18 @@ def test_what_two_models_promise_is_what_they_explain_to_first_order(number):
     promise = [sum(side.sum() * np.log(left(side, rows[:, states]) / left(side, rows))
                    for side in (shares <= at, shares > at)) for at in changed._INSTANTS]
     best = np.array(changed._INSTANTS)[np.argsort(promise)[-2:]]
-    assert sorted(changed._likely(thin, own)) == pytest.approx(sorted(best))
+    assert sorted(changed._likely(thin, own, own)) == pytest.approx(sorted(best))
+
+
+def test_two_smaller_models_are_tried_where_they_may_leave_less():
+    """Two lags do not explain what two masses do, so it is no change of a lag."""
+    samples = samples_of([experiment('two-masses', 12, 0).record], [[None]])
+    free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
+    lag, masses = ((climb(samples, fit_at(
+        samples, np.array(poles), np.array([0.01]), free), free).model, free)
+        for poles in ([-4.0 + 0j], [-1.0 + 4.0j, -2.0 + 10.0j]))
+    assert changed._likely(samples, lag, lag)
+    assert not changed._likely(samples, lag, masses)
 
 
 def test_where_the_past_of_an_input_tells_more_no_controller_is_seen():

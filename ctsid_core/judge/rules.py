@@ -45,8 +45,9 @@ _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
+_GUESSED = (Remedy.EXCITE, Remedy.SIGNALS, Remedy.PART)
 _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
-_MISLED = (Remedy.SIGNALS, Remedy.EXCITE, Remedy.SPLIT, Remedy.PART, Remedy.SETTING)
+_MISLED = (*_GUESSED, Remedy.SPLIT, Remedy.SETTING)
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = 'The model has not been tested on held-out data: '
 
@@ -57,7 +58,7 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     for status, remedy, reason in chain(_rejections(evidence), weak):
         if (fault := next(_faults(evidence), None)) and status in _FAULTY:
             remedy, reason = fault
-        doubtful = status in _DOUBTED and remedy in (Remedy.EXCITE, Remedy.SIGNALS)
+        doubtful = status in _DOUBTED and remedy in _GUESSED
         if reason not in evidence.faults and (
                 doubt := evidence.wrapped or (evidence.doubt if doubtful else None)):
             what, setting = doubt
