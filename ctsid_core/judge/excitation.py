@@ -42,8 +42,9 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     [s]: of a simulation that is the record, of predictions how far they go.
     """
     omega, weight, lines, sent, acting = _input_spectra(samples, delay)
-    # That tells a mean over a width of 1 / ahead, finite of modes that do not decay, too.
-    moving = replace(moving, A=moving.A - np.eye(moving.n) / ahead)
+    # That tells a mean over a width of 1 / ahead, of modes that do not decay beside their growth.
+    width = 1.0 / ahead + np.max(moving.poles.real, initial=0.0)
+    moving = replace(moving, A=moving.A - width * np.eye(moving.n))
     response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
     variance, moved = _uncertain(samples, covariance, moving, omega, lines)
     own = _uncorrelated(sent)
