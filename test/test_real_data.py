@@ -106,6 +106,16 @@ def test_ball_on_beam(data_folder, order, hold, seed):
     assert ahead.fit[0] >= 88.0
 
 
+def test_all_of_ball_on_beam_is_good(data_folder):
+    """It grows within the 50 samples that its response is asked for: beside its growth."""
+    u, y = np.loadtxt(data_folder / 'daisy' / 'ballbeam.dat').T[:2]
+    t = 0.1 * np.arange(len(u))
+    estimate = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                        Settings(feedthrough=False))
+    assert estimate.good
+    assert estimate.verdict.excitation[0].uncertainty < 0.1
+
+
 @pytest.fixture(scope='module')
 def joints():
     """Commands and angles of the twelve joints of a walking quadruped."""
