@@ -27,6 +27,9 @@ from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
 from ctsid_core.model.validation import simulation
+from ctsid_ros.studies.robots.experiment import stamps
+from ctsid_ros.studies.robots.inputs import drive
+from ctsid_ros.studies.robots.linear import Held
 
 HD51 = PLANTS['hd51']
 DIRECT = replace(HD51, D=np.array([[0.1], [-0.05]]))
@@ -404,3 +407,50 @@ def test_predictions_find_the_dead_time_of_a_loop():
                      Settings(feedthrough=False))
     assert found.verdict.grade is Grade.GOOD
     assert found.model.delay == pytest.approx([0.12], abs=0.01)
+
+
+def accelerometer(seed: int) -> tuple[Record, StateSpace]:
+    """Return what answers to eight jumps at once, 34 ms late, and forgets them."""
+    rng = np.random.default_rng(seed)
+    t_u, t = np.arange(-1.0, 12.0, 0.02), np.arange(0.0, 11.9, 1.0 / 60.0)
+    t = t + rng.uniform(0.0, 1e-3, len(t))
+    u = np.repeat(rng.uniform(-1.0, 1.0, 9), 81)[:len(t_u), np.newaxis]
+    truth = StateSpace([[-3.0]], [[-4.5]], [[1.0]], [[1.5]], delay=(0.034,))
+    y = truth.simulate([Signal(t_u, u, 'zoh')], t)
+    y += 0.02 * np.std(y) * rng.standard_normal(y.shape)
+    return Record.from_arrays(t_u, u, t, y, input_hold='zoh'), truth
+
+
+@pytest.mark.parametrize('seed', [2, 10, *slow(0, 3, 12, 15)])
+def test_samples_between_a_jump_and_its_answer_are_honest(seed):
+    """Few tell when an output jumps: without these any dead time does as well, up to 34 ms off."""
+    record, truth = accelerometer(seed)
+    found = identify(record)
+    assert found.statistics['corrupt_samples'] == 0
+    assert found.model.delay[0] == pytest.approx(0.034, abs=2.5e-3)       # 17 ms between outputs
+    omega = np.geomspace(0.5, 10.0, 50)
+    here, there = (m.frequency_response(omega)[:, 0, 0] for m in (found.model, truth))
+    assert np.max(np.abs(here / there - 1.0)) < 0.05
+
+
+def late_servo(seed: int) -> Record:
+    """Return a gain of 1.7 that is 40 ms late, moved by a binary sequence, noise of 2 %."""
+    rng = np.random.default_rng(seed)
+    t_u, t = stamps(rng, -0.5, 12.0, 60.0), stamps(rng, 0.0, 12.0, 110.0)
+    held = Held(t_u, drive('prbs', rng, t_u, 12.0, 2.0))
+    y = 1.7 * held.at(t - 0.04)
+    y += 0.02 * np.std(y) * rng.standard_normal(y.shape)
+    return Record.from_arrays(t_u, held.values, t, y, input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seeds', 'least'), [(4, 3), *slow((14, 12))])
+def test_a_gain_after_a_dead_time_is_not_taken_for_many_states(seeds, least):
+    """The lags of states that are too fast to be seen belong to the dead time of D."""
+    right = 0
+    for seed in range(seeds):
+        found = identify(late_servo(seed))
+        model = found.model
+        right += bool(model.n <= 3 and found.statistics['corrupt_samples'] == 0
+                      and abs(model.D[0, 0] - 1.7) < 0.02 and abs(model.delay[0] - 0.04) < 1e-3)
+    print(f'{right} of {seeds}')
+    assert right >= least

@@ -19,7 +19,7 @@ errors fall: as many numbers as there are independent samples explain any of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -80,12 +80,13 @@ class Tried:
 
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
-                  order: int, max_order: int, known_delay: Array) -> dict[int, Tried]:
+                  order: int, max_order: int, known_delay: Array,
+                  near: Sequence[Array] = ()) -> dict[int, Tried]:
     """
     Return the best model of each order that was tried: of one order, or any up to `max_order` (0).
 
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
-    (nu,) [s], is 0 where dead times are free.
+    (nu,) [s], is 0 where dead times are free; `near` are dead times to begin with, beside a grid.
     """
     thin = samples.thinned(SEARCHED)
     grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
@@ -104,7 +105,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if not n:
             break
         looked.add(n)
-        fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay,
+        fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay, near,
                        np.inf if order or not found else _rival(found, thin, n))
         if fit is None:
             continue
@@ -266,10 +267,10 @@ def _delays(free: Free, known: Array) -> list[Array]:
 
 
 def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
-             subspace: SubspacePoles, free: Free, known: Array,
+             subspace: SubspacePoles, free: Free, known: Array, near: Sequence[Array],
              needed: float) -> Fit | None:
     """Return the best model of one order, of `most` at most."""
-    starts = sorted(_starts(n, most, found, grid, subspace, free, known), key=lambda s: s[0])
+    starts = sorted(_starts(n, most, found, grid, subspace, free, known, near), key=lambda s: s[0])
     kinds: dict[str, int] = {}
     each = _EACH if n < 3 else 1
     fits: list[tuple[str, Fit]] = []
@@ -316,12 +317,13 @@ def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
 
 
 def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles,
-            free: Free, known: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
+            free: Free, known: Array,
+            near: Sequence[Array]) -> Iterator[tuple[float, str, ComplexArray, Array]]:
     """Yield promising starts of one order: score, kind, poles, dead times."""
     none = np.empty(0, dtype=complex)
     for before, real in ((n - 1, True), (n - 2, False)):
         if before == 0:
-            options = [(none, d) for d in _delays(free, known)]
+            options = [(none, d) for d in (*_delays(free, known), *near)]
         elif before in found:
             model = found[before].fit.model
             options = [(model.poles, model.delay)]

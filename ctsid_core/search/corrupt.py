@@ -68,38 +68,52 @@ def given_back(part: Joint, found: Callable[[Joint], Solution | None],
     Return the model that is found without what its neighbours, and a model, take for corrupt.
 
     `found` returns the model of records, or None if they are too short for any. It is asked again
-    with samples that the model of the others explains, where there is budget for it.
+    with samples that the model of the others explains, or else that of all: without the few that
+    show when an output jumps, another dead time does as well. Where there is budget for it.
     """
-    solution = found(part)
+    solution, whole = found(part), _all_of(part)
     while solution is not None and not effort.beyond(_AGAIN):
-        told = solution.simulating if solution.by_prediction else (
-            solution.samples, solution.fit, solution.free)
-        honest = None if told is None else _honest(part, told[0], told[1])
-        if honest is None:
+        honest = _honest(part, part, solution)
+        if honest is None and whole is not None:
+            other = found(whole)
+            honest, whole = None if other is None else _honest(part, whole, other), None
+        if honest is None or effort.beyond(_AGAIN):
             break
         part, solution = honest, found(honest) or solution
     return solution
 
 
-def _honest(part: Joint, samples: Samples, fit: Fit) -> Joint | None:
-    """Return the records with the corrupt samples that a model explains, or None."""
+def _all_of(part: Joint) -> Joint | None:
+    """Return the records with all that was measured, or None if that is what they have."""
     if not any(f.any for p in part.parts for f in p.corrupt_y):
         return None
-    records, parts = [p.record for p in part.parts], []
+    return replace(part, parts=tuple(p.with_honest([f.mask for f in p.corrupt_y])
+                                     for p in part.parts))
+
+
+def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
+    """Return the records with corrupt samples that the model of those seen explains, or None."""
+    told = solution.simulating if solution.by_prediction else (
+        solution.samples, solution.fit, solution.free)
+    if told is None or _all_of(part) is None:
+        return None
+    samples, fit, _ = told
+    records, parts = [p.record for p in seen.parts], []
     whole = samples_of(records, [[None] * len(r.outputs) for r in records], effort=samples.effort)
     whole = replace(whole, records=tuple(replace(r, start=own.start, streams=tuple(
         s.of(s.times >= own.start) for s in r.streams))
         for r, own in zip(whole.records, samples.records, strict=True)))
-    for errors, p, record in zip(residuals(whole, fit), part.parts, whole.records, strict=True):
+    for errors, p, other, record in zip(residuals(whole, fit), part.parts, seen.parts,
+                                        whole.records, strict=True):
         honest = []
-        for e, s, signal, spiky in zip(errors, record.streams, p.record.outputs, p.corrupt_y,
-                                       strict=True):
+        for e, s, signal, spiky, bridged in zip(errors, record.streams, p.record.outputs,
+                                                p.corrupt_y, other.corrupt_y, strict=True):
             rows, mask = np.searchsorted(signal.time, s.times), np.zeros_like(spiky.mask)
             # Of what was measured: a spike stands out from errors that are large, but smooth.
-            e = e + np.where(spiky.mask, spiky.off, 0.0)[rows] / samples.size[s.channels]
-            seen = spikes(s.times, e, closely=True)
-            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~seen.mask
-            mask[:, list(seen.too_many)] = False
+            e = e + np.where(bridged.mask, bridged.off, 0.0)[rows] / samples.size[s.channels]
+            left = spikes(s.times, e, closely=True)
+            mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask
+            mask[:, list(left.too_many)] = False
             honest.append(mask)
         parts.append(p.with_honest(honest))
     return replace(part, parts=tuple(parts)) if any(

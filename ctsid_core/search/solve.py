@@ -77,6 +77,7 @@ _GROWS = 1.0          # times e within the record: less does not tell a plant th
 _GROWN = 2.0          # times e, as far as a plant that grows has to predict
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
 _MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
+_AROUND = np.linspace(-1.0, 1.0, 21)        # sample intervals, of which the mean is taken
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
@@ -147,6 +148,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         samples = seen(late)
     if late > 0.0 or best is not climbed:
         best = _climbed(samples, best, free)
+    best = _centred(samples, best, free)
     smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
     values, condition = subspace.shown(best.fit.model.n)
@@ -392,7 +394,7 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
         return best, free
     without = _fitted(known, model, free, best.fit)
     orders = search_orders(known, direct, subspace.poles, order=settings.order,
-                           max_order=model.n,
+                           max_order=model.n, near=_behind_lags(found, free),
                            known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
     orders = {n: one for n, one in orders.items() if n >= fewest}
     if not orders or settings.order not in (0, *orders):
@@ -400,7 +402,38 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     with_D = orders[settings.order or choose(orders)]
     if not beats(with_D, without):
         return best, free
-    return _fitted(samples, with_D.fit.model, direct, with_D.fit), direct
+    return _centred(samples, _fitted(samples, with_D.fit.model, direct, with_D.fit),
+                    direct), direct
+
+
+def _centred(samples: Samples, one: Tried, free: Free) -> Tried:
+    """
+    Return a model with D at the mean of the dead times that the samples allow.
+
+    In the dead time of D the likelihood is flat but where a jump of the input passes a sample: any
+    point of what is flat is a maximum, and on other data the middle errs least.
+    """
+    fit = one.fit
+    late = np.array(free.delays) & (fit.model.delay > 0.0)
+    for j in np.flatnonzero(late & fit.model.D.any(axis=0)).tolist():
+        poles, delays = fit.model.poles, np.tile(fit.model.delay, (len(_AROUND), 1))
+        delays[:, j] = np.clip(delays[:, j] + samples.interval * _AROUND, 0.0, free.longest)
+        with suppress(np.linalg.LinAlgError):
+            costs = [fit_at(samples, poles, d, free, fit, slopes=False).cost for d in delays]
+            mean = np.average(delays, axis=0, weights=np.exp(0.5 * (min(costs) - np.array(costs))))
+            middle = fit_at(samples, poles, mean, free, fit)
+            fit = middle if middle.cost < fit.cost + 1.0 else fit
+    return one if fit is one.fit else tried(samples, fit, free)
+
+
+def _behind_lags(found: dict[int, Tried], free: Free) -> list[Array]:
+    """Return the dead times of models that have none of the poles beyond what samples show."""
+    late, delays = np.array(free.delays), []
+    for model in (one.fit.model for one in found.values()):
+        fast = model.poles[np.abs(model.poles) > _AT_ONCE * free.fastest]
+        lag = -np.sum((1.0 + (fast.imag > 0.0)) / fast).real
+        delays.append(np.where(late, np.minimum(model.delay + lag, free.longest), model.delay))
+    return delays
 
 
 def _fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
