@@ -45,9 +45,9 @@ _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
 _MOVED = 3.0            # standard deviations by which a pole moves between windows by chance
 
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
-_GUESSED = (Remedy.EXCITE, Remedy.SIGNALS, Remedy.PART)
+_GUESSED = (Remedy.EXCITE, Remedy.SIGNALS)
 _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
-_MISLED = (*_GUESSED, Remedy.SPLIT, Remedy.SETTING)
+_MISLED = (*_GUESSED, Remedy.SPLIT, Remedy.PART, Remedy.SETTING)
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = 'The model has not been tested on held-out data: '
 
