@@ -223,3 +223,36 @@ def test_a_change_under_a_controller_is_never_good(gain, status, grade, words):
     assert found.verdict.reason.startswith(words)
     # A gain that moves by a quarter tells its instant to a second.
     assert gain == 4.0 or found.statistics['change_share'] == pytest.approx(0.36, abs=0.025)
+
+
+def drifting(seed, gain=0.0, pole=0.0, clock=0.0):
+    """A lag whose gain and pole move in a straight line; the inputs' clock runs apart."""
+    rng, t, t_u = np.random.default_rng(seed), np.arange(0.0, 20.0, 1e-3), np.arange(0, 20.0, 0.05)
+    u = np.repeat(rng.standard_normal(50), 8)
+    acts = u[np.clip(np.searchsorted(t_u, (1.0 + clock) * t - 0.1, side='right') - 1, 0, None)]
+    share, y = t / 20.0 - 0.5, np.zeros(len(t))
+    for k in range(len(t) - 1):
+        y[k + 1] = y[k] + 1e-3 * (-3.0 * (1.0 + pole * share[k]) * y[k]
+                                  + 6.0 * (1.0 + gain * share[k]) * acts[k])
+    seen = slice(5, None, 10)
+    return Record.from_arrays(t_u, u, t[seen], noisy(rng, y[seen, np.newaxis], 34),
+                              input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seed', 'how', 'words'), [
+    (0, {}, ''), (1, {'gain': 0.3}, 'the plant drifts'), (1, {'clock': 0.003}, 'the dead time'),
+    *slow((2, {}, ''), (2, {'gain': 0.1}, 'the plant drifts'), (2, {'pole': 0.4}, 'the plant'),
+          (0, {'clock': 0.003}, 'the dead time'), (3, {'clock': 0.003}, 'the dead time'))])
+def test_a_plant_that_drifts_is_good_with_a_word(seed, how, words):
+    """It was GOOD without one; the model is of the mean, and right there."""
+    found = identify(drifting(seed, **how))
+    assert found.good
+    notes = [note for note in found.notes if 'drift' in note]
+    assert len(notes) == bool(words)
+    assert not words or notes[0].startswith(f'perhaps {words}')
+    assert found.model.dc_gain[0, 0] == pytest.approx(2.0, rel=0.1)
+
+
+def test_of_several_records_the_one_that_drifts_is_named():
+    found = identify([drifting(0), drifting(1, gain=0.4)])
+    assert any('the plant drifts within record 2:' in note for note in found.notes)

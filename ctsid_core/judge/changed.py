@@ -18,13 +18,12 @@ in those of simulations; how much it matters is what the plant, simulated, misse
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ctsid_core.judge.curve import MOST, beside, curves_of
-from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.judge.curve import curves_of
+from ctsid_core.judge.slopes import SEARCHED, Own, only, slopes_of
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
@@ -34,11 +33,10 @@ from ctsid_core.likelihood.output_error import (
     climb,
     fit_at,
     fit_states,
-    jacobian,
 )
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
@@ -66,9 +64,6 @@ class Change:
     left: float = 1.0          # power of the errors of two over that of one, white noise apart
     one: tuple[float, float] = (float('nan'), float('nan'))     # fit, before and after [%]
     two: tuple[float, float] = (float('nan'), float('nan'))     # the same of two models [%]
-
-
-Own = tuple[ModalModel, Free]              # a model, and what is free in it
 
 
 def most_likely_change(samples: Samples, fit: Fit, free: Free,
@@ -102,7 +97,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
 def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -> Change:
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, free = predictor
-    one, whole = _only(joint, place), (fit.model, free)
+    one, whole = only(joint, place), (fit.model, free)
     if len(joint.records) > 1:
         # What disturbs a record is its own, and so is its predictor.
         with suppress(np.linalg.LinAlgError):
@@ -126,17 +121,12 @@ def _explained(samples: Samples, own: Own, found: Change) -> Change:
     return found if explained else Change()
 
 
-def _only(samples: Samples, place: int) -> Samples:
-    """Return one record: its states are fitted anew."""
-    return replace(samples, records=samples.records[place:place + 1])
-
-
 def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the most likely division of a record."""
     if samples.effort.over:
         return Change()
     found = max((_divided(samples, own, whole, place, share)
-                 for share in _likely(_only(samples, place), own, whole)),
+                 for share in _likely(only(samples, place), own, whole)),
                 key=_clean, default=Change())
     for step in _CLOSER if found.gain > 0.0 else ():
         found = max(found, *(_divided(samples, own, whole, place, share)
@@ -158,11 +148,12 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
     samples before an instant says all of that side, and 1 - Q'Q all of the other one.
     """
-    samples = samples.thinned(2 * _SEARCHED)
+    samples = samples.thinned(SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
-    fit, rows, error, states, shares, _ = _slopes(samples, own)
-    rival = fit if own is whole else fit_states(samples, *whole)
-    most = float(np.sum(samples.counts * rival.power / fit.power))
+    slopes = slopes_of(samples, own)
+    rows, states, shares, error = slopes.rows, slopes.states, slopes.shares, slopes.error
+    rival = slopes.fit if own is whole else fit_states(samples, *whole)
+    most = float(np.sum(samples.counts * rival.power / slopes.fit.power))
     order = np.argsort(shares, kind='stable')
     # What a side's own states and trims explain is no change: they come first.
     columns = np.column_stack((rows[:, states], rows[:, ~states]))[order]
@@ -198,25 +189,6 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
             if promise[k] > price and left[k] < most]
 
 
-def _slopes(samples: Samples, own: Own) -> tuple[Fit, Array, Array, Mask, Array, Array]:
-    """
-    Return a model of these records, and what may change the simulation of each sample.
-
-    Its fit, Jacobian and errors; which columns are of states and trims; when each row is, as a
-    part of its record, and of which record.
-    """
-    model, free = own
-    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
-                         turned=False)
-    fit = fit_states(samples, model, free, columns)
-    rows, error, places = jacobian(samples, fit, free)
-    times = [[(s.times - r.start) / (r.end - r.start)
-              for s in r.streams for _ in range(s.y.shape[1])] for r in samples.records]
-    return (fit, rows, error, places.of_states(samples.ny, len(times), free.trim),
-            np.concatenate([t for one in times for t in one]),
-            np.repeat(np.arange(len(times)), [sum(map(len, one)) for one in times]))
-
-
 def _best(samples: Samples, own: Own, change: Change) -> bool:
     """
     Return whether a division explains more than a drift, and than curves.
@@ -224,26 +196,17 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
     All to first order, from the same model, less what their numbers gain by chance. A record of
     another plant is compared with curves of all records.
     """
-    samples = (_only(samples, change.record) if change.share else samples).thinned(2 * _SEARCHED)
-    fit, rows, error, states, shares, records = _slopes(samples, own)
-    counts = [len(s.times) for r in samples.records for s in r.streams
-              for _ in range(s.y.shape[1])]
-    rest, after = rows[:, ~states], (shares > change.share)[:, np.newaxis]
-    common = (rows, rows[:, states] * after) if change.share else (rows,)
+    samples = (only(samples, change.record) if change.share else samples).thinned(SEARCHED)
+    slopes = slopes_of(samples, own)
+    rest, after = slopes.rest, (slopes.shares > change.share)[:, np.newaxis]
+    states = slopes.rows[:, slopes.states]
+    common = states * after if change.share else states[:, :0]
     if not change.share:
-        after = (records == change.record)[:, np.newaxis]
-
-    def unexplained(more: Array) -> float:
-        columns = np.hstack((*common, more))
-        if columns.shape[1] > MOST * len(error):
-            return np.inf
-        samples.effort.spend(4.0 * len(error) * columns.shape[1] ** 2)
-        left, told = beside(columns, error)
-        power = [float(np.mean(e ** 2)) for e in np.split(left, np.cumsum(counts)[:-1])]
-        return float(counts @ np.log(np.maximum(power, 1e-300))) + told
-    divided = unexplained(rest * after)
-    return divided < np.inf and divided <= unexplained(curves_of(samples, fit)) and (
-        not change.share or divided <= unexplained(rest * (shares - 0.5)[:, np.newaxis]))
+        after = (slopes.records == change.record)[:, np.newaxis]
+    divided, curved, drifting = (slopes.beside(np.hstack((common, more))).cost for more in (
+        rest * after, curves_of(samples, slopes.fit), slopes.drift))
+    return divided < np.inf and divided <= curved and (
+        not change.share or divided <= drifting)
 
 
 def _numbers(samples: Samples, own: Own) -> int:
@@ -262,7 +225,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     """
     if samples.effort.over:
         return Change()
-    alone, samples = len(samples.records) == 1, _only(samples, place)
+    alone, samples = len(samples.records) == 1, only(samples, place)
     record, (model, free) = samples.records[0], own
     at = record.start + share * (record.end - record.start)
     one: list[tuple[Array, ...]] = []

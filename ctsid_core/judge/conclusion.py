@@ -12,6 +12,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
+from ctsid_core.judge.drift import Drift, drift_of
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.feedback import distance_to_controller
@@ -65,6 +66,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     simulated = solution.simulated
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
+    drift = _drift(solution)
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names,
@@ -77,7 +79,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     lead = np.zeros(moving.nu) if simulated is None or not sought else \
         lead_of_outputs(*simulated, sought)
-    evidence = _evidence(solution, errors, unseen, change, (seen, unsure), model, moving,
+    evidence = _evidence(solution, errors, unseen, (change, drift), (seen, unsure), model, moving,
                          deviation, curves, lead)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
@@ -90,7 +92,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         fit=100.0 * (1.0 - verdict.error), held_out_fit=100.0 * (1.0 - verdict.held_out_error),
         singular_values=solution.singular_values, condition=solution.condition,
         choices=solution.choices, orders=solution.orders,
-        notes=(*part.notes, *solution.notes, *corrupt, *change_note(evidence),
+        notes=(*part.notes, *solution.notes, *corrupt,
+               *(change_note(evidence) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, solution.doubt)) if setting not in verdict.reason),
                *_spent(effort)),
@@ -180,10 +183,11 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
     return tuple(found)
 
 
-def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Change,
+def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
+              changing: tuple[Change, Drift],
               seen: tuple[tuple[Excitation, ...], Array], model: StateSpace, moving: StateSpace,
               deviation: Array, curves: Array, lead: Array) -> Evidence:
-    part = solution.part
+    part, (change, drift) = solution.part, changing
     last = part.parts[part.last]
     whole, resolution = last.whole, 2.0 * np.pi / part.length
 
@@ -224,8 +228,18 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut, change: Ch
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
-        lead=_lead(lead, last), within=_within(solution),
+        lead=_lead(lead, last), within=_within(solution), drift=drift,
+        drifting=f' within record {part.numbers[drift.record]}' if part.several else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))
+
+
+def _drift(solution: Solution) -> Drift:
+    """Return how the plant drifts; of one that predictions found if its predictor does, too."""
+    if solution.refit or solution.simulated is None:
+        return Drift()
+    drift = drift_of(*solution.simulated)
+    return drift if not drift.cost or solution.plant is None or drift_of(
+        *solution.source).cost else Drift()
 
 
 def _within(solution: Solution) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ctsid_core.judge.changed import Change
+from ctsid_core.judge.drift import Drift
 from ctsid_core.judge.stuck import Stuck
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.verdict import Verdict
@@ -36,6 +37,8 @@ class Evidence:
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     within: float = float('inf')    # time the response is asked for [s]: as they go
     unproven: bool = False          # modes grow of which the data do not show that they do
+    drift: Drift = Drift()
+    drifting: str = ''              # which of several records drifts
     doubt: Doubt | None = None      # what it looks like if a setting is not right
     wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it
     faults: tuple[str, ...] = ()    # of the samples, see `Record`

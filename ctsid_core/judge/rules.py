@@ -112,12 +112,19 @@ def _changed(e: Evidence) -> str:
 
 
 def change_note(e: Evidence) -> tuple[str, ...]:
-    """Return a sentence on a change of the plant that is small, or none."""
-    if not NOTED < e.change.cost <= _CHANGED:
-        return ()
-    return (f'perhaps the plant changed a little {e.where}: there one model misses '
-            f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
-            'accepted)',)
+    """Return a sentence on a change of the plant that is small, or on a drift, or none."""
+    if NOTED < e.change.cost <= _CHANGED:
+        return (f'perhaps the plant changed a little {e.where}: there one model misses '
+                f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
+                'accepted)',)
+    if e.drift.cost > NOTED:
+        what, cure = ('the dead time drifts', ', or correct stamps by clocks that run apart (in a '
+                      'recording: set `stamp: log` for all channels)') if e.drift.late \
+            else ('the plant drifts', '')
+        return (f'perhaps {what}{e.drifting}: constant numbers miss {e.drift.cost:.1f} % of the '
+                'motion that numbers on straight lines do not; the model is of the mean: take '
+                f'shorter windows for what it is now{cure}',)
+    return ()
 
 
 def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:

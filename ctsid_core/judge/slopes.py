@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a model could be instead, to first order, beside what it leaves of the samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ctsid_core.judge.curve import MOST, beside
+from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.output_error import Fit, Free, fit_states, jacobian
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, Mask
+
+SEARCHED = 1200       # samples of a stream that are looked at
+
+Own = tuple[ModalModel, Free]              # a model, and what is free in it
+
+
+class Left(NamedTuple):
+    """What columns leave of the errors, each output of each record over its rms before."""
+
+    errors: list[Array]
+    power: Array
+    numbers: int            # of columns that tell something
+    cost: float             # -2 log likelihood, and one for each of them
+
+
+class Slopes(NamedTuple):
+    """Derivatives of the simulation by what is free, outputs over the rms of their errors."""
+
+    fit: Fit
+    rows: Array             # (N, k)
+    error: Array            # (N,)
+    states: Mask            # (k,): columns of initial states and trims
+    shares: Array           # (N,): when, as a part of the record
+    delays: Mask            # (k,): columns of dead times
+    records: Array          # (N,): of which record
+    counts: Array           # samples of each output of each record
+    samples: Samples
+
+    @property
+    def rest(self) -> Array:
+        """The columns that are of no state and no trim."""
+        return self.rows[:, ~self.states]
+
+    @property
+    def drift(self) -> Array:
+        """The same of numbers that move in a straight line within each record."""
+        return self.rest * (self.shares - 0.5)[:, np.newaxis]
+
+    def beside(self, more: Array) -> Left:
+        """Return what further columns leave, at most half as many as there are samples."""
+        columns = np.hstack((self.rows, more))
+        if columns.shape[1] > MOST * len(self.error):
+            return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
+        self.samples.effort.spend(4.0 * len(self.error) * columns.shape[1] ** 2)
+        left, told = beside(columns, self.error)
+        errors = np.split(left, np.cumsum(self.counts)[:-1])
+        power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
+        return Left(errors, power, told, float(self.counts @ np.log(power)) + told)
+
+
+def only(samples: Samples, place: int) -> Samples:
+    """Return one record: its states are fitted anew."""
+    return replace(samples, records=samples.records[place:place + 1])
+
+
+def slopes_of(samples: Samples, own: Own) -> Slopes:
+    """Return what may change the simulation of each sample of these records."""
+    model, free = own
+    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
+                         turned=False)
+    fit = fit_states(samples, model, free, columns)
+    rows, error, places = jacobian(samples, fit, free)
+    times = [[(s.times - r.start) / (r.end - r.start)
+              for s in r.streams for _ in range(s.y.shape[1])] for r in samples.records]
+    number = np.arange(rows.shape[1]) - places.poles
+    return Slopes(
+        fit, rows, error, places.of_states(samples.ny, len(times), free.trim),
+        np.concatenate([t for one in times for t in one]),
+        (number >= 0) & (number < places.delays),
+        np.repeat(np.arange(len(times)), [sum(map(len, one)) for one in times]),
+        np.array([len(t) for one in times for t in one]), samples)
