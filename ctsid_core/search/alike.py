@@ -21,6 +21,7 @@ from ctsid_core.likelihood.output_error import Fit, Free, Guess, fit_at, reach_o
 from ctsid_core.linear.types import Array
 from ctsid_core.search.pole_grid import PoleGrid
 
+POINT = 0.4           # of a budget that a look at where to begin may take
 _MOST = 4             # different poles, a pair counts as two
 _EACH = 2             # starts of each kind that climb
 _ALLOTTED = 4         # ways to allot ranks to poles that are looked at
@@ -87,6 +88,8 @@ def _searched(grid: PoleGrid, free: Free, delays: Sequence[Array]) -> list[FreeF
         if not ends:
             break
         found.append(min(ends, key=lambda fit: fit.cost))
+        if samples.effort.beyond(POINT):
+            break
     return [fit for fit in found if fit is not None]
 
 

@@ -38,7 +38,7 @@ from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.search.alike import Alike
+from ctsid_core.search.alike import POINT, Alike
 from ctsid_core.search.pole_grid import PoleGrid
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
@@ -51,7 +51,6 @@ _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
-POINT = 0.4          # ... and its look at where to begin
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 14           # evaluations of all samples that have to be after the search,
@@ -151,7 +150,8 @@ def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried
 def _pointed(alike: Alike, samples: Samples, max_order: int) -> int:
     """Return the smallest order, 3 or more, whose start is nearly as good as any."""
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
-    starts = {n: alike.start(n) for n in range(3, max_order + 1)}
+    starts = {n: alike.start(n) for n in range(3, max_order + 1)
+              if not samples.effort.beyond(POINT)}
     costs = {n: float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
              for n, fit in starts.items() if fit is not None}
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
