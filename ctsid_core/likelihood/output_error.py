@@ -35,7 +35,6 @@ _RANK = 1e-13         # relative singular value below which a linear direction i
 _LEAST_GAIN = 1e-4    # -2 log likelihood: a hundredth of a standard deviation
 ROUGHLY = 0.3         # the same where models are only compared
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
-_SPLIT = 1.05         # of a pole beside an equal one, over that
 STEPS = 25            # of a climb, at most ...
 _FEWER = 20           # ... and of a climb of a search
 _DAMPING = 1e-4       # of the first step
@@ -276,7 +275,7 @@ def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:
     return found
 
 
-def _direct(t: Triangle, free: Free, record: int, records: int) -> Array:
+def own_columns(t: Triangle, free: Free, record: int, records: int) -> Array:
     """Return the columns of an output's own D and trims, as far as they are free."""
     if not free.trim:
         return t.u if free.feedthrough else t.u[:, :0]
@@ -309,7 +308,7 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
         for t in triangles:
             driven = np.sum(t.z * driving, axis=2)
             slopes, of_c = np.sum(t.dz * driving, axis=2), _real(driven, poles)
-            error, direct = t.y - _simulated(t, model, r, driven), _direct(t, free, r, records)
+            error, direct = t.y - _simulated(t, model, r, driven), own_columns(t, free, r, records)
             for k, i in enumerate(t.channels):
                 samples.effort.check()
                 c = model.c[i]
@@ -317,8 +316,8 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
                 J = np.zeros((len(t.one), shared + own * ny))
                 J[:, :places.poles] = ((slopes * c) @ dp.T).real
                 at = places.poles
-                J[:, at:at + len(late)] = _by_delay(t, turned, model, int(i), fit.columns.first[r],
-                                                       late)
+                J[:, at:at + len(late)] = by_delay(
+                    t, poles, model.b * c[:, np.newaxis], model.D[i], fit.columns.first[r], late)
                 at += len(late)
                 J[:, at:at + places.b] = _real(turned[:, :, :nu], poles)
                 at += places.b + r * places.x0
@@ -331,13 +330,13 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
     return np.vstack(blocks), np.concatenate(errors), places
 
 
-def _by_delay(t: Triangle, turned: ComplexArray, model: ModalModel, i: int, first: Array,
-              late: NDArray[np.intp]) -> Array:
+def by_delay(t: Triangle, poles: ComplexArray, residues: ComplexArray, D: Array, first: Array,
+             late: NDArray[np.intp]) -> Array:
     """Return the derivatives by dead times: dz/dd = -(p z + b u) + b u(start) e^(p t), -D u'."""
-    b = model.b[:, late]
-    found: Array = (np.sum(turned[:, :, -1:] * (b * first[late]), axis=1)
-                    - np.sum(turned[:, :, late] * (b * model.poles[:, np.newaxis]), axis=1)).real
-    found -= t.u[:, late] * (model.c[i] @ b).real + t.rates[:, late] * model.D[i, late]
+    own = residues[:, late]                                                 # of an output, (m, k)
+    found: Array = (np.sum(t.z[:, :, -1:] * (own * first[late]), axis=1)
+                    - np.sum(t.z[:, :, late] * (own * poles[:, np.newaxis]), axis=1)).real
+    found -= t.u[:, late] * own.sum(axis=0).real + t.rates[:, late] * D[late]
     return found
 
 
@@ -360,7 +359,7 @@ def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns
     if ny == 1:
         return start
     residues, starts = _free_residues(samples, poles, columns, free, power)
-    reach = _reach(columns)
+    reach = reach_of(columns)
     left, s, right = np.linalg.svd(residues.transpose(1, 0, 2) * reach[:, np.newaxis],
                                    full_matrices=False)
     c = left[:, :, 0].T.copy()
@@ -378,10 +377,11 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: Columns,
     m, nu, ny, records = len(poles), samples.nu, samples.ny, len(samples.records)
     residues = np.zeros((ny, m, nu), dtype=complex)
     starts = np.zeros((ny, records, m), dtype=complex)
-    designs = [[np.hstack((*_driven(t.z, poles, r, records), _direct(t, free, r, records)))
+    designs = [[np.hstack((*driven_columns(t.z, poles, r, records),
+                           own_columns(t, free, r, records)))
                 for t in own] for r, own in enumerate(columns.triangles)]
     for i in range(ny):
-        residues[i], starts[i] = _b_and_x0(
+        residues[i], starts[i] = b_and_x0(
             _explaining(designs, _measured(columns), columns, power, i), poles, nu, records)
     return residues, starts
 
@@ -402,8 +402,8 @@ def _explaining(designs: list[list[Array]], wanted: list[list[Array]], columns: 
     return _least_squares(np.vstack(rows), np.concatenate(targets))
 
 
-def _driven(turned: ComplexArray, poles: ComplexArray, record: int,
-            records: int) -> tuple[Array, Array]:
+def driven_columns(turned: ComplexArray, poles: ComplexArray, record: int,
+                   records: int) -> tuple[Array, Array]:
     """Return the columns of b, and those of the initial states of all records."""
     own = _real(turned[:, :, -1:], poles)
     n = own.shape[1]
@@ -412,57 +412,16 @@ def _driven(turned: ComplexArray, poles: ComplexArray, record: int,
     return _real(turned[:, :, :-1], poles), apart
 
 
-def _b_and_x0(theta: Array, poles: ComplexArray, nu: int,
-              records: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return b and initial states from the coefficients of the columns of `_driven`."""
+def b_and_x0(theta: Array, poles: ComplexArray, nu: int,
+             records: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return b and initial states from the coefficients of the columns of `driven_columns`."""
     n = len(poles) + int(np.sum(poles.imag > 0.0))
     states = theta[n * nu:n * (nu + records)].reshape(records, n)
     return (_complex(theta[:n * nu].reshape(n, nu), poles),
             np.ascontiguousarray(_complex(states.T, poles).T))
 
 
-def split(samples: Samples, fit: Fit, free: Free) -> Fit | None:
-    """
-    Return a start with one more real pole, beside one that does the work of two.
-
-    With several inputs and outputs one pole may be there several times (roll and pitch of a
-    symmetric vehicle), each with a residue of rank one: what is left shows the next one.
-    """
-    model = fit.model
-    if not (model.poles.imag == 0.0).any():
-        return None
-    best = max((_residue_of_rest(samples, fit, int(k))
-                for k in np.flatnonzero(model.poles.imag == 0.0)), key=lambda found: found[0])
-    _, k, c, b, x0 = best
-    poles = np.append(model.poles, model.poles[k] * _SPLIT)
-    order = [int(i) for i in np.argsort([np.argmin(np.abs(canonical(poles) - p)) for p in poles])]
-    joined = replace(
-        model, poles=poles[order], b=np.vstack((model.b, b.astype(complex)))[order],
-        c=np.column_stack((model.c, c.astype(complex)))[:, order],
-        x0=np.column_stack((model.x0, x0.astype(complex)))[:, order])
-    return fit_at(samples, joined.poles, model.delay, free, Guess(joined, fit.power))
-
-
-def _residue_of_rest(samples: Samples, fit: Fit,
-                     k: int) -> tuple[float, int, Array, Array, Array]:
-    """Return what one more mode at a real pole would do to the errors: size, k, c, b, x0."""
-    model, nu, ny = fit.model, samples.nu, samples.ny
-    records, reach = len(samples.records), _reach(fit.columns)[k]
-    residue, x0 = np.zeros((ny, nu)), np.zeros((ny, records))
-    designs = [[np.hstack(_driven(t.z[:, k:k + 1], model.poles[k:k + 1], r, records))
-                for t in own] for r, own in enumerate(fit.columns.triangles)]
-    errors = [[t.y - _simulated(t, model, r, np.sum(t.z * _driving(model, r), axis=2))
-               for t in own] for r, own in enumerate(fit.columns.triangles)]
-    for i in range(ny):
-        theta = _explaining(designs, errors, fit.columns, fit.power + 1e-300, i)
-        residue[i], x0[i] = theta[:nu], theta[nu:]
-    scale = np.sqrt(fit.power.mean(axis=0))[:, np.newaxis] + 1e-300
-    left, s, right = np.linalg.svd(residue * reach / scale, full_matrices=False)
-    c = left[:, 0] * scale[:, 0]
-    return float(s[0]), k, c, s[0] * right[0] / reach, c @ x0 / float(c @ c)
-
-
-def _reach(columns: Columns) -> Array:
+def reach_of(columns: Columns) -> Array:
     """Return the size of the response of each mode to each input, (m, nu)."""
     total = sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0) for own in columns.triangles for t in own)
     return np.sqrt(np.asarray(total)) + 1e-300
@@ -529,7 +488,7 @@ def _solve_c(samples: Samples, model: ModalModel, columns: Columns, free: Free,
     n, nd, records = model.n, samples.nu * free.feedthrough, len(samples.records)
     c, D, y0 = model.c.copy(), model.D.copy(), model.y0.copy()
     designs = [[np.hstack((_real(np.sum(t.z * _driving(model, r), axis=2), model.poles),
-                           _direct(t, free, r, records))) for t in own]
+                           own_columns(t, free, r, records))) for t in own]
                for r, own in enumerate(columns.triangles)]
     for i in range(samples.ny):
         theta = _explaining(designs, _measured(columns), columns, power, i)
@@ -548,17 +507,17 @@ def _solve_b(samples: Samples, model: ModalModel, columns: Columns, free: Free,
     rows, targets = [], []
     for r, own in enumerate(columns.triangles):
         for t in own:
-            direct = _direct(t, free, r, records)
+            direct = own_columns(t, free, r, records)
             for k, i in enumerate(t.channels):
                 block = np.zeros((len(t.one), driven + ny * own_of_output))
-                block[:, :driven] = np.hstack(_driven(
+                block[:, :driven] = np.hstack(driven_columns(
                     t.z * model.c[i][:, np.newaxis], poles, r, records))
                 at = driven + int(i) * own_of_output
                 block[:, at:at + own_of_output] = direct
                 rows.append(block / np.sqrt(power[r, i]))
                 targets.append(t.y[:, k] / np.sqrt(power[r, i]))
     theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-    b, x0 = _b_and_x0(theta, poles, nu, records)
+    b, x0 = b_and_x0(theta, poles, nu, records)
     of_outputs = theta[driven:].reshape(ny, own_of_output)
     D = of_outputs[:, :nd] if nd else np.zeros_like(model.D)
     y0 = of_outputs[:, nd:].T if free.trim else np.zeros_like(model.y0)

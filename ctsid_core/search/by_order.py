@@ -20,8 +20,7 @@ errors fall: as many numbers as there are independent samples explain any of the
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,13 +32,13 @@ from ctsid_core.likelihood.output_error import (
     climb,
     climb_roughly,
     fit_at,
-    split,
 )
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.search.alike import POINT, Alike
 from ctsid_core.search.pole_grid import PoleGrid
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
@@ -52,7 +51,6 @@ _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
-POINT = 0.4          # ... and its look at where to begin
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 14           # evaluations of all samples that have to be after the search,
@@ -93,6 +91,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
                     fastest=free.fastest, finest=samples.finest)
     found: dict[int, Tried] = {}
+    alike = Alike(grid, free, _delays(free, known_delay)) if samples.several else None
     looked: set[int] = set()
     best = 1
     while True:
@@ -102,10 +101,12 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         # One after the other from 1 upwards, unless a start points further.
         n = nearest(range(1, max_order + 1), looked, best) if not order else \
             order if short else len(looked) + 1
+        if not n and alike is not None:
+            n = _promised(alike, thin, free, found, looked, max_order)
         if not n:
             break
         looked.add(n)
-        fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay, near,
+        fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay, near, alike,
                        np.inf if order or not found else _rival(found, thin, n))
         if fit is None:
             continue
@@ -114,8 +115,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         samples.effort.keep(_later(samples, max(len(found[best].fit.model.poles), _MODES)))
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
-        if samples.several and looked == {1} and not order:
-            best = max(best, _pointed(found, subspace, grid, free, known_delay, max_order))
+        if alike is not None and looked == {1} and not order:
+            best = max(best, _pointed(alike, grid.samples, max_order))
     if thin is samples or order not in (0, *found):
         return found
     chosen = order or choose(found)
@@ -132,32 +133,36 @@ def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
                key=lambda n: abs(n - best), default=0)
 
 
-def _pointed(found: dict[int, Tried], subspace: SubspacePoles, grid: PoleGrid, free: Free,
-             known: Array, max_order: int) -> int:
-    """Return the smallest order, 3 or more, whose start by HD-PBSID is nearly as good as any."""
-    samples, delay = grid.samples, found[1].fit.model.delay
+def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried],
+              looked: Container[int], max_order: int) -> int:
+    """Return the smallest further order of which a start beats the best model found; 0: none."""
+    chosen = choose(found)
+    best = found[chosen]
+    for n in range(chosen + 1, max_order + 1):
+        if n not in looked and (start := alike.start(n)) is not None:
+            fit = _again(samples, start, free, slopes=False)
+            if beats(replace(best, fit=fit, power=samples.mean(fit.power),
+                             parameters=parameters(samples, fit, free)), best):
+                return n
+    return 0
+
+
+def _pointed(alike: Alike, samples: Samples, max_order: int) -> int:
+    """Return the smallest order, 3 or more, whose start is nearly as good as any."""
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
-    costs: dict[int, float] = {}
-    for n in range(3, max_order + 1):
-        if samples.effort.beyond(POINT):
-            break
-        starts = list(_by_subspace(n, subspace, grid, free, delay, known))
-        with suppress(np.linalg.LinAlgError):
-            if starts:
-                fit = fit_at(samples, *min(starts, key=lambda s: s[0])[2:], free, slopes=False)
-                costs[n] = float(np.sum(samples.counts * np.log(
-                    np.maximum(fit.power, ENOUGH ** 2))))
+    starts = {n: alike.start(n) for n in range(3, max_order + 1)
+              if not samples.effort.beyond(POINT)}
+    costs = {n: float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
+             for n, fit in starts.items() if fit is not None}
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
 
 
-def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free, delay: Array,
-                 known: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
-    """Yield starts by HD-PBSID; small models of several inputs have any dead times."""
-    for late in (delay, known)[:1 + (len(known) > 1 and bool(np.any(delay != known)))]:
-        for poles in subspace(n, late):
-            poles = bounded(poles, np.inf, free.fastest)
-            kind = 'subspace' if late is delay else 'subspace, dead times as known'
-            yield grid.score(poles, late), kind, poles, late
+def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free,
+                 delay: Array) -> Iterator[tuple[float, str, ComplexArray, Array]]:
+    """Yield starts by HD-PBSID."""
+    for poles in subspace(n, delay):
+        poles = bounded(poles, np.inf, free.fastest)
+        yield grid.score(poles, delay), 'subspace', poles, delay
 
 
 def affordable(samples: Samples) -> int:
@@ -268,7 +273,7 @@ def _delays(free: Free, known: Array) -> list[Array]:
 
 def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
              subspace: SubspacePoles, free: Free, known: Array, near: Sequence[Array],
-             needed: float) -> Fit | None:
+             alike: Alike | None, needed: float) -> Fit | None:
     """Return the best model of one order, of `most` at most."""
     starts = sorted(_starts(n, most, found, grid, subspace, free, known, near), key=lambda s: s[0])
     kinds: dict[str, int] = {}
@@ -284,8 +289,8 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
             fits.append((kind, fit_at(samples, poles, delay, free)))
         except np.linalg.LinAlgError:
             continue
-    if samples.several and n - 1 in found:
-        fits += [('twin', twin) for twin in _twins(samples, found[n - 1].fit, free, known)]
+    if alike is not None and (start := alike.start(n)) is not None:
+        fits.append(('alike', _again(samples, start, free)))
     best: Fit | None = None
     for start in _different(fits, each):
         reached = climb_roughly(samples, start, free,
@@ -297,16 +302,9 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
     return best
 
 
-def _twins(samples: Samples, fit: Fit, free: Free, known: Array) -> Iterator[Fit]:
-    """Yield starts with a pole that is there twice; an input of no effect has any dead time."""
-    model = fit.model
-    for delay in (model.delay, known)[:1 + bool(np.any(model.delay != known))]:
-        try:
-            twin = split(samples, fit_at(samples, model.poles, delay, free, fit), free)
-        except np.linalg.LinAlgError:
-            continue
-        if twin is not None:
-            yield twin
+def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
+    """Return a model of other samples, everything linear at its best there."""
+    return fit_at(samples, fit.model.poles, fit.model.delay, free, fit, slopes=slopes)
 
 
 def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
@@ -341,4 +339,4 @@ def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace
                     yield grid.score(both, delay), 'pair', both, delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
-    yield from _by_subspace(n, subspace, grid, free, delay, known)
+    yield from _by_subspace(n, subspace, grid, free, delay)

@@ -15,6 +15,7 @@ from ctsid_core.likelihood.output_error import (
     Fitted,
     Free,
     climb,
+    errors_of,
     fit_at,
     fit_states,
     jacobian,
@@ -47,7 +48,7 @@ class HeldOut:
     # The part of it that is to be expected, because the rest of the data leaves the model
     # uncertain: after the only step nobody can tell what the step would have shown
     expected: Array
-    unseen: Mask     # whether most of the motion is in what is held out
+    unseen: Mask     # whether most of the motion by any of the inputs is in what is held out
     why: str = ''    # nothing was held out, in words
 
 
@@ -71,7 +72,9 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
 
     def of(early: Samples, part: Part) -> Fit | None:
         if predictor is None:
-            return climb(early, fit_at(early, fit.model.poles, fit.model.delay, free), free,
+            # From the residues of the whole: of poles that are alike no others tell them.
+            near = fit_states(early, fit.model, free)
+            return climb(early, fit_at(early, fit.model.poles, fit.model.delay, free, near), free,
                          least=ROUGHLY)
         joint, top, own = predictor
         rest = part(joint.thinned(_SEARCHED))
@@ -97,7 +100,8 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
             return _nothing(samples, _NO_MODEL)
         there, everywhere = (_motion(part, fit) for part in (late, samples))
         return HeldOut(_rms(late, own), np.zeros(samples.ny) if refit is not None else
-                       _expected(early, late, own, free), there > 0.5 * everywhere)
+                       _expected(early, late, own, free),
+                       np.any(there > 0.5 * everywhere, axis=0))
     except np.linalg.LinAlgError:
         return _nothing(samples, _NO_MODEL)
 
@@ -129,13 +133,21 @@ def _parts(samples: Samples, share: float, held: bool, count: int) -> Samples:
 
 
 def _motion(samples: Samples, fit: Fit) -> Array:
-    """Return the squares of what a simulation moves from sample to sample, (ny,)."""
-    found = np.zeros(samples.ny)
-    for errors, record in zip(residuals(samples, fit), samples.records, strict=True):
-        for e, s in zip(errors, record.streams, strict=True):
-            moves = np.diff(s.y - e, axis=0)
-            # Not over what is left out between parts.
-            found[s.channels] += np.sum(moves[np.diff(s.times) < _GAP * s.period] ** 2, axis=0)
+    """Return the squares of what each input alone moves from sample to sample, (nu, ny)."""
+    found, model = np.zeros((samples.nu, samples.ny)), fit.model
+    columns = columns_of(samples, model.poles, model.delay, direct=bool(model.D.any()),
+                         turned=False, slopes=False)
+    everything = errors_of(samples, model, columns)
+    for j, squares in enumerate(found):
+        others = np.arange(samples.nu) != j
+        without = errors_of(samples, replace(
+            model, b=model.b * others, D=model.D * others), columns)
+        for errors, left, record in zip(everything, without, samples.records, strict=True):
+            for e, rest, s in zip(errors, left, record.streams, strict=True):
+                moves = np.diff(rest - e, axis=0)
+                # Not over what is left out between parts.
+                squares[s.channels] += np.sum(moves[np.diff(s.times) < _GAP * s.period] ** 2,
+                                              axis=0)
     return found
 
 

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots whose axes are alike: one pole, or pair, as often as there are axes."""
+
+from __future__ import annotations
+
+from marks import slow
+import numpy as np
+import pytest
+
+from ctsid_core import Grade, Record, identify
+from ctsid_core.likelihood.free_residues import climb_free, free_fit
+from ctsid_core.likelihood.output_error import Free
+from ctsid_core.likelihood.pole_steps import PoleSteps
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_ros.studies.robots.experiment import stamps
+from ctsid_ros.studies.robots.inputs import drive
+from ctsid_ros.studies.robots.linear import Held, Linear
+from ctsid_ros.studies.robots.linear_families import pair
+
+LAG, SERVO, WHEEL = (-3.0,), pair(8.0, 0.6), (-4.0, -25.0)
+LATE = 0.06           # [s]
+
+
+def axes(roots: tuple[complex, ...], count: int = 3, coupled: float = 0.1) -> Linear:
+    """So many axes of the same poles, every input moving all of them a little."""
+    own = Linear.of_roots(1.0, roots, LATE)
+    each = np.eye(count)
+    mixed = each + coupled * np.random.default_rng(3).uniform(-1.0, 1.0, each.shape)
+    return Linear(np.kron(each, own.A), np.kron(each, own.B) @ mixed, np.kron(each, own.C), LATE)
+
+
+def flown(plant: Linear, kind: str, rng: np.random.Generator, noise: float) -> Record:
+    """An experiment of 12 s, inputs at 50 Hz, outputs at 80 Hz."""
+    time, times = stamps(rng, -0.5, 12.0, 50.0), stamps(rng, 0.0, 12.0, 80.0)
+    moved = Held(time, drive(kind, rng, time, 12.0, 2.0, plant.nu))
+    y = plant.move(moved, times)
+    return Record.from_arrays(time, moved.values, times, y + noise * y.std(axis=0)
+                              * rng.standard_normal(y.shape), input_hold='zoh')
+
+
+@pytest.mark.parametrize(('roots', 'kind', 'seed'), [
+    (LAG, 'step', 1), *slow(
+        (LAG, 'prbs', 2), (LAG, 'doublets', 3), (SERVO, 'step', 2), (SERVO, 'doublets', 3),
+        (SERVO, 'prbs', 4), (SERVO, 'multisine', 1), (WHEEL, 'prbs', 1), (WHEEL, 'pilot', 2))])
+def test_every_axis_is_found_and_the_model_is_good(roots, kind, seed):
+    rng, plant = np.random.default_rng(seed), axes(roots)
+    found = identify(flown(plant, kind, rng, 0.03))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.n == len(plant.A)
+    omega = np.array([1.0, 3.0, 8.0])
+    truth = plant.response(omega)
+    off = np.linalg.norm(found.model.frequency_response(omega) - truth, axis=(1, 2))
+    assert np.all(off < 0.1 * np.linalg.norm(truth, axis=(1, 2)))
+
+
+def test_few_poles_with_free_residues_tell_all_axes():
+    plant = axes(SERVO)
+    samples = samples_of([flown(plant, 'prbs', np.random.default_rng(5), 0.03)], [[None]])
+    free = Free(False, True, (True,) * 3, 1.0, -1e-6, 100.0)
+    start = free_fit(samples, np.array([5.0j - 3.0]), np.full(3, 0.02), free)
+    found = climb_free(samples, start, free)
+    assert len(found.poles) == 1
+    assert abs(found.poles[0] - SERVO[0]) < 0.02 * 8.0
+    np.testing.assert_allclose(found.delay, LATE, atol=0.01)
+    np.testing.assert_allclose(np.sqrt(found.power), 0.03, rtol=0.1)
+
+
+@pytest.mark.parametrize('feedthrough', [False, True])
+def test_slopes_are_those_of_the_cost(feedthrough):
+    plant = axes(SERVO, 2)
+    samples = samples_of([flown(plant, 'multisine', np.random.default_rng(6), 0.1)], [[None]])
+    free = Free(feedthrough, True, (True, True), 1.0, -1e-6, 100.0)
+    fit = free_fit(samples, np.array([-2.0, 6.0j - 4.0]), np.array([0.031, 0.052]), free)
+    steps, small = PoleSteps.of(fit.poles, 1.0 / samples.length), 1e-4
+    slopes = []
+    for k in range(3):
+        ahead, behind = (free_fit(samples, steps.moved(
+            s * np.eye(3)[k], free.limit, free.fastest), fit.delay, free).cost
+            for s in (small, -small))
+        slopes.append((ahead - behind) / (2.0 * small))
+    np.testing.assert_allclose(slopes, -2.0 * fit.gradient[:3], rtol=1e-3)
+    if not feedthrough:                 # D jumps where an input does
+        for k in range(2):
+            ahead, behind = (free_fit(samples, fit.poles, fit.delay + s * np.eye(2)[k], free).cost
+                             for s in (small, -small))
+            assert (ahead - behind) / (2.0 * small) == pytest.approx(
+                -2.0 * fit.gradient[3 + k], rel=0.02)
