@@ -13,6 +13,7 @@ from scipy.linalg import block_diag, expm
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.judge import changed
 from ctsid_core.judge.feedback import distance_to_controller
+from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
@@ -280,8 +281,9 @@ def test_what_two_models_promise_is_what_they_explain_to_first_order(number):
     samples = samples_of([record], [[None]])
     free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
     fit = climb(samples, fit_at(samples, np.array([-4.0 + 0j]), np.array([0.01]), free), free)
-    thin, own = samples.thinned(2 * changed._SEARCHED), (fit.model, free)
-    _, rows, error, states, shares, _ = changed._slopes(thin, own)
+    thin, own = samples.thinned(SEARCHED), (fit.model, free)
+    slopes = slopes_of(thin, own)
+    rows, error, states, shares = slopes.rows, slopes.error, slopes.states, slopes.shares
 
     def left(side, columns):
         found = np.linalg.lstsq(columns[side], error[side], rcond=1e-9)[0]

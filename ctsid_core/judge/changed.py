@@ -40,6 +40,8 @@ from ctsid_core.linear.types import Array
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
+_SMALLER = 2.0        # power that two smaller models may leave, to first order, over the whole's:
+                      # a pole that jumps is no small change, and climbs reach further
 _CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
 _LOOK = 1e7           # work of looking for them, beside the basis
 _NOTHING = 1e-9       # of a direction: less of it is rounding
@@ -144,7 +146,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     """
     Return the instants at which a model of each side's own promises most, if it is enough.
 
-    Two models of a smaller order than the whole's have to leave less than the whole does.
+    Two models of a smaller order than the whole's may hardly leave more than the whole does.
     With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
     samples before an instant says all of that side, and 1 - Q'Q all of the other one.
     """
@@ -186,7 +188,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         promise += np.where(count >= fewest, gain, 0.0)
     price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:]
-            if promise[k] > price and left[k] < most]
+            if promise[k] > price and left[k] < _SMALLER * most]
 
 
 def _best(samples: Samples, own: Own, change: Change) -> bool:

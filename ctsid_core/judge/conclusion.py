@@ -74,7 +74,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)))
-    if solution.plant is not None and curves.any():
+    if simulated is not None and solution.plant is not None and curves.any():
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     lead = np.zeros(moving.nu) if simulated is None or not sought else \
@@ -239,12 +239,13 @@ def _drift(solution: Solution) -> Drift:
         return Drift()
     drift = drift_of(*solution.simulated)
     return drift if not drift.cost or solution.plant is None or drift_of(
-        *solution.source).cost else Drift()
+        *solution.source, least=0.0).cost else Drift()
 
 
 def _within(solution: Solution) -> float:
     """Return the time within which the response is asked for [s]: as far as predictions go."""
-    return np.inf if solution.plant is None else HORIZONS[-1] * held_interval(solution.source[0])
+    return np.inf if solution.plant is None else min(
+        HORIZONS[-1] * held_interval(solution.source[0]), solution.samples.length)
 
 
 def _lead(found: Array, part: Usable) -> Array:

@@ -44,9 +44,9 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     omega, weight, lines, sent, acting = _input_spectra(samples, delay)
     # That tells a mean over a width of 1 / ahead, of modes that do not decay beside their growth.
     width = 1.0 / ahead + np.max(moving.poles.real, initial=0.0)
-    moving = replace(moving, A=moving.A - width * np.eye(moving.n))
-    response = moving.frequency_response(omega) / samples.size[:, np.newaxis]
-    variance, moved = _uncertain(samples, covariance, moving, omega, lines)
+    response = replace(moving, A=moving.A - width * np.eye(moving.n)).frequency_response(
+        omega) / samples.size[:, np.newaxis]
+    variance, moved = _uncertain(samples, covariance, moving, omega, lines, width)
     own = _uncorrelated(sent)
     found = []
     for j, name in enumerate(names):
@@ -68,7 +68,7 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
 
 
 def _uncertain(samples: Samples, covariance: Covariance | None, moving: StateSpace, omega: Array,
-               lines: ComplexArray) -> tuple[Array, Array]:
+               lines: ComplexArray, width: float) -> tuple[Array, Array]:
     """
     Return the variance of the response, (M, ny, nu), and that of each output's motion, (ny,).
 
@@ -85,7 +85,7 @@ def _uncertain(samples: Samples, covariance: Covariance | None, moving: StateSpa
         samples.effort.check()
         part = slice(start, start + few)
         try:
-            changes = covariance.response_changes(moving, omega[part])
+            changes = covariance.response_changes(moving, omega[part], width)
         except np.linalg.LinAlgError:
             return variance, moved
         found[part] = np.sum(np.abs(changes) ** 2, axis=0) / size[:, np.newaxis] ** 2

@@ -95,9 +95,9 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
         e.expected, e.numbers.error)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
-            f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)}), '
-            'as far as the noise lets see; check that these are the right signals, and that they '
-            'move.')
+            f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)})'
+            f'{_within(e)}, as far as the noise lets see; check that these are the right signals, '
+            'and that they move.')
 
 
 def _changed(e: Evidence) -> str:
@@ -117,7 +117,7 @@ def change_note(e: Evidence) -> tuple[str, ...]:
         return (f'perhaps the plant changed a little {e.where}: there one model misses '
                 f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
                 'accepted)',)
-    if e.drift.cost > NOTED:
+    if e.drift.cost:
         what, cure = ('the dead time drifts', ', or correct stamps by clocks that run apart (in a '
                       'recording: set `stamp: log` for all channels)') if e.drift.late \
             else ('the plant drifts', '')

@@ -91,6 +91,8 @@ def _uncertain(model: StateSpace, covariance: Covariance | None) -> Array:
 
 def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | None:
     """Return the gains (1) if the slowest mode, and no other, moves outputs at constant rates."""
+    if not model.n:
+        return None
     poles, right = np.linalg.eig(model.A)
     try:
         left = np.linalg.inv(right)

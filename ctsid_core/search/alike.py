@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import cached_property
 
 import numpy as np
 
@@ -36,9 +37,12 @@ class Alike:
     """
 
     def __init__(self, grid: PoleGrid, free: Free, delays: Sequence[Array]) -> None:
-        self._samples, self._free = grid.samples, free
-        self._models = _searched(grid, free, delays)
-        self._starts: dict[int, Fit | None] = {}
+        self._grid, self._samples, self._free, self._delays = grid, grid.samples, free, delays
+        self._starts: dict[int, Fit | None] = {1: None}     # of one state a grid does as well
+
+    @cached_property
+    def _models(self) -> list[FreeFit]:
+        return _searched(self._grid, self._free, self._delays)
 
     def start(self, n: int) -> Fit | None:
         """Return the best start of n states, on few samples; None if there is none."""

@@ -20,6 +20,7 @@ errors fall: as many numbers as there are independent samples explain any of the
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,11 +113,11 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             continue
         found[n] = tried(thin, fit, free)
         best = choose(found)
-        samples.effort.keep(_later(samples, max(len(found[best].fit.model.poles), _MODES)))
+        keep_for(samples, found[best])
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if alike is not None and looked == {1} and not order:
-            best = max(best, _pointed(alike, grid.samples, max_order))
+            best = max(best, _pointed(alike, found[1], subspace, grid, free, max_order))
     if thin is samples or order not in (0, *found):
         return found
     chosen = order or choose(found)
@@ -147,13 +148,26 @@ def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried
     return 0
 
 
-def _pointed(alike: Alike, samples: Samples, max_order: int) -> int:
+def _pointed(alike: Alike, first: Tried, subspace: SubspacePoles, grid: PoleGrid, free: Free,
+             max_order: int) -> int:
     """Return the smallest order, 3 or more, whose start is nearly as good as any."""
+    samples, delay = grid.samples, first.fit.model.delay
+
+    def by_subspace(n: int) -> Fit | None:
+        start = min(_by_subspace(n, subspace, grid, free, delay), key=lambda s: s[0], default=None)
+        with suppress(np.linalg.LinAlgError):
+            return start and fit_at(samples, *start[2:], free, slopes=False)
+        return None
+
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
-    starts = {n: alike.start(n) for n in range(3, max_order + 1)
-              if not samples.effort.beyond(POINT)}
-    costs = {n: float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
-             for n, fit in starts.items() if fit is not None}
+    costs: dict[int, float] = {}
+    for start in (by_subspace, alike.start):            # the quicker ones first
+        for n in range(3, max_order + 1):
+            if samples.effort.beyond(POINT):
+                break
+            if (fit := start(n)) is not None:
+                cost = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
+                costs[n] = min(cost, costs.get(n, np.inf))
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
 
 
@@ -175,6 +189,11 @@ def affordable(samples: Samples) -> int:
         most = int(0.8 * most)
     effort.keep(_later(samples.thinned(most), _MODES))
     return most
+
+
+def keep_for(samples: Samples, one: Tried) -> None:
+    """Keep what a model that was found needs after the search."""
+    samples.effort.keep(_later(samples, max(len(one.fit.model.poles), _MODES)))
 
 
 def _later(samples: Samples, modes: int) -> float:
@@ -289,7 +308,8 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
             fits.append((kind, fit_at(samples, poles, delay, free)))
         except np.linalg.LinAlgError:
             continue
-    if alike is not None and (start := alike.start(n)) is not None:
+    if alike is not None and not samples.effort.beyond(POINT) and (
+            start := alike.start(n)) is not None:
         fits.append(('alike', _again(samples, start, free)))
     best: Fit | None = None
     for start in _different(fits, each):

@@ -116,7 +116,7 @@ def _predicted(estimate: Estimate) -> str:
     why = 'the inputs alone explain too little of the motion'
     if model and grows(model, known):
         why = 'its plant grows by itself and cannot be simulated for long'
-    elif model and ((found := gains(model, known)) is None or found.rate.any()):
+    elif model and (found := gains(model, known)) and found.rate.any():
         why = f'its plant integrates, so that what disturbs it stays in the output, and {why}'
     return ('The fits of this model are of predictions, which know the outputs before as well as '
             f'the inputs: {why}.')
