@@ -463,6 +463,10 @@ def test_outliers_are_named_and_equal_bags_are_not():
     assert found['simple'] == '1 modes, but 2 in 32 of 33 bags'
     assert found['far'].startswith('no pole near -')
     assert outliers({f'b{k}': bag(-1.0 - k) for k in range(4)}) == {}    # too few to tell
+    # Over its size a pole of 0 is far from any other.
+    near_0 = {f'b{k}': Poles(np.array([x, -0.7 + 0j]), np.array([0.05, 0.02]))
+              for k, x in enumerate((-0.02, -0.05, 0.0, 0.06, -0.1))}
+    assert outliers(near_0) == {}
 
 
 # --- processes that are killed, disks that are full

@@ -24,6 +24,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
+from ctsid_core.search.solution import DISTURBED
 from ctsid_core.settings import DELAYS_LONG, Settings
 from ctsid_core.signals.record import Record
 
@@ -36,8 +37,7 @@ _SINES = 2              # that tell four numbers, and must be exceeded; as many 
 _FOLLOWS = 0.4          # the same of an output's response to all inputs: it follows nothing
 _CONTROLLER = 0.35      # of 1: what 1 + C G is of a model that is minus one over the controller C
 _DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
-_DISTURBED = 0.35       # error that is not white noise, over the motion: nothing to act on ...
-_UNEXPLAINED = 0.8      # ... and no model at all
+_UNEXPLAINED = 0.8      # error that is not white noise, over the motion: no model at all
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model
 _CHANGED = 3.0          # per cent of the motion that one model misses, and two do not
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
@@ -202,7 +202,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             yield Remedy.EXCITE, (
                 f'The response to input {one.name}{_within(e)} has a standard deviation of '
                 f'{_percent(one.uncertainty)}; {cure}.')
-    for i in _largest_first(e.numbers.coloured_error, _DISTURBED):
+    for i in _largest_first(e.numbers.coloured_error, DISTURBED):
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')

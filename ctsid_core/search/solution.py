@@ -17,6 +17,9 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.settings import Settings
 
+DISTURBED = 0.35        # error that is not white noise, over the motion: a simulation is nothing
+                        # to act on, and of plants that predictions found nothing to judge by
+
 # What it looks like if a setting is not right, in words, and that setting
 Doubt = tuple[str, str]
 

@@ -59,7 +59,7 @@ from ctsid_core.search.by_prediction import (
 )
 from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
 from ctsid_core.search.needless import without_needless
-from ctsid_core.search.solution import Doubt, Solution, own_delays
+from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.subspace.hd_pbsid import Subspaces
 from ctsid_core.subspace.pbsid_equations import realise
@@ -515,7 +515,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and _unexplained(samples, plant.simulated.fit) < _FAILS:
+    if plant is not None and _unexplained(samples, plant.simulated.fit) < DISTURBED:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
         _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),

@@ -65,15 +65,15 @@ def _far(bags: Mapping[str, Poles]) -> dict[str, str]:
         middle = complex(np.median(values.real), np.median(values.imag))
         spread = float(np.median(np.abs(values - middle))) * (_PAIR if middle.imag else _REAL)
         for name, poles in bags.items():
-            if k not in partners[name]:
-                found.setdefault(name, f'no pole near {pole_text(near)} rad/s')
-                continue
-            away = abs(own[name] - middle)
-            std = float(np.hypot(spread, np.nan_to_num(poles.std[partners[name][k]])))
+            # Over its size a pole near 0 is far from any other, however little it is known.
+            at = partners[name].get(k, int(np.argmin(np.abs(poles.values - middle))))
+            away = abs(poles.values[at] - middle)
+            std = float(np.hypot(spread, np.nan_to_num(poles.std[at])))
             if away > FAR * std:
-                found.setdefault(name, (
-                    f'pole {pole_text(own[name])} rad/s, {number(away / max(std, 1e-300), 2)} '
-                    f'standard deviations from the median {pole_text(middle)}'))
+                found.setdefault(name, f'no pole near {pole_text(near)} rad/s' if name not in own
+                                 else f'pole {pole_text(own[name])} rad/s, '
+                                 f'{number(away / max(std, 1e-300), 2)} '
+                                 f'standard deviations from the median {pole_text(middle)}')
     return found
 
 

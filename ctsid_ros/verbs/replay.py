@@ -247,9 +247,10 @@ class _Report:
                 ('window', f'{self.number} of {len(self.results)}')]
 
     def _changes(self) -> Section:
-        from ctsid_ros.replay.along import changes
+        from ctsid_ros.replay.along import along, changes
 
-        found = tuple(change.words for change in changes(self.windows))
+        found = (*(change.words for change in changes(self.windows)),
+                 *(one.words for one in along(self.windows, self.number - 1).unlike))
         return Section('Changes of the plant', (Bullets(found),) if found else ())
 
     @property
