@@ -14,6 +14,7 @@ from ctsid_core.identify import identify
 from ctsid_core.model.model_json import to_json
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import OF_STRIDE, Settings
+from ctsid_core.signals.record import Record
 from ctsid_ros.verbs.params import measured_rate
 
 QUICK = Settings(delay=0.0, order=2)
@@ -131,6 +132,21 @@ def test_a_budget_holds_for_every_stage(budget, order):
     assert short.model is not None
     assert (whole.model.n, short.model.n) == (2, order)     # the less time, the fewer orders
     assert any('budget' in note for note in short.notes)
+
+
+@pytest.mark.parametrize('budget', [0.5, *slow(0.3, 1.0)])
+def test_a_budget_holds_for_many_inputs_and_outputs(budget):
+    """What has to be done after the search takes longest there, and is kept for the order."""
+    rng, t = np.random.default_rng(6), np.arange(0.0, 10.0, 0.004)
+    u, x = np.repeat(rng.standard_normal((125, 6)), 20, axis=0), np.zeros((2500, 6))
+    decays = np.exp(-0.004 * np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]))
+    for k in range(2499):
+        x[k + 1] = decays * x[k] + (1.0 - decays) * u[k]
+    y = x @ rng.standard_normal((6, 6))
+    y += 0.1 * y.std(axis=0) * rng.standard_normal(y.shape)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings(budget=budget))
+    print(found.statistics['seconds_spent'], found.fit)
+    assert found.statistics['seconds_spent'] < 1.1 * budget
 
 
 def test_windows_have_the_budget_of_their_stride():

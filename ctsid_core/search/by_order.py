@@ -198,7 +198,8 @@ def keep_for(samples: Samples, one: Tried) -> None:
 
 def _later(samples: Samples, modes: int) -> float:
     """Return the work that a model of so many modes needs after the search."""
-    return _LATER * evaluation_work(samples, modes) + covariance_work(samples, 2 * modes)
+    # Of two covariances: which dead times are needless is asked before the end.
+    return _LATER * evaluation_work(samples, modes) + 2.0 * covariance_work(samples, 2 * modes)
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
