@@ -16,14 +16,15 @@ import pytest
 from test_cross_check import first_order
 from test_page import Tags, data_of
 
+from ctsid_core.identify import identify
 from ctsid_core.judge.instants import after_start, by_clock
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Verdict
 from ctsid_core.settings import Settings
-from ctsid_core.signals.record import Signal
+from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
-from ctsid_ros.replay.along import Windows
+from ctsid_ros.replay.along import Windows, along
 from ctsid_ros.report.document import Headline
 from ctsid_ros.report.headline import Run
 from ctsid_ros.report.tables import percent
@@ -241,3 +242,21 @@ def test_the_word_for_a_bag_is_that_of_the_model_where_no_window_contradicts_it(
     assert first.sentence.endswith(
         'Kept is the model of window 1 (0.0 to 5.0 s), the best: Because OK.')
     assert ('(no input moves in 1)' in first.sentence) == ('NO_EXCITATION' in statuses)
+
+
+@pytest.mark.parametrize('kept', [0, 2, 4])
+def test_a_plant_that_drifts_has_one_word_whichever_model_is_kept(kept):
+    """A model from the middle is half as far from either end as these are from each other."""
+    rng, t, u = np.random.default_rng(1), np.arange(0.0, 60.0, 0.01), np.zeros(6000)
+    u = np.repeat(rng.choice([-1.0, 1.0], 200), 30)
+    y, gain = np.zeros(6000), np.linspace(2.0, 1.4, 6000)
+    for k in range(5999):
+        y[k + 1] = y[k] + 0.01 * 3.0 * (gain[k] * u[k] - y[k])
+    y += 0.02 * rng.standard_normal(6000)
+    starts = np.arange(0.0, 49.0, 12.0)
+    found = [identify(Record.from_arrays(t[p], u[p], t[p], y[p], input_hold='zoh'))
+             for p in (slice(int(100 * a), int(100 * a) + 1200) for a in starts)]
+    windows = Windows(found, starts, starts + 12.0, np.full((len(found), 1), 90.0))
+    said = along(windows, kept)
+    assert said.word == 'CHANGED'
+    assert ('than that of window 1' in said.unlike[0].words) == (kept == 2)

@@ -119,7 +119,7 @@ def change_note(e: Evidence) -> tuple[str, ...]:
                 'accepted)',)
     if e.drift.cost:
         what, cure = ('the dead time drifts', ', or correct stamps by clocks that run apart (in a '
-                      'recording: set `stamp: log` for all channels)') if e.drift.late \
+                      'bag: set `stamp: log` for all channels)') if e.drift.late \
             else ('the plant drifts', '')
         return (f'perhaps {what}{e.drifting}: constant numbers miss {e.drift.cost:.1f} % of the '
                 'motion that numbers on straight lines do not; the model is of the mean: take '

@@ -167,24 +167,25 @@ def faults(windows: Windows) -> list[Fault]:
 
 @dataclass(frozen=True)
 class Unlike:
-    """Models that differ from the kept one beyond chance: from, to [s], by most [1]."""
+    """Models that differ from another one beyond chance: from, to [s], by most [1]."""
 
     start: float
     end: float
     difference: float
     difference_std: float
+    other: str = 'the kept one'
 
     @property
     def words(self) -> str:
         """Where, and by how much."""
-        return (f'Other models than the kept one are right for {self.start:.1f} to {self.end:.1f} '
+        return (f'Other models than {self.other} are right for {self.start:.1f} to {self.end:.1f} '
                 f's: their responses differ by {100 * self.difference:.1f} ± '
                 f'{100 * self.difference_std:.1f} %.')
 
 
-def unlike(windows: Windows, place: int) -> list[Unlike]:
+def unlike(windows: Windows, place: int, other: str = Unlike.other) -> list[Unlike]:
     """
-    Return where accepted models contradict the kept one.
+    Return where accepted models contradict the kept one, or another one.
 
     They do in windows next to each other, of which two share no data, and by more than what
     matters and beyond chance.
@@ -193,7 +194,9 @@ def unlike(windows: Windows, place: int) -> list[Unlike]:
     ----------
     windows : Windows
     place : int
-        Of the kept model.
+        Of the kept model, or another one.
+    other : str
+        Which, in words.
     """
     kept = windows.estimates[place]
     if not kept.ok:
@@ -206,7 +209,8 @@ def unlike(windows: Windows, place: int) -> list[Unlike]:
         start, end = windows.starts[run[0][0]], windows.ends[run[-1][0]]
         if away and windows.ends[run[0][0]] <= windows.starts[run[-1][0]]:
             most = max((a for _, a in run), key=lambda a: a.difference)
-            found.append(Unlike(float(start), float(end), most.difference, most.difference_std))
+            found.append(Unlike(float(start), float(end), most.difference, most.difference_std,
+                                other))
     return found
 
 
@@ -258,7 +262,10 @@ def along(windows: Windows, place: int) -> Along:
     kept = windows.estimates[place]
     if not kept.ok:
         return Along(kept.verdict.grade.name, changes(windows), [], [])
-    seen, away, found = changes(windows), unlike(windows, place), faults(windows)
+    first = next(k for k, e in enumerate(windows.estimates) if e.ok)
+    # Of a plant that drifts a model from the middle is hardly another one than any.
+    away = unlike(windows, place) or unlike(windows, first, f'that of window {first + 1}')
+    seen, found = changes(windows), faults(windows)
     seen = [c for c in seen if c.rejects]
     grade = CHANGED if seen or away else PARTLY if found else kept.verdict.grade.name
     return Along(grade, seen, away, [f for f in found
