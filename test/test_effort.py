@@ -136,7 +136,7 @@ def test_a_budget_holds_for_every_stage(budget, order):
 
 @pytest.mark.parametrize('budget', [0.5, *slow(0.3, 1.0)])
 def test_a_budget_holds_for_many_inputs_and_outputs(budget):
-    """What has to be done after the search takes longest there, and is kept for the order."""
+    """What has to be done after the search takes longest there, and is kept."""
     rng, t = np.random.default_rng(6), np.arange(0.0, 10.0, 0.004)
     u, x = np.repeat(rng.standard_normal((125, 6)), 20, axis=0), np.zeros((2500, 6))
     decays = np.exp(-0.004 * np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]))

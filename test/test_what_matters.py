@@ -306,6 +306,12 @@ def test_two_smaller_models_are_tried_where_they_may_leave_less():
     assert not changed._likely(samples, lag, masses)
 
 
+def test_a_pole_that_jumps_is_no_small_change():
+    """To first order two models of two states leave 1.2 times what six states do."""
+    found = identify(experiment('no-pole-jump', 62, 4).record)
+    assert found.status is Status.CHANGED
+
+
 def test_where_the_past_of_an_input_tells_more_no_controller_is_seen():
     """A fast plant in open loop: what follows an input looks like its inverse, too."""
     given = experiment('fast-pole', 1, 2)

@@ -205,10 +205,12 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
     common = states * after if change.share else states[:, :0]
     if not change.share:
         after = (slopes.records == change.record)[:, np.newaxis]
-    divided, curved, drifting = (slopes.beside(np.hstack((common, more))).cost for more in (
-        rest * after, curves_of(samples, slopes.fit), slopes.drift))
-    return divided < np.inf and divided <= curved and (
-        not change.share or divided <= drifting)
+
+    def cost(more: Array) -> float:
+        return slopes.beside(np.hstack((common, more))).cost
+    divided = cost(rest * after)
+    return divided < np.inf and divided <= cost(curves_of(samples, slopes.fit)) and (
+        not change.share or divided <= cost(slopes.drift))
 
 
 def _numbers(samples: Samples, own: Own) -> int:

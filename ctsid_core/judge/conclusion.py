@@ -10,7 +10,7 @@ import numpy as np
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.judge.changed import Change, most_likely_change
+from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of
 from ctsid_core.judge.evidence import Evidence
@@ -66,7 +66,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     simulated = solution.simulated
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
-    drift = _drift(solution)
+    drift = _drift(solution) if change.cost <= NOTED else Drift()
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names,

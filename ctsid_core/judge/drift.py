@@ -32,7 +32,7 @@ class Drift(NamedTuple):
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:
     """Return the drift of the record where it costs most, if more than the `least` [%]."""
-    if not np.max(fit.power) > 0.0:
+    if not np.max(fit.power) > (0.01 * least) ** 2:
         return Drift()
     return max((_of_record(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
                 for k, record in enumerate(samples.records) if record.end > record.start),

@@ -48,6 +48,7 @@ _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setti
 _GUESSED = (Remedy.EXCITE, Remedy.SIGNALS)
 _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
 _MISLED = (*_GUESSED, Remedy.SPLIT, Remedy.PART, Remedy.SETTING)
+_BY_LOG = 'in a bag: set `stamp: log` for all channels'
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = 'The model has not been tested on held-out data: '
 
@@ -118,9 +119,8 @@ def change_note(e: Evidence) -> tuple[str, ...]:
                 f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
                 'accepted)',)
     if e.drift.cost:
-        what, cure = ('the dead time drifts', ', or correct stamps by clocks that run apart (in a '
-                      'bag: set `stamp: log` for all channels)') if e.drift.late \
-            else ('the plant drifts', '')
+        what, cure = ('the dead time drifts', f', or correct stamps by clocks that run apart '
+                      f'({_BY_LOG})') if e.drift.late else ('the plant drifts', '')
         return (f'perhaps {what}{e.drifting}: constant numbers miss {e.drift.cost:.1f} % of the '
                 'motion that numbers on straight lines do not; the model is of the mean: take '
                 f'shorter windows for what it is now{cure}',)
@@ -135,7 +135,7 @@ def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     for j in _largest_first(np.where(held, 0.0, e.lead), 0.0):
         yield Remedy.SETTING, (
             f'{_begun(_leads(e, j))}: their clocks differ, or the input is stamped after it '
-            'acts; correct the stamps (in a recording: set `stamp: log` for all channels).')
+            f'acts; correct the stamps ({_BY_LOG}).')
     for j in np.flatnonzero(held).tolist():
         # Inputs that are computed from the outputs follow them as those do that are stamped late.
         late, first = (f', or {_leads(e, j)}, for it is stamped late',

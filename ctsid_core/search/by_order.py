@@ -113,7 +113,6 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             continue
         found[n] = tried(thin, fit, free)
         best = choose(found)
-        keep_for(samples, found[best])
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if alike is not None and looked == {1} and not order:
@@ -189,11 +188,6 @@ def affordable(samples: Samples) -> int:
         most = int(0.8 * most)
     effort.keep(_later(samples.thinned(most), _MODES))
     return most
-
-
-def keep_for(samples: Samples, one: Tried) -> None:
-    """Keep what a model that was found needs after the search."""
-    samples.effort.keep(_later(samples, max(len(one.fit.model.poles), _MODES)))
 
 
 def _later(samples: Samples, modes: int) -> float:

@@ -51,7 +51,6 @@ from ctsid_core.search.by_order import (
     SEARCHED,
     Tried,
     affordable,
-    keep_for,
     nearest,
     parameters,
     price,
@@ -185,7 +184,6 @@ def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
         if one is not None:
             found[n] = one
             best = min(found, key=lambda n: found[n].information)
-            keep_for(joint, found[best].found)
     return found
 
 

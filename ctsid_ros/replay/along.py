@@ -262,9 +262,11 @@ def along(windows: Windows, place: int) -> Along:
     kept = windows.estimates[place]
     if not kept.ok:
         return Along(kept.verdict.grade.name, changes(windows), [], [])
-    first = next(k for k, e in enumerate(windows.estimates) if e.ok)
-    # Of a plant that drifts a model from the middle is hardly another one than any.
-    away = unlike(windows, place) or unlike(windows, first, f'that of window {first + 1}')
+    away, first = unlike(windows, place), next(
+        k for k, e in enumerate(windows.estimates) if e.ok)
+    if not away and first != place:
+        # Of a plant that drifts a model from the middle is hardly another one than any.
+        away = unlike(windows, first, f'that of window {first + 1}')
     seen, found = changes(windows), faults(windows)
     seen = [c for c in seen if c.rejects]
     grade = CHANGED if seen or away else PARTLY if found else kept.verdict.grade.name

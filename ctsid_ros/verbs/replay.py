@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,7 @@ from ctsid_ros.verbs.arguments import (
 if TYPE_CHECKING:
     from ctsid_core.model.statespace import StateSpace
     from ctsid_ros.recordings.bag import Bag
-    from ctsid_ros.replay.along import Windows
+    from ctsid_ros.replay.along import Along, Windows
     from ctsid_ros.replay.replay import Replay, Result
 
 HELP = 'identify models in sliding windows along a bag'
@@ -247,18 +248,25 @@ class _Report:
                 ('window', f'{self.number} of {len(self.results)}')]
 
     def _changes(self) -> Section:
-        from ctsid_ros.replay.along import along, changes
+        from ctsid_ros.replay.along import changes
 
         found = (*(change.words for change in changes(self.windows)),
-                 *(one.words for one in along(self.windows, self.number - 1).unlike))
+                 *(one.words for one in self.along.unlike))
         return Section('Changes of the plant', (Bullets(found),) if found else ())
 
-    @property
+    @cached_property
     def windows(self) -> Windows:
         """The windows as they are drawn."""
         from ctsid_ros.replay.along import Windows
 
         return Windows.of(self.results, self.zero_ns)
+
+    @cached_property
+    def along(self) -> Along:
+        """What holds for the whole bag."""
+        from ctsid_ros.replay.along import along
+
+        return along(self.windows, self.number - 1)
 
     def _columns(self) -> dict[str, Sequence[float]]:
         """Return what the series has beside the estimates."""
@@ -310,9 +318,9 @@ class _Report:
     def document(self, out: Path, interrupted: bool) -> Mapping[str, Any]:
         from dataclasses import asdict
 
-        from ctsid_ros.replay.along import along, changes
+        from ctsid_ros.replay.along import changes
 
-        found = along(self.windows, self.number - 1)
+        found = self.along
         return {'verb': 'replay', 'bag': named(self.args.bag), 'results': out,
                 'interrupted': interrupted, 'verdict': found.word,
                 'changes': [asdict(c) for c in changes(self.windows)],
