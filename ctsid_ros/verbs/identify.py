@@ -128,7 +128,7 @@ class Source:
         record, split = self.data.record, self.data.split
         if math.isnan(split):
             return None
-        from ctsid_core.search.solve import LONGEST
+        from ctsid_core.search.problem import LONGEST
 
         settings = self.data.config.settings
         lead = max(LONGEST * (split - record.start) * any(settings.unknown_delays(record.nu)),
