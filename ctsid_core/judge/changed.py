@@ -42,8 +42,10 @@ _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it 
 _LIKELY = 2           # of these that are looked at
 _SMALLER = 2.0        # power that two smaller models may leave, to first order, over the whole's:
                       # a pole that jumps is no small change, and climbs reach further
+_CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
 _LOOK = 1e7           # work of looking for them, beside the basis
 _NOTHING = 1e-9       # of a direction: less of it is rounding
+_EDGE = 0.08          # of a record, within which it is not divided
 _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
@@ -74,7 +76,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     Smaller models are the best ones of smaller orders, and what was free in them. Of a model that
     was found by its predictions these tell: its predictor.
     """
-    if np.max(fit.power) < (0.01 * NOTED) ** 2 * _INSTANTS[0]:   # all of it may be of a short side
+    if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
     # Of a record shorter than a dead time nothing is left.
     places = [k for k, record in enumerate(samples.records) if record.end > record.start]
@@ -124,9 +126,14 @@ def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     """Return the most likely division of a record."""
     if samples.effort.over:
         return Change()
-    return max((_divided(samples, own, whole, place, share)
-                for share in _likely(only(samples, place), own, whole)),
-               key=_clean, default=Change())
+    found = max((_divided(samples, own, whole, place, share)
+                 for share in _likely(only(samples, place), own, whole)),
+                key=_clean, default=Change())
+    for step in _CLOSER if found.gain > 0.0 else ():
+        found = max(found, *(_divided(samples, own, whole, place, share)
+                             for share in (found.share - step, found.share + step)
+                             if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
+    return found
 
 
 def _clean(change: Change) -> tuple[float, float]:

@@ -244,7 +244,8 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     # Zellner's prior of unit information: numbers as many as samples explain anything.
     unit = 1.0 / n_eff.sum()
     ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
-    gain = n_eff * ratio
+    # An output that fits a little worse for the sake of another is no evidence against it.
+    gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
     share = np.maximum(gain, 1e-6)
     each = price or float(share @ np.log(n_eff) / share.sum())
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)

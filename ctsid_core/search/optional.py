@@ -33,8 +33,13 @@ _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at l
 
 
 def with_direct(given: Problem, samples: Samples, found: dict[int, Tried], best: Tried,
-                free: Free, subspace: SubspacePoles) -> tuple[Tried, Free]:
-    """Return the model with D, if that explains more than it costs."""
+                free: Free, subspace: SubspacePoles, counted: int) -> tuple[Tried, Free]:
+    """
+    Return the model with D, if that explains more than it costs.
+
+    A state that the colour of the errors has added to the order `counted` D takes back only if a
+    pole stands for D.
+    """
     model, direct, order = best.fit.model, replace(free, feedthrough=True), given.settings.order
     known = given.seen(float(np.max(model.delay, initial=0.0)))
     if samples.effort.beyond(SEARCH) or np.min(known.counts.sum(axis=0)) <= best.parameters:
@@ -42,11 +47,13 @@ def with_direct(given: Problem, samples: Samples, found: dict[int, Tried], best:
     # Worth a search if it is worth its price at the poles that are known, or if one of these is
     # beyond what samples can show, and may stand for D.
     stands = bool(np.max(np.abs(model.poles)) > AT_ONCE * free.fastest)
+    fewest = 1 if stands or model.n <= counted else model.n
     if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
-                              for n, one in found.items() if n <= model.n):
+                              for n, one in found.items() if fewest <= n <= model.n):
         return best, free
     orders = search_orders(known, direct, subspace, order=order, max_order=model.n,
                            near=_behind_lags(found, free), known_delay=given.known_delay)
+    orders = {n: one for n, one in orders.items() if n >= fewest}
     if not orders or order not in (0, *orders):
         return best, free
     with_D = orders[order or choose(orders)]

@@ -79,7 +79,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     notes = given.left_out(found, order)
     best = found[order]
     if own.feedthrough:
-        with_D, free = with_direct(given, samples, found, best, free, subspace.poles)
+        with_D, free = with_direct(given, samples, found, best, free, subspace.poles, counted)
         others, best = _with(others, best, with_D), with_D
     if hidden := hide_outliers(part, given.corrupt, samples, best.fit):
         samples = given.seen()
