@@ -120,7 +120,7 @@ def _grades(rows: Rows) -> dict[str, int]:
 
 
 def odd_ones(flights: Sequence[Flight]) -> dict[str, str]:
-    """Return the bags with other numbers than most of the same vehicle, or of all if it has few."""
+    """Return bags with other numbers than most of their vehicle, or of all if it has few."""
     same = copies(flights)
     flights = [f for f in flights if f.bag not in same]
     own = {f.bag: Numbers(np.array([complex(p['re'] or 0.0, p['im'] or 0.0) for p in f.poles]),
