@@ -420,13 +420,13 @@ def held_interval(joint: Samples) -> float:
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
-def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | None = None,
+def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: bool = False,
                       horizons: Sequence[int] = HORIZONS) -> Array:
     """
     Return rms errors of predictions some samples ahead, over the motion, (horizons, ny).
 
-    The first tenth of the record starts the filter and does not count. Of a simulation its state
-    at the `start` [s] is known: a filter without gain would never learn it. Infinite if the filter
+    The first tenth of the record starts the filter and does not count. Of what `simulates` the
+    state at its start is known: a filter without gain would never learn it. Infinite if the filter
     is not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
     short record, the last ones, are left out.
     """
@@ -443,18 +443,18 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | 
     motion = np.std(y[real], axis=0)
     motion[motion == 0.0] = np.inf                 # of an output at rest nothing is asked
     with np.errstate(over='ignore', invalid='ignore'):
-        if start is None:
+        if not simulates:
             x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
         else:
             x, u = (rows[1:] for rows in respond(
                 m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(),
-                np.append(min(start, t[0]), t), m.tail[:, 0]))
+                np.append(record.start, t), m.tail[:, 0]))
         rest = y - x @ m.C.T - u @ m.D.T - m.y_trim[:, 0]
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
-        states = predicted_states(F, F @ M, m.C, rest, first if start is None else 0)
+        states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
         for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T

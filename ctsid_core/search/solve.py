@@ -549,12 +549,15 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
     for place, counts in enumerate(samples.counts):
         record, last = samples.records[place], _compared(part, corrupt, place)
+        # Nor do outputs count that no simulation knows the inputs of.
+        cut = replace(last, record=replace(last.record, start=record.start))
         rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)
         plant = found.matrices if place == part.last else in_record(
             found.matrices, fit, found.samples, place)
-        simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
-        predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
-        errors = found.errors if place == part.last else predicted()
+        simulated = partial(prediction_errors, rival, best.fit.model.delay, cut, simulates=True)
+        predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], cut)
+        errors = found.errors if place == part.last and record.start == last.record.start \
+            else predicted()
         rivals = simulated()
         gain += information(rivals, counts) - information(errors, counts)
         if asked and AHEAD < min(len(errors), len(rivals)):
