@@ -27,6 +27,7 @@ import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
 from ctsid_core.likelihood.output_error import (
+    ROUGHLY,
     STEPS,
     Fit,
     Free,
@@ -117,6 +118,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if alike is not None and looked == {1} and not order:
             best = max(best, _pointed(alike, found[1], subspace, grid, free, max_order))
+    if found and not order:
+        _without_modes(thin, found, free)
     if thin is samples or order not in (0, *found):
         return found
     chosen = order or choose(found)
@@ -125,6 +128,19 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     return {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
         steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
+
+
+def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:
+    """Improve smaller orders by what the chosen one is without one of its modes."""
+    chosen = 0
+    while chosen != (chosen := choose(found)) and not samples.effort.beyond(SEARCH):
+        model = found[chosen].fit.model
+        for k in range(len(model.poles) if len(model.poles) > 1 else 0):
+            with suppress(np.linalg.LinAlgError):
+                fit = fit_at(samples, np.delete(model.poles, k), model.delay, free, slopes=False)
+                n = fit.model.n
+                if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free)
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
