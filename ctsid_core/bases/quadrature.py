@@ -25,8 +25,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ctsid_core.bases.hermite_functions import integral_of_first
-from ctsid_core.bases.hermite_sums import project
+from ctsid_core.bases.hermite_functions import integral_of_first, project
 from ctsid_core.linear.types import Array
 from ctsid_core.signals.record import Signal
 

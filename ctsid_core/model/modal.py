@@ -26,8 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctsid_core.linear.matrix_functions import phi
-from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.matrix_functions import chain, phi
 from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.signals.record import Signal

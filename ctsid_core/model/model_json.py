@@ -25,11 +25,10 @@ import numpy as np
 from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.model import json_values as read
 from ctsid_core.model.covariance import Covariance, Rival
-from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import REMEDIES, Choice, Estimate, OrderTried, RecordShare, Status
 from ctsid_core.model.json_values import Reader, from_text, to_text
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
+from ctsid_core.model.verdict import Agreement, Excitation, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 
 FORMAT = 'ctsid-model'

@@ -21,8 +21,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from scipy.linalg import schur, solve_sylvester
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
-from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.matrix_functions import Modes, chain, exponentials, modes, phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal, channel_slices
 

@@ -21,8 +21,7 @@ from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.records import Joint
 from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre
 from ctsid_core.errors import SettingsError
-from ctsid_core.linear.matrices import plain_matrices
-from ctsid_core.linear.types import ComplexArray
+from ctsid_core.linear.types import ComplexArray, plain_matrices
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.gobf_equations import (
     dynamics,

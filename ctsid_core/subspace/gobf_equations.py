@@ -33,8 +33,8 @@ from math import factorial
 import numpy as np
 
 from ctsid_core.bases.takenaka_malmquist import Chain, of_one_degree, respond
-from ctsid_core.linear.matrix_functions import exponentials, svd
-from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.least_squares import svd, triangle
+from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between
 from ctsid_core.signals.record import Record, Signal

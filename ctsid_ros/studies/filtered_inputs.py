@@ -12,10 +12,8 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from ctsid_core.bases.takenaka_malmquist import Chain
-from ctsid_core.linear.least_squares import solve
-from ctsid_core.linear.matrices import Matrices, plain_matrices
-from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.least_squares import solve, triangle
+from ctsid_core.linear.types import Array, Matrices, plain_matrices
 from ctsid_core.subspace.gobf_equations import Filtered, dynamics, observe
 
 
