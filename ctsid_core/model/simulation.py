@@ -15,6 +15,7 @@ is one scalar recursion per mode, and all of them run at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import factorial
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
@@ -67,6 +68,12 @@ def _pieces(stamps: Array, values: Array, hold: str, knots: Array) -> Array:
     slopes = [np.where(inside[:, np.newaxis], curve(knots, nu=j), 0.0)
               for j in range(1, degree + 1)]
     return np.array([value, *slopes])
+
+
+def shifted(derivatives: Array, h: float | Array) -> Array:
+    """Return polynomials, given by their derivatives, from a time h later on [s]: Taylor's sum."""
+    return np.array([sum(x * h ** k / factorial(k) for k, x in enumerate(derivatives[j:]))
+                     for j in range(len(derivatives))])
 
 
 def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: Sequence[float],

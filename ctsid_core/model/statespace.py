@@ -172,23 +172,11 @@ class StateSpace:
 
     def frequency_response(self, omega: ArrayLike) -> ComplexArray:
         """
-        Return G(j omega) = (C (j omega I - A)^-1 B + D) exp(-j omega delay).
+        Return G(j omega) = (C (j omega I - A)^-1 B + D) exp(-j omega delay), (M, ny, nu).
 
-        Parameters
-        ----------
-        omega : array_like, shape (M,)
-            Frequencies [rad/s]; negative ones are allowed.
-
-        Returns
-        -------
-        ndarray, shape (M, ny, nu)
-            Where omega is a pole that the entry sees: infinite magnitude, phase NaN
-            (inf + NaN j). Entries that do not see that pole are finite and right.
-
-        Raises
-        ------
-        DataError
-            If omega is not a row of finite numbers.
+        At frequencies omega (M,) [rad/s], also negative ones. Where omega is a pole that the entry
+        sees: infinite magnitude, phase NaN (inf + NaN j). Entries that do not see that pole are
+        finite and right. Raises `DataError` if omega is not a row of finite numbers.
         """
         omega = np.asarray(omega, dtype=float)
         if omega.ndim != 1 or not np.isfinite(omega).all():
@@ -204,9 +192,8 @@ class StateSpace:
         Parameters
         ----------
         inputs : sequence of Signal
-            Together nu channels, each signal with stamps of its own: held ('zoh'), on straight
-            lines ('linear') or on a cubic spline ('smooth') between them; held before the first
-            and after the last.
+            Together nu channels, each signal with stamps of its own; held before the first and
+            after the last.
         times : array_like, shape (M,)
             Where the outputs are wanted, not decreasing [s].
         x0 : array_like, shape (n,), optional
@@ -222,10 +209,6 @@ class StateSpace:
         ------
         DataError
             If the channels do not fit the model, an input has no sample, or `times` decreases.
-
-        Notes
-        -----
-        Exponential integrators between all stamps, see `ctsid_core.model.simulation`.
         """
         self.check_width('input', sum(s.width for s in inputs), self.nu)
         start = np.zeros(self.n) if x0 is None else _shaped('x0', x0, (self.n,))

@@ -36,7 +36,7 @@ from ctsid_core.bases.takenaka_malmquist import Chain, of_one_degree, respond
 from ctsid_core.linear.least_squares import svd, triangle
 from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array
-from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between
+from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between, shifted
 from ctsid_core.signals.record import Record, Signal
 
 KINKS = 2             # integrals of held inputs whose kinks are worth it
@@ -211,11 +211,6 @@ def _interpolation_error(signal: Array, knots: Array, output: Signal,
     whole, smooth = of_one_degree((signal, curve))
     error = whole - smooth
     size = np.abs(signal[0]).max(axis=0) + 1e-300
-    error[:, :, np.abs(_middles(error, knots)).max(axis=0) <= _NOTHING * size] = 0.0
+    middle = shifted(error[:, :-1], 0.5 * np.diff(knots)[:, np.newaxis])[0]
+    error[:, :, np.abs(middle).max(axis=0) <= _NOTHING * size] = 0.0
     return [error[:, :, j] for j in range(m)]
-
-
-def _middles(derivatives: Array, knots: Array) -> Array:
-    half = 0.5 * np.diff(knots)[:, np.newaxis]
-    return sum((v[:-1] * half ** j / factorial(j) for j, v in enumerate(derivatives)),
-               np.zeros(()))
