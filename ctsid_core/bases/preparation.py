@@ -208,11 +208,7 @@ def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ..
         moves |= np.isin(places, keep)
         kept += places[moves].tolist()
         fixed += places[~moves].tolist()
-        if moves.all():
-            kept_signals.append(signal)
-        elif moves.any():
-            kept_signals.append(replace(
-                signal, values=signal.values[:, moves],
-                names=tuple(np.array(signal.names)[moves]) if signal.names else (),
-                units=tuple(np.array(signal.units)[moves]) if signal.units else ()))
+        if moves.any():
+            kept_signals.append(signal if moves.all() else
+                                signal.columns(np.flatnonzero(moves).tolist()))
     return kept_signals, tuple(kept), fixed

@@ -82,11 +82,10 @@ class Estimate:
     Parameters
     ----------
     status : Status
-        `Status.OK`, or what to do next.
     model : StateSpace or None
         None unless the status is OK, so that nobody takes a bad one by accident.
     rejected_model : StateSpace or None
-        A model that was computed but not accepted: for people to look at, not for controllers.
+        One that was computed but not accepted: for people to look at, not for controllers.
     settings : Settings
         As used: automatic values filled in.
     pole_std : ndarray, shape (n,)
@@ -95,7 +94,6 @@ class Estimate:
         known.
     covariance : Covariance or None
         Of the entries of the model, or of the rejected one if there is no other; None if unknown.
-        Further properties of the estimate follow from it.
     fit : ndarray, shape (ny,)
         Simulation fit (NRMSE) of each output on the window itself [%].
     held_out_fit : ndarray, shape (ny,)
@@ -119,8 +117,7 @@ class Estimate:
         Of several records that were identified together, those that were used; else empty. The
         model's trim and noise are those of the record that ends last.
     verdict : Verdict
-        GOOD, WEAK or REJECT, the reason, and the numbers behind it. REJECT if and only if
-        `model` is None: without a model it is made so.
+        REJECT if and only if `model` is None: without a model it is made so.
 
     Raises
     ------

@@ -50,11 +50,7 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
     """
     Return an estimate as JSON text; the same estimate gives the same text.
 
-    Parameters
-    ----------
-    estimate : Estimate
-    metadata : mapping, optional
-        What else to keep: names to words, numbers, lists or mappings of them.
+    Metadata are what else to keep: names to words, numbers, lists or mappings of them.
     """
     document = {
         'format': FORMAT, 'version': VERSION, 'equations': EQUATIONS,

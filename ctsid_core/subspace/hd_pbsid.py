@@ -26,7 +26,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from ctsid_core.bases.projection import Projection, as_real
+from ctsid_core.bases.hermite import Projection, as_real
 from ctsid_core.bases.records import Joint
 from ctsid_core.linear.least_squares import least_norm, solve, svd, triangle
 from ctsid_core.linear.types import Array, Matrices, plain_matrices
