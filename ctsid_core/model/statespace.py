@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model import realisation
-from ctsid_core.model.frequency_response import transfer
 from ctsid_core.model.simulation import respond
 from ctsid_core.signals.record import Signal
 
@@ -182,7 +181,7 @@ class StateSpace:
         if omega.ndim != 1 or not np.isfinite(omega).all():
             raise DataError(f'`omega` has shape {omega.shape}; wanted is one row of finite '
                             'frequencies in rad/s')
-        return transfer(self.A, self.B, self.C, self.D, self.delay, omega)
+        return realisation.transfer(self.A, self.B, self.C, self.D, self.delay, omega)
 
     def simulate(self, inputs: Sequence[Signal], times: ArrayLike,
                  x0: ArrayLike | None = None) -> Array:
