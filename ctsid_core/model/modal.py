@@ -156,11 +156,9 @@ def _part(drive: Drive, delay: Array, start: float, times: Array) -> _Part:
     far = to[of]
     if len(v) > 1:
         u, rate = shifted(now, far)[:2]
-    elif len(drive.stamps):
+    else:
         between, rates = drive.paces
         u, rate = now[0], np.take_along_axis(rates, np.searchsorted(between, wanted)[of], axis=1)
-    else:
-        u, rate = now[0], np.zeros_like(now[0])
     for j in range(len(v)):
         force[j] *= h ** (j + 1)
     return _Part(lengths, which, S, D, slot, force, u, rate,
