@@ -157,20 +157,20 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     """
     found = [_filtered(record, chain, delay, pieces, kinks, feedthrough) for record in records]
     nu, ny, count = records[0].nu, records[0].ny, len(records)
-    own, missed = nu + 1 + trim, found[0].shape[2] - nu - 2 - ny
-    total = nu + count * (1 + trim)
-    rows = np.zeros((sum(map(len, found)), chain.size, total + missed + ny))
-    first = 0
+    blocks = []
     for i, part in enumerate(found):
-        to = slice(first, first + len(part))
-        first += len(part)
-        columns = [*range(nu), nu + i, *([nu + count + i] if trim else [])]
-        rows[to, :, columns] = part[:, :, :own]
-        rows[to, :, total:] = part[:, :, nu + 2:]
+        own = np.zeros((*part.shape[:2], count * (1 + trim)))     # of each record one, or two
+        own[:, :, i::count] = part[:, :, nu:nu + 1 + trim]
+        blocks.append(np.concatenate((part[:, :, :nu], own, part[:, :, nu + 2:]), axis=2))
+    rows = np.concatenate(blocks)
+    missed = slice(nu + count * (1 + trim), -ny)
     keep = np.ones(rows.shape[2], dtype=bool)
-    keep[total:total + missed] = np.any(rows[:, :, total:total + missed], axis=(0, 1))
-    counts = (nu, count, count * trim, int(keep[total:total + missed].sum()))
-    return _compressed(chain, rows[:, :, keep], counts)
+    keep[missed] = np.any(rows[:, :, missed], axis=(0, 1))
+    counts = (nu, count, count * trim, int(keep[missed].sum()))
+    flat = rows[:, :, keep].transpose(1, 2, 0).reshape(-1, len(rows))
+    compressed = triangle(flat.T).T if flat.shape[1] > flat.shape[0] else flat
+    short = compressed.reshape(chain.size, sum(counts) + ny, -1)
+    return Filtered(chain, short[:, :-ny], short[:, -ny:], counts)
 
 
 def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pieces,
@@ -190,14 +190,6 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     w = respond(chain, signals, knots)[np.searchsorted(knots, times)]
     impulse = (exponentials(chain.L, times - times[0], 0)[0] @ chain.b)[:, :, np.newaxis]
     return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
-
-
-def _compressed(chain: Chain, rows: Array, counts: tuple[int, int, int, int]) -> Filtered:
-    """Return what products of rows, (times, N, signals), tell."""
-    flat = rows.transpose(1, 2, 0).reshape(-1, len(rows))
-    compressed = triangle(flat.T).T if flat.shape[1] > flat.shape[0] else flat
-    short = compressed.reshape(chain.size, rows.shape[2], -1)
-    return Filtered(chain, short[:, :sum(counts)], short[:, sum(counts):], counts)
 
 
 def sample_times(record: Record) -> Array:
@@ -271,13 +263,13 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal], inte
     for power in range(count + 1 if u.shape[2] and count else 0):
         integral = integrated(integral, knots) if power else integral
         if power >= first:
-            found += [x for signal in outputs
-                      for x in _interpolation_error(integral, knots, signal, interpolate)]
-    return np.stack(of_one_degree(found), axis=2) if found else np.zeros((1, len(knots), 0))
+            found += [_interpolation_error(integral, knots, signal, interpolate)
+                      for signal in outputs]
+    return np.concatenate(of_one_degree(found), axis=2) if found else np.zeros((1, len(knots), 0))
 
 
 def _interpolation_error(signal: Array, knots: Array, output: Signal,
-                         interpolate: Pieces) -> list[Array]:
+                         interpolate: Pieces) -> Array:
     inside = np.isin(output.time, knots)
     places = np.searchsorted(knots, output.time[inside])
     m = signal.shape[2]
@@ -289,4 +281,4 @@ def _interpolation_error(signal: Array, knots: Array, output: Signal,
     size = np.abs(signal[0]).max(axis=0) + 1e-300
     middle = shifted(error[:, :-1], 0.5 * np.diff(knots)[:, np.newaxis])[0]
     error[:, :, np.abs(middle).max(axis=0) <= _NOTHING * size] = 0.0
-    return [error[:, :, j] for j in range(m)]
+    return error
