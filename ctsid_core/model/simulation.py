@@ -40,16 +40,13 @@ def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: A
     Before its first and after its last stamp an input is held. Valid up to the next of the
     increasing knots (K,) [s] if all stamps, later by the dead times of the channels, are knots.
     """
-    parts = []
+    joined = np.zeros((4, len(knots), sum(signal.width for signal in inputs)))
     for signal, places in zip(inputs, channel_slices(inputs), strict=True):
         own = np.asarray(delay[places])
-        part = np.zeros((4, len(knots), signal.width))
         for d in np.unique(own):
             channels = own == d
             found = _pieces(signal.time + d, signal.values[:, channels], signal.hold, knots)
-            part[:len(found), :, channels] = found
-        parts.append(part)
-    joined = np.concatenate(parts, axis=2) if parts else np.zeros((1, len(knots), 0))
+            joined[:len(found), :, places][:, :, channels] = found
     degree = max((j for j in range(len(joined)) if joined[j].any()), default=0)
     return joined[:degree + 1]
 
