@@ -92,15 +92,14 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
     return times, y, streams
 
 
-@np.errstate(over='ignore', invalid='ignore')
 def _respond(model: StateSpace, record: Record, times: Array) -> tuple[Array, Array]:
     # Outputs of a bounded solution of the model, and its state at times[0]
     x, u = respond(model.A, model.B, model.x_trim, record.inputs, model.delay, times, None)
-    y = x @ model.C.T + u @ model.D.T + model.y_trim
+    with np.errstate(over='ignore', invalid='ignore'):
+        y = x @ model.C.T + u @ model.D.T + model.y_trim
     return np.where(np.isnan(y), np.inf, y), x[0] if len(x) else np.zeros(model.n)
 
 
-@np.errstate(over='ignore', invalid='ignore')     # poles that explode and coincide
 def simulation(model: StateSpace, record: Record, *,
                trim: Literal['model', 'refit'] = 'model') -> Validation:
     """
@@ -127,14 +126,16 @@ def simulation(model: StateSpace, record: Record, *,
         raise DataError(f'`trim` is {trim!r}; choose model or refit')
     times, y, _ = _samples(model, record)
     y_hat, x0 = _respond(model, record, times)
-    columns, states = free_response(model.A, model.C, times)
+    with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
+        columns, states = free_response(model.A, model.C, times)
     if trim == 'refit':
         offsets = np.broadcast_to(np.eye(model.ny), (len(times), model.ny, model.ny))
         columns = np.concatenate((columns, offsets), axis=2)
         states = np.hstack((states, np.zeros((model.n, model.ny))))
     if len(times):
         found = _least_squares(columns, y - y_hat, spread(y))
-        y_hat, x0 = y_hat + columns @ found, x0 + states @ found
+        with np.errstate(over='ignore', invalid='ignore'):
+            y_hat, x0 = y_hat + columns @ found, x0 + states @ found
         y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
     return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat))
 
