@@ -186,10 +186,7 @@ class Settings:
         """
         Return the dead time of each of `nu` inputs [s]; 0 where it is to be found from the data.
 
-        Raises
-        ------
-        SettingsError
-            If `delay` is a sequence of another length.
+        Raises `SettingsError` if `delay` is a sequence of another length.
         """
         return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each(nu))
 
@@ -221,10 +218,7 @@ class Settings:
         """
         Build settings from dotted names.
 
-        Raises
-        ------
-        SettingsError
-            If any name is unknown or any value is wrong; all faults are listed at once.
+        Raises `SettingsError` if names are unknown or values wrong; all faults are listed at once.
         """
         settings: Settings = build_declared(cls, values)
         return settings

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ctsid_core.linear.matrix_functions import svd
+from ctsid_core.linear.least_squares import svd
 
 DATA = Path(__file__).parent / 'data'
 

@@ -25,8 +25,7 @@ from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.residuals import driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
@@ -106,8 +105,8 @@ def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
     whole, y = part.whole, list(part.y)
     level = np.zeros(whole.ny) if len(y) == whole.ny else \
         np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = m.y_trim[:, 0] + part.y_level - m.D @ part.u_level
-    return m.x_trim[:, 0] - m.B @ part.u_level, level
+    level[y] = m.y_trim + part.y_level - m.D @ part.u_level
+    return m.x_trim - m.B @ part.u_level, level
 
 
 def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
@@ -152,8 +151,7 @@ def _with_trim(solution: Solution, record: int) -> Matrices:
     """Return a plant that predictions found with the trim of its simulation of a record."""
     assert solution.plant is not None
     level = solution.fit.model.y0[record] * solution.samples.size
-    return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim),
-                   y_trim=level[:, np.newaxis])
+    return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim), y_trim=level)
 
 
 def _covariances(solution: Solution, model: StateSpace,

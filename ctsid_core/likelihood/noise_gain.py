@@ -27,10 +27,8 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit, Residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.recursion import chain
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.matrix_functions import chain, exponentials
+from ctsid_core.linear.types import Array, ComplexArray, Matrices
 from ctsid_core.model.whiteness import cell
 
 _STEPS = 10

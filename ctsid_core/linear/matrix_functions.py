@@ -6,7 +6,8 @@ The matrix exponential and its integrals, for very many intervals at once.
 
 (M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 19, 2010, section 2). Where
 the eigenvectors of A are well-conditioned they are functions of its eigenvalues; elsewhere
-(multiple poles) power series, summed on a short interval and doubled.
+(multiple poles) power series, summed on a short interval and doubled. `chain` takes modes from
+interval to interval.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
-import scipy.linalg
 from scipy.linalg import matrix_balance
+from scipy.linalg.lapack import dtbtrs, ztbtrs
 
 from ctsid_core.linear.types import Array, ComplexArray
 
@@ -93,6 +94,26 @@ def _phi_series(x: Array | ComplexArray, j: int) -> ComplexArray:
     return value
 
 
+def chain(factor: Array | ComplexArray, push: Array | ComplexArray) -> ComplexArray:
+    """
+    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, (m, w, K + 1); real if both are.
+
+    Of factors (m, K), or (m, 1) if they are the same at every step, and pushes (m, w, K): by
+    LAPACK's solver for band matrices.
+    """
+    m, width, count = push.shape
+    kind = np.result_type(factor, push)
+    solver = ztbtrs if kind.kind == 'c' else dtbtrs
+    z: ComplexArray = np.zeros((m, width, count + 1), dtype=kind)
+    if count:
+        band = np.ones((2, count), dtype=kind, order='F')
+        for own, factors, pushes in zip(z, factor, push, strict=True):
+            band[1, :-1] = -factors[1:] if len(factors) > 1 else -factors[0]
+            solved, _ = solver(band, pushes.T, uplo='L', diag='U')
+            own[:, 1:] = solved.T
+    return z
+
+
 def exponentials(A: Array, h: Array, count: int) -> list[Array]:
     """
     Return h^j phi_j(A h) for j = 0 ... count: e^(A h) and its repeated integrals, each (K, n, n).
@@ -137,19 +158,3 @@ def _double(functions: list[Array], rows: NDArray[np.intp], step: Array) -> None
         extra = sum((h ** (j - i) / factorial(j - i) * old[i] for i in range(1, j + 1)),
                     np.zeros(()))
         f[rows] = old[0] @ old[j] + extra
-
-
-def svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """
-    Return the thin singular value decomposition, also where the fast algorithm gives up.
-
-    Divide and conquer (LAPACK's gesdd) fails to converge on rare matrices that are perfectly
-    sound; the QR iteration (gesvd) is slower and does not.
-    """
-    try:
-        left, s, right = np.linalg.svd(matrix, full_matrices=False)
-    except np.linalg.LinAlgError:
-        if not np.isfinite(matrix).all():
-            raise
-        left, s, right = scipy.linalg.svd(matrix, full_matrices=False, lapack_driver='gesvd')
-    return left, s, right

@@ -70,10 +70,7 @@ def load_estimate(path: str | os.PathLike[str]) -> Estimate:
     """
     Read what `save_model` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        If the file cannot be read, is not a model file, or is of a newer version.
+    Raises `StorageError` if the file cannot be read, is not a model file, or of a newer version.
     """
     return _load(path)[0]
 
@@ -82,10 +79,7 @@ def load_model(path: str | os.PathLike[str]) -> StateSpace:
     """
     Read the model of a file that `save_model` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        As `load_estimate`, and if the identification gave no accepted model.
+    Raises like `load_estimate`, and if the identification gave no accepted model.
     """
     estimate = load_estimate(path)
     if estimate.model is None:
@@ -116,25 +110,13 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
     """
     Write the estimates of many windows; the suffix of the path decides how.
 
-    Parameters
-    ----------
-    path : path-like
-        '.csv': one row per window: window, status, verdict, order, poles with standard deviation,
-        natural frequency and damping (with theirs), fits. '.npz': the same and the matrices as
-        arrays with one entry per window, padded with NaN to the largest order, and each whole
-        estimate as JSON.
-    estimates : sequence of Estimate
-    columns : mapping, optional
-        Further numbers, by name with unit: one per estimate.
-    force : bool
-        Whether an existing file may be replaced.
+    '.csv': one row per window: window, status, verdict, order, poles with standard deviation,
+    natural frequency and damping (with theirs), fits. '.npz': the same and the matrices as arrays
+    with one entry per window, padded with NaN to the largest order, and each whole estimate as
+    JSON. Columns are further numbers, by name with unit: one per estimate.
 
-    Raises
-    ------
-    StorageError
-        If the suffix is another, the file exists, or it cannot be written.
-    DataError
-        If a column is of another length.
+    Raises `StorageError` if the suffix is another, or like `save_model`, and `DataError` if a
+    column is of another length.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in ('.csv', '.npz'):
@@ -152,10 +134,7 @@ def load_series(path: str | os.PathLike[str]) -> tuple[Estimate, ...]:
     """
     Read the estimates of an NPZ file that `save_series` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        If the file cannot be read, is not such a file, or is of a newer version.
+    Raises `StorageError` if the file cannot be read, is not such a file, or of a newer version.
     """
     data = _read_file(path)
     try:

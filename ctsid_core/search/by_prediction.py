@@ -40,9 +40,8 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
@@ -79,7 +78,7 @@ _STABLE = 1e-9              # real part over size of the largest pole that is ro
 class PredictionFit:
     """A model by its predictions."""
 
-    matrices: Matrices        # of the plant, outputs in their own units; `tail` is zero
+    matrices: Matrices        # of the plant, outputs in their own units, at rest
     samples: Samples          # with the outputs' own past among the inputs
     found: Tried              # the predictor (1), of these
     free: Free
@@ -378,7 +377,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
     except np.linalg.LinAlgError:
         return None
     return replace(m, A=A, B=B, D=m.D[:, :nu], K=gain, x_trim=drive @ m.y_trim,
-                   tail=np.zeros_like(m.tail))
+                   start=np.zeros_like(m.start))
 
 
 def in_record(plant: Matrices, fit: Fit, samples: Samples, record: int) -> Matrices:
@@ -444,12 +443,12 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
     motion[motion == 0.0] = np.inf                 # of an output at rest nothing is asked
     with np.errstate(over='ignore', invalid='ignore'):
         if not simulates:
-            x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
+            x, u = respond(m.A, m.B, m.x_trim, record.inputs, delay.tolist(), t, None)
         else:
             x, u = (rows[1:] for rows in respond(
-                m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(),
-                np.append(record.start, t), m.tail[:, 0]))
-        rest = y - x @ m.C.T - u @ m.D.T - m.y_trim[:, 0]
+                m.A, m.B, m.x_trim, record.inputs, delay.tolist(), np.append(record.start, t),
+                m.start))
+        rest = y - x @ m.C.T - u @ m.D.T - m.y_trim
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K

@@ -37,7 +37,7 @@ from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.search.alike import POINT
 

@@ -18,7 +18,7 @@ import numpy as np
 from ctsid_core.likelihood.mode_columns import columns_of, cost_of, least_cost
 from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
-from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.matrix_functions import chain
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal
 

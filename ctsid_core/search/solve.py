@@ -27,8 +27,7 @@ from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
     LEAST,
@@ -61,8 +60,7 @@ from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
-from ctsid_core.subspace.hd_pbsid import Subspaces
-from ctsid_core.subspace.pbsid_equations import realise
+from ctsid_core.subspace.hd_pbsid import Subspaces, realise
 
 LONGEST = 0.25        # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more

@@ -77,12 +77,8 @@ class Tracker:
     Identify windows one after the other, and keep states and rows through them.
 
     What `take` returns depends on the records and settings given so far and on nothing else. A
-    window without an accepted model leaves everything as it was for the next one.
-
-    Parameters
-    ----------
-    settings : Settings, optional
-        The attribute of that name may be replaced between windows.
+    window without an accepted model leaves everything as it was for the next one. The attribute
+    `settings` may be replaced between windows.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -94,20 +90,8 @@ class Tracker:
         """
         Identify a window.
 
-        Parameters
-        ----------
-        record : Record
-        cancelled : callable, optional
-            As of `identify`; a window that is broken off leaves no trace.
-
-        Raises
-        ------
-        SettingsError
-            If `settings.delay` does not fit the number of inputs.
-        DataError
-            If the record has other channels than those before; call `reset` first.
-        Cancelled
-            If `cancelled` said so.
+        Raises `DataError` if the record has other channels than those before (call `reset` first),
+        and like `identify`; a window that is broken off because of `cancelled` leaves no trace.
         """
         past, settings = self._past, self.settings
         estimate = identify(record, settings, cancelled=cancelled)
