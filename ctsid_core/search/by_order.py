@@ -36,7 +36,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import independent, residuals
+from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
@@ -58,6 +58,7 @@ _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 14           # evaluations of all samples that have to be after the search,
 _MODES = 3            # of so many modes,
 _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
+UNEXPLAINED = 0.05    # error that is not noise, over the motion, with which more may be told
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
 
@@ -95,7 +96,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     found: dict[int, Tried] = {}
     alike = Alike(grid, free, _delays(free, known_delay)) if samples.several else None
     looked: set[int] = set()
-    best = 1
+    best, pointed = 1, False
     while True:
         short = samples.effort.beyond(SEARCH)
         if order in looked or short and found and not order:
@@ -105,6 +106,10 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             order if short else len(looked) + 1
         if not n and alike is not None:
             n = _promised(alike, thin, free, found, looked, max_order)
+        if not n and not pointed and unexplained(thin, found[best].fit) > UNEXPLAINED:
+            pointed, n = True, _pointed(alike, (known_delay, found[best].fit.model.delay),
+                                        subspace, grid, free, max_order)
+            n = 0 if n in looked else n
         if not n:
             break
         looked.add(n)
@@ -117,7 +122,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if alike is not None and looked == {1} and not order:
-            best = max(best, _pointed(alike, found[1], subspace, grid, free, max_order))
+            best = max(best, _pointed(alike, (fit.model.delay,), subspace, grid, free, max_order))
     if found and not order:
         _without_modes(thin, found, free)
     if thin is samples or order not in (0, *found):
@@ -163,20 +168,21 @@ def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried
     return 0
 
 
-def _pointed(alike: Alike, first: Tried, subspace: SubspacePoles, grid: PoleGrid, free: Free,
-             max_order: int) -> int:
+def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePoles,
+             grid: PoleGrid, free: Free, max_order: int) -> int:
     """Return the smallest order, 3 or more, whose start is nearly as good as any."""
-    samples, delay = grid.samples, first.fit.model.delay
+    samples = grid.samples
 
     def by_subspace(n: int) -> Fit | None:
-        start = min(_by_subspace(n, subspace, grid, free, delay), key=lambda s: s[0], default=None)
+        start = min((s for d in delays for s in _by_subspace(n, subspace, grid, free, d)),
+                    key=lambda s: s[0], default=None)
         with suppress(np.linalg.LinAlgError):
             return start and fit_at(samples, *start[2:], free, slopes=False)
         return None
 
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
-    for start in (by_subspace, alike.start):            # the quicker ones first
+    for start in (by_subspace, *([alike.start] if alike else ())):      # the quicker ones first
         for n in range(3, max_order + 1):
             if samples.effort.beyond(POINT):
                 break
@@ -218,6 +224,12 @@ def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
                  parameters(samples, fit, free))
 
 
+def unexplained(samples: Samples, fit: Fit) -> float:
+    """Return the rms of errors that are not noise, over the motion."""
+    coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
+    return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
+
+
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
     """Return how many numbers a model has, its gauge apart."""
     n, records = fit.model.n, len(samples.records)
@@ -257,8 +269,9 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
     n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's prior of unit information: numbers as many as samples explain anything.
-    unit = 1.0 / n_eff.sum()
+    # Zellner's prior of unit information: numbers as many as samples explain anything. How many
+    # samples are independent, both models have a say.
+    unit = float((n_eff.sum() * np.maximum(larger.independent, 2.0).sum()) ** -0.5)
     ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
@@ -371,3 +384,5 @@ def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay)
+    if close and abs(n - close) > MORE:
+        yield from _by_subspace(n, subspace, grid, free, known)

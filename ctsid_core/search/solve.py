@@ -24,7 +24,7 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
+from ctsid_core.likelihood.residuals import coloured_costs, residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
@@ -34,6 +34,7 @@ from ctsid_core.search.by_order import (
     MORE,
     SEARCH,
     SEARCHED,
+    UNEXPLAINED,
     Tried,
     advantage,
     affordable,
@@ -44,6 +45,7 @@ from ctsid_core.search.by_order import (
     price,
     search_orders,
     tried,
+    unexplained,
 )
 from ctsid_core.search.by_prediction import (
     AHEAD,
@@ -68,8 +70,6 @@ _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody
                       # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 0.05        # times e within the record: less does not tell a mode that decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_UNEXPLAINED = 0.05   # error that is not noise, over the motion, with which the outputs' own past
-                      # may tell more of a plant in open loop, ...
 _FAILS = 0.5          # ... and with which no simulation tells it, and it may grow
 _GROWS = 1.0          # times e within the record: less does not tell a plant that grows
 _GROWN = 2.0          # times e, as far as a plant that grows has to predict
@@ -125,11 +125,11 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     disturbed, grows = None, False
     if own.feedthrough and not effort.beyond(SEARCH) and (
-            left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
+            left := unexplained(samples, best.fit)) > UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
-        if not grows or min(left, *(_unexplained(samples, one.fit) for one in found.values())
+        if not grows or min(left, *(unexplained(samples, one.fit) for one in found.values())
                             ) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
@@ -248,7 +248,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     if late > 0.0:
         samples = seen(late)
         one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
-    domain = 'disturbed' if _unexplained(samples, one.fit) > _UNEXPLAINED else 'simulation'
+    domain = 'disturbed' if unexplained(samples, one.fit) > UNEXPLAINED else 'simulation'
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
@@ -468,12 +468,6 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     return tuple(found)
 
 
-def _unexplained(samples: Samples, fit: Fit) -> float:
-    """Return the rms of errors that are not noise, which the outputs' past may tell."""
-    coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
-
-
 def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
                free: Free) -> PredictionFit | None:
     """Return the model that predicts best."""
@@ -513,7 +507,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and _unexplained(samples, plant.simulated.fit) < DISTURBED:
+    if plant is not None and unexplained(samples, plant.simulated.fit) < DISTURBED:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
         _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),
@@ -541,7 +535,7 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = _growth(found, samples), 0.0, 0.0
-    doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
+    doubted = growth > _GROWS and unexplained(samples, best.fit) < UNEXPLAINED
     poles = best.fit.model.poles
     asked = growth <= _GROWS and not np.any(
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
