@@ -199,8 +199,7 @@ class Settings:
 
     def longest_delay(self, nu: int, length: float) -> float:
         """Return the longest dead time of `nu` inputs in a record of some length [s]."""
-        return max((longest_sought(length) if isinstance(d, str) else float(d)
-                    for d in self._each(nu)), default=0.0)
+        return max((longest_sought(length) * any(self.unknown_delays(nu)), *self.delays(nu)))
 
     def with_known_delays(self) -> Settings:
         """Return a copy in which dead times that are to be found count as 0."""

@@ -195,8 +195,8 @@ class Samples:
         """
         Return the samples of a window with their context, relative to its start.
 
-        An input has `lead_ns` of history before it, as far as that is after `since_ns`; samples
-        to `grace_ns` after its end are context.
+        An input has `lead_ns` of history before it, if that is after `since_ns`; samples to
+        `grace_ns` after its end are context.
         """
         low = max(bisect_left(self.stamps, epoch_ns) - BEFORE, 0)
         if self.group.role == 'input':

@@ -9,8 +9,7 @@ often `SlidingWindow.due` is called:
   its final order; a sample that arrives older than it is *late*: dropped and counted. It is
   common to all groups, so that a silent group cannot stall the others.
 - The first window starts where every group has had its first sample; the others follow by
-  `stride`. Of inputs, a window has what came up to `lead` seconds before it, too, as far as there
-  is any, for it acts in the window.
+  `stride`. Inputs have the `lead` seconds before it, too, if they are known: they act in it.
 - A window is due when the watermark has passed its end and every interpolated group has the
   samples after it that its interpolation wants; or, for a group that stopped, a tenth of the
   length later. It is handed out with what there is. A window without any sample is skipped and
@@ -23,7 +22,6 @@ often `SlidingWindow.due` is called:
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -100,7 +98,6 @@ class SlidingWindow:
         self._next: int | None = None  # start of the next window, once one was handed out
         self._check = 0  # watermark at which to look for due windows again
         self._strays: list[_Stray] = []
-        self._gaps: list[int] = []  # first stamps after gaps longer than a window
 
     @property
     def counts(self) -> Counts:
@@ -320,7 +317,6 @@ class SlidingWindow:
             self._resets += 1
         else:
             self._high = believed[0].stamp_ns
-            self._gaps.append(min(stray.stamp_ns for stray in believed))
         for track, stamp_ns, values, _ in believed:
             self._examine(track, stamp_ns, values)
         return True
@@ -381,13 +377,12 @@ class SlidingWindow:
         start = self._start()
         needed = min(passed, self._low, *(
             [] if start is None else [start, self._low - self._length])) - self._lead
-        del self._gaps[:max(bisect_right(self._gaps, needed) - 1, 0)]
         for track in self._tracks.values():
             track.discard(needed)
 
     def _record(self, start: int, end: int) -> Record:
-        """Return the record of the samples in [start, end] [ns]; no history is beyond a gap."""
-        since = max((stamp for stamp in self._gaps if stamp <= start), default=0)
+        """Return the record of the samples in [start, end] [ns]."""
+        since = start - max(self._lead, self._length)   # what is older may lie beyond a gap
         inputs, outputs = (tuple(track.cut(start, self._lead, since, end, self._grace)
                                  for track in self._tracks.values() if track.group.role == role)
                            for role in ('input', 'output'))
