@@ -61,11 +61,10 @@ from ctsid_core.search.by_prediction import (
 from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
-from ctsid_core.settings import LONGEST_DELAY, Settings
+from ctsid_core.settings import Settings, longest_sought
 from ctsid_core.subspace.hd_pbsid import Subspaces, realise
 
-LONGEST = 0.25        # of the window: the longest dead time that is looked for
-_NEARLY = 0.95        # of it: states may stand in for more
+_NEARLY = 0.95        # of the longest dead time that is looked for: states may stand in for more
 _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
                       # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 0.05        # times e within the record: less does not tell a mode that decays
@@ -580,7 +579,7 @@ def _names(part: Joint) -> list[str]:
 def free_of(samples: Samples, own: Settings) -> Free:
     """Return what is free, and within which bounds."""
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
-                min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
+                longest_sought(samples.length), -_NEAREST / samples.length,
                 _FASTEST * np.pi / samples.finest)
 
 
