@@ -108,7 +108,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             n = _promised(alike, thin, free, found, looked, max_order)
         if not n and not pointed and unexplained(thin, found[best].fit) > UNEXPLAINED:
             pointed, n = True, _pointed(alike, (known_delay, found[best].fit.model.delay),
-                                        subspace, grid, free, max_order)
+                                        subspace, grid, free, max_order, found[best])
             n = 0 if n in looked else n
         if not n:
             break
@@ -169,8 +169,12 @@ def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried
 
 
 def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePoles,
-             grid: PoleGrid, free: Free, max_order: int) -> int:
-    """Return the smallest order, 3 or more, whose start is nearly as good as any."""
+             grid: PoleGrid, free: Free, max_order: int, best: Tried | None = None) -> int:
+    """
+    Return the smallest order, 3 or more, whose start is nearly as good as any.
+
+    1 if even that of most states would not beat the `best` model found, at the price of few.
+    """
     samples = grid.samples
 
     def by_subspace(n: int) -> Fit | None:
@@ -180,6 +184,11 @@ def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePol
             return start and fit_at(samples, *start[2:], free, slopes=False)
         return None
 
+    if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
+            best, power=samples.mean(most.power), independent=samples.counts.sum(axis=0),
+            parameters=best.parameters + (MORE + 1) * (
+                samples.nu + samples.ny + len(samples.records))), best)):
+        return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
     for start in (by_subspace, *([alike.start] if alike else ())):      # the quicker ones first
