@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -60,7 +61,7 @@ _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are l
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
 
-SubspacePoles = Callable[[int, Array], list[ComplexArray]]
+SubspacePoles = Callable[[int, Array], Iterator[ComplexArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,11 +346,10 @@ def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace
         else:
             continue
         for poles, delay in options:
-            score, pole = next((score, pole) for score, pole in grid.ranked(poles, delay)
-                               if (pole.imag == 0.0) == real)
+            score, pole = grid.best(poles, delay, real)
             yield score, 'real' if real else 'pair', np.append(poles, pole), delay
             # A resonance narrower than the grid HD-PBSID sees, if it has many states.
-            for seen in () if real or n < 3 else subspace(most, delay)[:1]:
+            for seen in () if real or n < 3 else islice(subspace(most, delay), 1):
                 for both in (np.append(poles, pole) for pole in seen[seen.imag > 0.0]):
                     yield grid.score(both, delay), 'pair', both, delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -62,7 +62,7 @@ from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.settings import LONGEST_DELAY, Settings
 from ctsid_core.subspace.hd_pbsid import Subspaces
-from ctsid_core.subspace.pbsid_equations import realise
+from ctsid_core.subspace.pbsid_equations import Tuning, realise
 
 LONGEST = 0.25        # of the window: the longest dead time that is looked for
 _NEARLY = 0.95        # of it: states may stand in for more
@@ -81,7 +81,7 @@ _AROUND = np.linspace(-1.0, 1.0, 21)        # sample intervals, of which the mea
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
-_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 1.5e7      # work of HD-PBSID
+_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
 
 Other = tuple[float, Tried]              # advantage over the choice, and the model
 Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
@@ -595,7 +595,7 @@ class _Subspace:
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
-        self._poles: dict[tuple[int, Subspaces], list[ComplexArray]] = {}
+        self._poles: dict[tuple[int, Tuning, Subspaces], list[ComplexArray]] = {}
 
     def shown(self, n: int) -> tuple[Array, float]:
         """Return singular values and condition of the middle one of the tunings for order n."""
@@ -607,29 +607,26 @@ class _Subspace:
         found = made.of(tunings[len(tunings) // 2])
         return found.singular_values, found.condition
 
-    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
-        """Return the poles of models of order n, with given dead times."""
-        if n < _FEWEST:
-            return []
-        subspaces = self._projected(delay)
-        if subspaces is None:
-            return []
-        if (n, subspaces) not in self._poles:
-            self._poles[n, subspaces] = self._realised(n, subspaces)
-        return self._poles[n, subspaces]
+    def poles(self, n: int, delay: Array) -> Iterator[ComplexArray]:
+        """Yield the poles of models of order n, with given dead times, for every tuning."""
+        subspaces = self._projected(delay) if n >= _FEWEST else None
+        for tuning in [] if subspaces is None else subspaces.some_tunings(n):
+            key = n, tuning, subspaces
+            if key not in self._poles:
+                self._poles[key] = self._realised(*key)
+            yield from self._poles[key]
 
-    def _realised(self, n: int, subspaces: Subspaces) -> list[ComplexArray]:
-        found = []
+    def _realised(self, n: int, tuning: Tuning, subspaces: Subspaces) -> list[ComplexArray]:
         self._effort.spend(_REGRESSION)
-        for tuning in subspaces.some_tunings(n):
-            self._effort.check()
-            subspace = subspaces.of(tuning)
-            if n < len(subspace.singular_values):
-                m = realise(subspace, n)
-                if np.isfinite(m.A).all():
-                    p = np.linalg.eigvals(m.A).astype(complex)
-                    found.append(np.where(p.real > 0.0, -p.conj(), p))
-        return [p[p.imag >= 0.0] for p in found]
+        subspace = subspaces.of(tuning)
+        if n >= len(subspace.singular_values):
+            return []
+        A = realise(subspace, n).A
+        if not np.isfinite(A).all():
+            return []
+        p = np.linalg.eigvals(A).astype(complex)
+        p = np.where(p.real > 0.0, -p.conj(), p)
+        return [p[p.imag >= 0.0]]
 
     def _projected(self, delay: Array) -> Subspaces | None:
         """
