@@ -610,7 +610,9 @@ class _Subspace:
     def poles(self, n: int, delay: Array) -> Iterator[ComplexArray]:
         """Yield the poles of models of order n, with given dead times, for every tuning."""
         subspaces = self._projected(delay) if n >= _FEWEST else None
-        for tuning in [] if subspaces is None else subspaces.some_tunings(n):
+        if subspaces is None:
+            return
+        for tuning in subspaces.some_tunings(n):
             key = n, tuning, subspaces
             if key not in self._poles:
                 self._poles[key] = self._realised(*key)
