@@ -41,7 +41,7 @@ _LEAST = 0.02         # part of the errors' size that innovations must be smalle
 _FIXED_POINT = 20
 _SETTLED = 1e-6       # relative error of what K, or a filter, does from sample to sample
 _LIMIT = 0.999        # largest magnitude of the predictor's modes, unless the plant's are larger
-_WORK, _PER_NUMBER = 1.5e7, 4e3         # work: at least, and for each entry of K and sample
+_WORK, _PER_NUMBER = 1.5e7, 2e3         # work: at least, and for each entry of K and sample
 
 
 def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,

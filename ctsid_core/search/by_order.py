@@ -56,7 +56,7 @@ SEARCH = 0.6          # of a budget that the search may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 14           # evaluations of all samples that have to be after the search,
-_MODES = 3            # of so many modes,
+_MODES = 3            # of so many modes, before it is known of how many,
 _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
@@ -81,9 +81,11 @@ class Tried:
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                   order: int, max_order: int, known_delay: Array,
-                  near: Sequence[Array] = ()) -> dict[int, Tried]:
+                  near: Sequence[Array] = ()) -> tuple[Samples, dict[int, Tried]]:
     """
     Return the best model of each order that was tried: of one order, or any up to `max_order` (0).
+
+    Before them the samples they are of: as many as the budget suffices for.
 
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
     (nu,) [s], is 0 where dead times are free; `near` are dead times to begin with, beside a grid.
@@ -119,11 +121,12 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if alike is not None and looked == {1} and not order:
             best = max(best, _pointed(alike, found[1], subspace, grid, free, max_order))
     if thin is samples or order not in (0, *found):
-        return found
+        return samples, found
     chosen = order or choose(found)
+    samples = samples.thinned(affordable(samples, len(found[chosen].fit.model.poles)))
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
-    return {n: tried(samples, climb(samples, fit_at(
+    return samples, {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
         steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
 
@@ -150,7 +153,7 @@ def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried
 
 def _pointed(alike: Alike, first: Tried, subspace: SubspacePoles, grid: PoleGrid, free: Free,
              max_order: int) -> int:
-    """Return the smallest order, 3 or more, whose start is nearly as good as any."""
+    """Return the smallest order, 3 or more, whose start is nearly as good as any; halved for."""
     samples, delay = grid.samples, first.fit.model.delay
 
     def by_subspace(n: int) -> Fit | None:
@@ -162,12 +165,16 @@ def _pointed(alike: Alike, first: Tried, subspace: SubspacePoles, grid: PoleGrid
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
     for start in (by_subspace, alike.start):            # the quicker ones first
-        for n in range(3, max_order + 1):
-            if samples.effort.beyond(POINT):
-                break
+        low, high, n = 3, max_order, max_order
+        while low <= high and not samples.effort.beyond(POINT):
             if (fit := start(n)) is not None:
                 cost = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
                 costs[n] = min(cost, costs.get(n, np.inf))
+            if n in costs and costs[n] > min(costs.values()) + near:
+                low = n + 1
+            else:
+                high = n - 1
+            n = (low + high) // 2
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
 
 
@@ -179,15 +186,19 @@ def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free,
         yield grid.score(poles, delay), 'subspace', poles, delay
 
 
-def affordable(samples: Samples) -> int:
-    """Return how many samples of a stream the budget suffices for; keep what they need later."""
+def affordable(samples: Samples, modes: int = _MODES) -> int:
+    """
+    Return how many samples of a stream the budget suffices for; keep what they need later.
+
+    By a model of so many modes.
+    """
     most, effort = max(int(np.max(samples.counts.sum(axis=0))), 1), samples.effort
     if not effort.budget:
         return most
     while most > _FEWEST_SAMPLES and _later(
-            samples.thinned(most), _MODES) > _FOR_LATER * effort.worth(effort.budget):
+            samples.thinned(most), modes) > _FOR_LATER * effort.worth(effort.budget):
         most = int(0.8 * most)
-    effort.keep(_later(samples.thinned(most), _MODES))
+    effort.keep(_later(samples.thinned(most), modes))
     return most
 
 

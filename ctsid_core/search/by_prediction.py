@@ -107,19 +107,18 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     starts = regressed(joint, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
-    joint = joint.thinned(affordable(joint))
-    thin = joint.thinned(SEARCHED)
+    thin = joint.thinned(affordable(joint)).thinned(SEARCHED)
     begun, regression = _begun(thin, {order: starts[order]} if order else starts, own)
     found = _orders(thin, begun, own, last)
+    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
+    if thin is not joint and likely:
+        joint = joint.thinned(affordable(joint, len(likely[0].found.fit.model.poles)))
     orders = {n: one.found for n, one in found.items()}
     straight = None if regression is None else _as_it_is(joint, regression, own, last)
     known = [] if straight is None else [straight]
-    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
     for one in likely:
-        if known and joint.effort.over:
-            break
-        fit = one.found.fit
-        climbed = one if joint is thin else _nearby(
+        fit, final = one.found.fit, _judged if joint.effort.beyond(SEARCH) else _nearby
+        climbed = one if joint is thin else final(
             joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
         known += [] if climbed is None else [climbed]
     if not known:

@@ -106,8 +106,9 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
-    found = search_orders(samples, free, subspace.poles, order=settings.order,
-                          max_order=settings.max_order, known_delay=given)
+    samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
+                                   max_order=settings.max_order, known_delay=given)
+    most = min(most, int(np.max(samples.counts.sum(axis=0))))
     if not found or settings.order not in (0, *found):
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
@@ -392,15 +393,15 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
                               for n, one in found.items() if fewest <= n <= model.n):
         return best, free
-    without = _fitted(known, model, free, best.fit)
-    orders = search_orders(known, direct, subspace.poles, order=settings.order,
-                           max_order=model.n, near=_behind_lags(found, free),
-                           known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
+    known, orders = search_orders(
+        known, direct, subspace.poles, order=settings.order, max_order=model.n,
+        near=_behind_lags(found, free),
+        known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
     orders = {n: one for n, one in orders.items() if n >= fewest}
     if not orders or settings.order not in (0, *orders):
         return best, free
     with_D = orders[settings.order or choose(orders)]
-    if not beats(with_D, without):
+    if not beats(with_D, _fitted(known, model, free, best.fit)):
         return best, free
     return _centred(samples, _fitted(samples, with_D.fit.model, direct, with_D.fit),
                     direct), direct
