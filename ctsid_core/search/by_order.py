@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -68,10 +69,15 @@ SubspacePoles = Callable[[int, Array], Iterator[ComplexArray]]
 class Tried:
     """The best model of one order."""
 
+    samples: Samples    # that it is of
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
-    independent: Array  # (ny,): number of independent samples of these errors
     parameters: int
+
+    @cached_property
+    def independent(self) -> Array:
+        """Number of independent samples among the errors of each output, (ny,)."""
+        return independent(residuals(self.samples, self.fit))
 
     @property
     def rms(self) -> float:
@@ -210,8 +216,7 @@ def _later(samples: Samples, modes: int) -> float:
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(fit, samples.mean(fit.power), independent(residuals(samples, fit)),
-                 parameters(samples, fit, free))
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
