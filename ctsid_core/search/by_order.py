@@ -32,6 +32,7 @@ from ctsid_core.likelihood.output_error import (
     STEPS,
     Fit,
     Free,
+    Residuals,
     climb,
     climb_roughly,
     fit_at,
@@ -75,9 +76,14 @@ class Tried:
     parameters: int
 
     @cached_property
+    def errors(self) -> Residuals:
+        """Measured less simulated outputs."""
+        return residuals(self.samples, self.fit)
+
+    @cached_property
     def independent(self) -> Array:
         """Number of independent samples among the errors of each output, (ny,)."""
-        return independent(residuals(self.samples, self.fit))
+        return independent(self.errors)
 
     @property
     def rms(self) -> float:

@@ -51,6 +51,7 @@ class PoleGrid:
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
+        self._score: dict[tuple[bytes, bytes], float] = {}
         self._left: dict[tuple[bytes, bytes], list[_Left]] = {}
         cells = [_Cells(r, longest, finest) for r in samples.records]
         self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
@@ -73,9 +74,12 @@ class PoleGrid:
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""
-        columns = columns_of(self.samples, canonical(poles), delay, direct=self._feedthrough,
-                             slopes=False)
-        return least_cost(columns, self._trim)
+        key = (poles.tobytes(), delay.tobytes())
+        if key not in self._score:
+            self._score[key] = least_cost(columns_of(
+                self.samples, canonical(poles), delay, direct=self._feedthrough, slopes=False),
+                self._trim)
+        return self._score[key]
 
     def _scores(self, poles: ComplexArray, delay: Array, real: bool) -> Array:
         shapes, samples = self._shapes[real], self.samples

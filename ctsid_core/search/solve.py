@@ -24,7 +24,7 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
+from ctsid_core.likelihood.residuals import coloured_costs, white_part
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.matrices import Matrices
@@ -113,7 +113,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
-    order = settings.order or _neighbour(samples, found, counted)
+    order = settings.order or _neighbour(found, counted)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
@@ -127,13 +127,12 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         others, best = _with(others, best, with_D), with_D
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     disturbed, grows = None, False
-    if own.feedthrough and not effort.beyond(SEARCH) and (
-            left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
+    if own.feedthrough and not effort.beyond(SEARCH) and \
+            (left := _unexplained(best)) > _UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
-        if not grows or min(left, *(_unexplained(samples, one.fit) for one in found.values())
-                            ) < _FAILS:
+        if not grows or min(left, *(_unexplained(one) for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
@@ -175,8 +174,8 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best. K is not paid, for it is no number of the likelihood that is compared.
     """
     plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _misses(plant, best) or _in_colour(
-            samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
+    if plant is None or _misses(plant, best) or \
+            _in_colour(plant.simulated, matters) >= _in_colour(best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
@@ -251,7 +250,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     if late > 0.0:
         samples = seen(late)
         one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
-    domain = 'disturbed' if _unexplained(samples, one.fit) > _UNEXPLAINED else 'simulation'
+    domain = 'disturbed' if _unexplained(one) > _UNEXPLAINED else 'simulation'
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
@@ -264,7 +263,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         predictor=(found.samples, found.found.fit, found.free))
 
 
-def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
+def _neighbour(found: dict[int, Tried], chosen: int) -> int:
     """
     Return the chosen order, or the one beside it that is likelier in noise of any colour.
 
@@ -279,13 +278,13 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
         n <= chosen or explains(own, found[n]) or bool(np.any(
             found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
-               key=lambda n: _in_colour(samples, found[n], matters))
+               key=lambda n: _in_colour(found[n], matters))
 
 
-def _in_colour(samples: Samples, one: Tried, matters: Mask | bool = True) -> float:
+def _in_colour(one: Tried, matters: Mask | bool = True) -> float:
     """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
-    costs = np.where(matters, coloured_costs(residuals(samples, one.fit)), 0.0)
-    return float(costs.sum()) + price(samples) * one.parameters
+    costs = np.where(matters, coloured_costs(one.errors), 0.0)
+    return float(costs.sum()) + price(one.samples) * one.parameters
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
@@ -471,9 +470,9 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     return tuple(found)
 
 
-def _unexplained(samples: Samples, fit: Fit) -> float:
+def _unexplained(one: Tried) -> float:
     """Return the rms of errors that are not noise, which the outputs' past may tell."""
-    coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
+    coloured = one.fit.power.mean(axis=0) - white_part(one.errors) ** 2
     return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
 
 
@@ -516,7 +515,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and _unexplained(samples, plant.simulated.fit) < DISTURBED:
+    if plant is not None and _unexplained(plant.simulated) < DISTURBED:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
         _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),
@@ -541,10 +540,10 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
     """
     fit = found.found.fit
-    noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
+    noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = _growth(found, samples), 0.0, 0.0
-    doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
+    doubted = growth > _GROWS and _unexplained(best) < _UNEXPLAINED
     poles = best.fit.model.poles
     asked = growth <= _GROWS and not np.any(
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
