@@ -11,6 +11,7 @@ the eigenvectors of A are well-conditioned they are functions of its eigenvalues
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import factorial
 
@@ -23,6 +24,7 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 CONDITION_LIMIT = 1e4  # of the eigenvectors: scalar recursions lose that factor of 2e-16
 SOUND = 1e10           # the same where six digits are enough
+_SAME = 1e-6           # relative distance of two eigenvalues below which a slope is between them
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,24 @@ def exponentials(A: Array, h: Array, count: int) -> list[Array]:
     functions = phi(h[:, np.newaxis] * found.values, count)
     return [((found.right * (f * h[:, np.newaxis] ** j)[:, np.newaxis]) @ found.left).real
             for j, f in enumerate(functions)]
+
+
+def change_of(A: Array, changes: Array, function: Callable[[ComplexArray], ComplexArray],
+              slope: Callable[[ComplexArray], ComplexArray]) -> Array:
+    """
+    Return by how much a function of A moves, (r, n, n), to first order in changes of A.
+
+    Given are the function and its derivative of complex numbers (N. J. Higham, "Functions of
+    Matrices", 2008, theorem 3.11: Daleckii and Krein).
+    """
+    values, right = np.linalg.eig(A)
+    values, left = values.astype(complex), np.linalg.inv(right)
+    size, found = np.abs(values), function(values)
+    gap = values[:, np.newaxis] - values
+    same = np.abs(gap) <= _SAME * np.maximum(size[:, np.newaxis], size)
+    ratio = np.where(same, slope(0.5 * (values[:, np.newaxis] + values)),
+                     (found[:, np.newaxis] - found) / np.where(same, 1.0, gap))
+    return np.asarray((right @ (ratio * (left @ changes @ right)) @ left).real)
 
 
 def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
