@@ -129,7 +129,7 @@ static int terms_of(double size) {
 WIDE static void phis(cplx p, const double *h, int number, int count, double f[][2][FEW]) {
     double re[FEW], im[FEW], largest = 0.0, size = sqrt(creal(p) * creal(p) + cimag(p) * cimag(p));
     int real = cimag(p) == 0.0, small = 1;
-    for (int i = 0; i < number; i++) largest = fmax(largest, fabs(h[i]));
+    for (int i = 0; i < number; i++) largest = fabs(h[i]) > largest ? fabs(h[i]) : largest;
     small = size * largest < 1.0;
     for (int i = 0; i < number; i++) {
         int far = size * fabs(h[i]) >= 1.0;
