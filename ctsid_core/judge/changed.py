@@ -157,7 +157,8 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     rows, states, shares, error = slopes.rows, slopes.states, slopes.shares, slopes.error
     rival = slopes.fit if own is whole else fit_states(samples, *whole)
     most = float(np.sum(samples.counts * rival.power / slopes.fit.power))
-    noise = white_part((tuple(e[:, np.newaxis] for e in slopes.by_output),)) ** 2
+    errors = np.split(error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
+    noise = white_part((tuple(errors),)) ** 2
     most = min(most, float(np.sum(slopes.counts) - (1.0 - _LEFT) * np.max(
         slopes.counts * (1.0 - noise))))
     order = np.argsort(shares, kind='stable')

@@ -75,11 +75,11 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
     # Last what a budget may leave out.
+    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.over else \
+        lead_of_outputs(*simulated, sought)
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
     drift = _drift(solution) if change.cost <= NOTED else Drift()
-    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.over else \
-        lead_of_outputs(*simulated, sought)
     evidence = _evidence(solution, errors, unseen, (change, drift), (seen, unsure), model, moving,
                          deviation, curves, lead)
     status, verdict = judge(evidence)

@@ -52,11 +52,6 @@ class Slopes(NamedTuple):
         """The same of numbers that move in a straight line within each record."""
         return self.rest * (self.shares - 0.5)[:, np.newaxis]
 
-    @property
-    def by_output(self) -> list[Array]:
-        """The errors of each output of each record."""
-        return np.split(self.error, np.cumsum(self.counts)[:-1])
-
     def beside(self, more: Array) -> Left:
         """Return what further columns leave, at most half as many as there are samples."""
         columns = np.hstack((self.rows, more))

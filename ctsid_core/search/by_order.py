@@ -199,11 +199,7 @@ def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free,
 
 
 def affordable(samples: Samples, modes: int = _MODES) -> int:
-    """
-    Return how many samples of a stream the budget suffices for; keep what they need later.
-
-    By a model of so many modes.
-    """
+    """Return how many samples of a stream the budget suffices for; keep what modes need later."""
     most, effort = max(int(np.max(samples.counts.sum(axis=0))), 1), samples.effort
     if not effort.budget:
         return most

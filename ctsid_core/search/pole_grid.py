@@ -13,8 +13,6 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,8 +49,6 @@ class PoleGrid:
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
-        self._score: dict[tuple[bytes, bytes], float] = {}
-        self._left: dict[tuple[bytes, bytes], list[_Left]] = {}
         cells = [_Cells(r, longest, finest) for r in samples.records]
         self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
                                       samples.effort) for c in cells] for real in (True, False)}
@@ -74,12 +70,9 @@ class PoleGrid:
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""
-        key = (poles.tobytes(), delay.tobytes())
-        if key not in self._score:
-            self._score[key] = least_cost(columns_of(
-                self.samples, canonical(poles), delay, direct=self._feedthrough, slopes=False),
-                self._trim)
-        return self._score[key]
+        columns = columns_of(self.samples, canonical(poles), delay, direct=self._feedthrough,
+                             slopes=False)
+        return least_cost(columns, self._trim)
 
     def _scores(self, poles: ComplexArray, delay: Array, real: bool) -> Array:
         shapes, samples = self._shapes[real], self.samples
@@ -87,48 +80,29 @@ class PoleGrid:
         samples.effort.spend(_LOOK + _PER_COLUMN * count * parts * (samples.nu + 1) * float(
             np.max(samples.counts.sum(axis=0))))
         squares = np.zeros((count, samples.ny))
-        for left in self._left_of(poles, delay):
-            squares[:, left.stream.channels] += np.sum(left.errors ** 2, axis=0) - _explained(
-                shapes[left.record], left, delay)
+        columns = columns_of(samples, poles, delay, direct=self._feedthrough, turned=False,
+                             slopes=False)
+        for shape, record, own in zip(shapes, samples.records, columns.tables, strict=True):
+            for stream, (known, y) in zip(record.streams, own, strict=True):
+                known = known if self._trim else known[:, :-1]
+                size = np.linalg.norm(known, axis=0)
+                basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
+                left = y - basis @ (basis.T @ y)
+                squares[:, stream.channels] += np.sum(left ** 2, axis=0) - _explained(
+                    shape.candidates(stream, delay), basis, left)
         return cost_of(squares, samples.counts.sum(axis=0))
 
-    def _left_of(self, poles: ComplexArray, delay: Array) -> list[_Left]:
-        """Return what poles leave of each stream; kept, for both kinds of poles are asked."""
-        key = (poles.tobytes(), delay.tobytes())
-        if key not in self._left:
-            columns = columns_of(self.samples, poles, delay, direct=self._feedthrough,
-                                 turned=False, slopes=False)
-            found = self._left[key] = []
-            for r, own in enumerate(columns.tables):
-                for stream, (known, y) in zip(self.samples.records[r].streams, own, strict=True):
-                    known = known if self._trim else known[:, :-1]
-                    size = np.linalg.norm(known, axis=0)
-                    basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
-                    found.append(_Left(r, stream, basis, y - basis @ (basis.T @ y)))
-        return self._left[key]
 
-
-class _Left(NamedTuple):
-    """What a model leaves of a stream of a record: an orthonormal basis of it, and errors."""
-
-    record: int
-    stream: Stream
-    basis: Array     # (N, k)
-    errors: Array    # (N, channels)
-
-
-def _explained(shape: _Shape, left: _Left, delay: Array) -> Array:
-    """Return the sums of squares that each pole explains of the errors, (m, channels)."""
-    own = shape.candidates(left.stream, delay)                             # (m, q, N)
-    flat = own.reshape(-1, len(left.basis))         # one product is quicker than many
-    flat -= (flat @ left.basis) @ left.basis.T
+def _explained(own: Array, basis: Array, left: Array) -> Array:
+    """Return the squares that columns, (m, q, N), explain of errors beside a basis."""
+    flat = own.reshape(-1, len(basis))              # one product is quicker than many
+    flat -= (flat @ basis) @ basis.T
     gram = own @ own.swapaxes(1, 2)
     scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
     gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
         + _RIDGE * np.eye(gram.shape[1])
-    pull = (flat @ left.errors).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
-    found: Array = np.sum(pull * np.linalg.solve(gram, pull), axis=1)
-    return found
+    pull = (flat @ left).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
+    return np.asarray(np.sum(pull * np.linalg.solve(gram, pull), axis=1))
 
 
 class _Cells:
@@ -141,15 +115,14 @@ class _Cells:
         self.count = count
         self._edges = np.linspace(first, record.end, count + 1)
         self._step = float(self._edges[1] - self._edges[0])
-        self._means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
-        self.inputs = len(self._means)
+        self.means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
 
     def responses(self, poles: Array | ComplexArray) -> ComplexArray:
         """Return the responses of poles at the edges, (m, nu, cells + 1); real if they are."""
         turn = poles * self._step
         small = np.abs(turn) < 1e-8
         gain = self._step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
-        return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self._means)
+        return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self.means)
 
     def places(self, times: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the edges before times (N,), and how far it is to the next ones, (N, 1)."""
@@ -166,9 +139,9 @@ class _Shape:
         self._free: dict[int, Array] = {}
         self.size = len(poles), 1 + int(poles[0].imag > 0.0)
         # (nu, cells + 1, m parts): all at one instant are neighbours, for they are read together.
-        driven = np.empty((cells.inputs, cells.count + 1, *self.size))
+        driven = np.empty((len(cells.means), cells.count + 1, *self.size))
         for some in np.split(np.arange(len(poles)), len(poles) // _PAIRS):
-            effort.spend(_PER_CELL * len(some) * cells.inputs * cells.count)
+            effort.spend(_PER_CELL * len(some) * len(cells.means) * cells.count)
             driven[:, :, some] = _parts(cells.responses(self.poles[some])).transpose(2, 3, 0, 1)
         self.driven = driven.reshape(*driven.shape[:2], -1)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -595,7 +595,7 @@ class _Subspace:
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
-        self._poles: dict[tuple[int, Tuning, Subspaces], list[ComplexArray]] = {}
+        self._realised = lru_cache(maxsize=None)(self._realise)
 
     def shown(self, n: int) -> tuple[Array, float]:
         """Return singular values and condition of the middle one of the tunings for order n."""
@@ -609,16 +609,11 @@ class _Subspace:
 
     def poles(self, n: int, delay: Array) -> Iterator[ComplexArray]:
         """Yield the poles of models of order n, with given dead times, for every tuning."""
-        subspaces = self._projected(delay) if n >= _FEWEST else None
-        if subspaces is None:
-            return
-        for tuning in subspaces.some_tunings(n):
-            key = n, tuning, subspaces
-            if key not in self._poles:
-                self._poles[key] = self._realised(*key)
-            yield from self._poles[key]
+        if n >= _FEWEST and (subspaces := self._projected(delay)) is not None:
+            for tuning in subspaces.some_tunings(n):
+                yield from self._realised(n, tuning, subspaces)
 
-    def _realised(self, n: int, tuning: Tuning, subspaces: Subspaces) -> list[ComplexArray]:
+    def _realise(self, n: int, tuning: Tuning, subspaces: Subspaces) -> list[ComplexArray]:
         self._effort.spend(_REGRESSION)
         subspace = subspaces.of(tuning)
         if n >= len(subspace.singular_values):
