@@ -21,7 +21,7 @@
 typedef double complex cplx;
 
 /* Compiled for wide registers, too, if the loader can choose: the same bits, sooner. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__)
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define WIDE

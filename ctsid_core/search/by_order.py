@@ -28,6 +28,7 @@ from itertools import islice
 import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
+from ctsid_core.likelihood.noise_gain import gain_work
 from ctsid_core.likelihood.output_error import (
     STEPS,
     Fit,
@@ -57,8 +58,8 @@ _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
-_LATER = 14           # evaluations of all samples that have to be after the search,
-_MODES = 3            # of so many modes, before it is known of how many,
+_LATER = 20           # evaluations of all samples that have to be after the search,
+_STATES = 6           # of so many states, before it is known of how many,
 _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
@@ -135,7 +136,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     if thin is samples or order not in (0, *found):
         return samples, found
     chosen = order or choose(found)
-    samples = samples.thinned(affordable(samples, len(found[chosen].fit.model.poles)))
+    samples = samples.thinned(affordable(samples, found[chosen].fit.model.n))
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
     return samples, {n: tried(samples, climb(samples, fit_at(
@@ -198,22 +199,23 @@ def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free,
         yield grid.score(poles, delay), 'subspace', poles, delay
 
 
-def affordable(samples: Samples, modes: int = _MODES) -> int:
-    """Return how many samples of a stream the budget suffices for; keep what modes need later."""
+def affordable(samples: Samples, n: int = _STATES) -> int:
+    """Return how many samples of a stream a budget suffices for; keep what n states need later."""
     most, effort = max(int(np.max(samples.counts.sum(axis=0))), 1), samples.effort
     if not effort.budget:
         return most
     while most > _FEWEST_SAMPLES and _later(
-            samples.thinned(most), modes) > _FOR_LATER * effort.worth(effort.budget):
+            samples.thinned(most), n) > _FOR_LATER * effort.worth(effort.budget):
         most = int(0.8 * most)
-    effort.keep(_later(samples.thinned(most), modes))
+    effort.keep(_later(samples.thinned(most), n))
     return most
 
 
-def _later(samples: Samples, modes: int) -> float:
-    """Return the work that a model of so many modes needs after the search."""
+def _later(samples: Samples, n: int) -> float:
+    """Return the work that a model of n states needs after the search."""
     # Of two covariances: which dead times are needless is asked before the end.
-    return _LATER * evaluation_work(samples, modes) + 2.0 * covariance_work(samples, 2 * modes)
+    return _LATER * evaluation_work(samples, (n + 1) // 2) + 2.0 * covariance_work(samples, n) \
+        + gain_work(samples, n)
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:

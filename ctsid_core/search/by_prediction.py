@@ -111,7 +111,7 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     found = _orders(thin, begun, own, last)
     likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
     if thin is not joint and likely:
-        joint = joint.thinned(affordable(joint, len(likely[0].found.fit.model.poles)))
+        joint = joint.thinned(affordable(joint, likely[0].found.fit.model.n))
     orders = {n: one.found for n, one in found.items()}
     straight = None if regression is None else _as_it_is(joint, regression, own, last)
     known = [] if straight is None else [straight]
