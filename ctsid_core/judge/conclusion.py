@@ -63,9 +63,6 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
                       solution.refit, solution.predictor)
     simulated = solution.simulated
-    change = Change() if solution.refit or simulated is None else \
-        most_likely_change(*simulated, solution.smaller, solution.telling)
-    drift = _drift(solution) if change.cost <= NOTED else Drift()
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names,
@@ -76,8 +73,12 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     if simulated is not None and solution.plant is not None and curves.any():
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
-    lead = np.zeros(moving.nu) if simulated is None or not sought else \
+    # Last what a budget may leave out.
+    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.over else \
         lead_of_outputs(*simulated, sought)
+    change = Change() if solution.refit or simulated is None else \
+        most_likely_change(*simulated, solution.smaller, solution.telling)
+    drift = _drift(solution) if change.cost <= NOTED else Drift()
     evidence = _evidence(solution, errors, unseen, (change, drift), (seen, unsure), model, moving,
                          deviation, curves, lead)
     status, verdict = judge(evidence)
@@ -135,7 +136,8 @@ def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
 def _spent(effort: Effort) -> tuple[str, ...]:
     """Return what the budget has left out at the end, in words."""
     return (f'the budget of {effort.budget:.3g} s is spent: whether the plant changed within the '
-            'window was looked at in part or not at all; raise `budget`',) if effort.over else ()
+            'window, and whether outputs answer before inputs, was looked at in part or not at '
+            'all; raise `budget`',) if effort.over else ()
 
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:

@@ -23,7 +23,7 @@ _MET = 0.03           # relative distance of two poles below which they share a 
 GAUGE = 1e-7          # relative singular value below which a direction changes nothing
 _SAME = 1e-12         # ... below which two columns are the same
 _SPARE = 0.05         # share of the errors' power that a fit leaves at least
-_WORK = 1.0           # of a covariance, for each sample and pair of numbers
+_WORK = 2.0           # of a covariance, for each sample and pair of numbers
 
 
 def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:

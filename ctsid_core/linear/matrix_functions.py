@@ -12,18 +12,19 @@ interval to interval.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance
-from scipy.linalg.lapack import dtbtrs, ztbtrs
+from scipy.linalg.lapack import dgebal, dtbtrs, ztbtrs
 
 from ctsid_core.linear.types import Array, ComplexArray
 
 CONDITION_LIMIT = 1e4  # of the eigenvectors: scalar recursions lose that factor of 2e-16
 SOUND = 1e10           # the same where six digits are enough
+_SAME = 1e-6           # relative distance of two eigenvalues below which a slope is between them
 
 
 @dataclass(frozen=True)
@@ -44,16 +45,22 @@ def modes(A: Array, condition_limit: float = CONDITION_LIMIT) -> Modes | None:
     if not A.size:
         none = np.empty((0, 0), dtype=complex)
         return Modes(none.reshape(-1), none, none)
-    # Units of the states must not decide: scale them first.
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    values, vectors = np.linalg.eig(balanced)
-    if not np.linalg.cond(vectors) < condition_limit:
+    same, scale = balanced(A)
+    values, vectors = np.linalg.eig(same)
+    sizes = np.linalg.svd(vectors, compute_uv=False)
+    if not sizes[0] < condition_limit * sizes[-1]:
         return None
     keep = values.imag >= 0
     doubled = np.where(values.imag > 0, 2.0, 1.0)
     right = (scale[:, np.newaxis] * vectors * doubled)[:, keep]
     left = (np.linalg.inv(vectors) / scale)[keep]
     return Modes(values[keep].astype(complex), right.astype(complex), left.astype(complex))
+
+
+def balanced(A: Array) -> tuple[Array, Array]:
+    """Return A with states in other units, and these units (n,): theirs must not decide."""
+    found, _, _, scale, _ = dgebal(A, scale=1, permute=0)
+    return found, scale
 
 
 def phi(z: Array | ComplexArray, count: int) -> list[ComplexArray]:
@@ -128,11 +135,29 @@ def exponentials(A: Array, h: Array, count: int) -> list[Array]:
             for j, f in enumerate(functions)]
 
 
+def change_of(A: Array, changes: Array, function: Callable[[ComplexArray], ComplexArray],
+              slope: Callable[[ComplexArray], ComplexArray]) -> Array:
+    """
+    Return by how much a function of A moves, (r, n, n), to first order in changes of A.
+
+    Given are the function and its derivative of complex numbers (N. J. Higham, "Functions of
+    Matrices", 2008, theorem 3.11: Daleckii and Krein).
+    """
+    values, right = np.linalg.eig(A)
+    values, left = values.astype(complex), np.linalg.inv(right)
+    size, found = np.abs(values), function(values)
+    gap = values[:, np.newaxis] - values
+    same = np.abs(gap) <= _SAME * np.maximum(size[:, np.newaxis], size)
+    ratio = np.where(same, slope(0.5 * (values[:, np.newaxis] + values)),
+                     (found[:, np.newaxis] - found) / np.where(same, 1.0, gap))
+    return np.asarray((right @ (ratio * (left @ changes @ right)) @ left).real)
+
+
 def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
     # Power series on h / 2^s, where |A| h / 2^s <= 1/2, then s times
     #   F_j(2h) = F_0(h) F_j(h) + sum_(i=1..j) h^(j-i)/(j-i)! F_i(h),   F_j(h) = h^j phi_j(A h).
     n, terms = len(A), 16
-    scaled, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    scaled, scale = balanced(A)
     size = np.abs(h) * np.max(np.abs(scaled).sum(axis=0), initial=0.0)
     doublings = np.maximum(np.ceil(np.log2(np.maximum(2 * size, 1e-300))), 0).astype(int)
     step = h / 2.0 ** doublings

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from math import factorial
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, matrix_balance, solve_continuous_lyapunov
+from scipy.linalg import block_diag, cholesky, solve_continuous_lyapunov
 
 from ctsid_core.errors import DataError
+from ctsid_core.linear.matrix_functions import balanced
 from ctsid_core.linear.types import Array, ComplexArray, Places
 
 _CIRCLE = 64  # points of the circle around a pole
@@ -110,7 +111,7 @@ def transfer(A: Array, B: Array, C: Array, D: Array, delay: Sequence[float],
     late: ComplexArray = np.exp(-s[:, np.newaxis, np.newaxis] * np.asarray(delay))
     if not len(A):
         return np.asarray(D * late)
-    scaled, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    scaled, scale = balanced(A)
     B, C = B / scale[:, np.newaxis], C * scale
     poles: ComplexArray = np.linalg.eigvals(scaled).astype(complex)
     rounding = len(A) * np.finfo(float).eps * np.linalg.norm(scaled)

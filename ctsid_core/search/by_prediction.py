@@ -40,7 +40,7 @@ from ctsid_core.likelihood.output_error import (
 from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrix_functions import exponentials
+from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
@@ -69,7 +69,6 @@ _JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
-_LITTLE = 1e-5              # relative step of a difference
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
 
@@ -106,19 +105,18 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     starts = regressed(joint, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
-    joint = joint.thinned(affordable(joint))
-    thin = joint.thinned(SEARCHED)
+    thin = joint.thinned(affordable(joint)).thinned(SEARCHED)
     begun, regression = _begun(thin, {order: starts[order]} if order else starts, own)
     found = _orders(thin, begun, own, last)
+    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
+    if thin is not joint and likely:
+        joint = joint.thinned(affordable(joint, likely[0].found.fit.model.n))
     orders = {n: one.found for n, one in found.items()}
     straight = None if regression is None else _as_it_is(joint, regression, own, last)
     known = [] if straight is None else [straight]
-    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
     for one in likely:
-        if known and joint.effort.over:
-            break
-        fit = one.found.fit
-        climbed = one if joint is thin else _nearby(
+        fit, final = one.found.fit, _judged if joint.effort.beyond(SEARCH) else _nearby
+        climbed = one if joint is thin else final(
             joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
         known += [] if climbed is None else [climbed]
     if not known:
@@ -482,16 +480,24 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
     """
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
         held_interval(samples)
-    K = m.B[:, nu:] / samples.size
-    found = []
-    for k in range(len(changes.A)):
-        size = max(float(np.max(np.abs(d))) / (float(np.max(np.abs(x))) + 1e-12)
-                   for d, x in ((changes.A[k], m.A), (changes.B[k], m.B), (changes.C[k], m.C)))
-        little = _LITTLE / max(size, 1e-12)
-        sides = [_open_loop(m.A + h * changes.A[k], (m.B + h * changes.B[k])[:, :nu],
-                            K + h * changes.B[k][:, nu:] / samples.size,
-                            m.C + h * changes.C[k], step, True)
-                 for h in (little, -little)]
-        found.append([(a - b) / (2.0 * little) for a, b in zip(*sides, strict=True)])
-    A, B = (np.array([f[i] for f in found]) for i in (0, 1))
-    return Entries(A, B, changes.C, changes.D[:, :, :nu], changes.delay[:, :nu])
+    K, dK = m.B[:, nu:] / samples.size, changes.B[:, :, nu:] / samples.size
+
+    def summed(z: ComplexArray) -> ComplexArray:
+        return step * phi(step * z, 1)[1]
+
+    def slope(z: ComplexArray) -> ComplexArray:
+        _, one, two = phi(step * z, 2)
+        return step ** 2 * (one - two)
+
+    transition, integral = (x[0] for x in exponentials(m.A, np.array([step]), 1))
+    moved = transition + integral @ K @ m.C
+    plant = np.real(_logarithm(moved)) / step
+    of_integral = change_of(m.A, changes.A, summed, slope)
+    of_moved = change_of(m.A, changes.A, lambda z: phi(step * z, 0)[0], lambda z: step * phi(
+        step * z, 0)[0]) + of_integral @ K @ m.C + integral @ (dK @ m.C + K @ changes.C)
+    A = change_of(moved, of_moved, np.log, np.reciprocal) / step
+    own = exponentials(plant, np.array([step]), 1)[1][0]
+    back = np.linalg.solve(own, integral)
+    of_back = np.linalg.solve(own, of_integral - change_of(plant, A, summed, slope) @ back)
+    return Entries(A, of_back @ m.B[:, :nu] + back @ changes.B[:, :, :nu], changes.C,
+                   changes.D[:, :, :nu], changes.delay[:, :nu])

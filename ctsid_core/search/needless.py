@@ -27,7 +27,7 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
     """
     found = best.fit.model.delay
     asked = np.array(free.delays) & (found > 0.0)
-    if each and np.any(best.power >= least ** 2):
+    if each and asked.any() and np.any(best.power >= least ** 2):
         deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
         asked &= found < _SURE * deviation
     late = np.flatnonzero(asked)

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_costs, residuals
+from ctsid_core.likelihood.residuals import coloured_costs
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
@@ -45,7 +45,6 @@ from ctsid_core.search.by_order import (
     price,
     search_orders,
     tried,
-    unexplained,
 )
 from ctsid_core.search.by_prediction import (
     AHEAD,
@@ -62,7 +61,7 @@ from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.settings import Settings, longest_sought
-from ctsid_core.subspace.hd_pbsid import Subspaces, realise
+from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
 _NEARLY = 0.95        # of the longest dead time that is looked for: states may stand in for more
 _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
@@ -78,7 +77,7 @@ _AROUND = np.linspace(-1.0, 1.0, 21)        # sample intervals, of which the mea
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
-_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 1.5e7      # work of HD-PBSID
+_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
 
 Other = tuple[float, Tried]              # advantage over the choice, and the model
 Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
@@ -103,13 +102,14 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
-    found = search_orders(samples, free, subspace.poles, order=settings.order,
-                          max_order=settings.max_order, known_delay=given)
+    samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
+                                   max_order=settings.max_order, known_delay=given)
+    most = min(most, int(np.max(samples.counts.sum(axis=0))))
     if not found or settings.order not in (0, *found):
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
-    order = settings.order or _neighbour(samples, found, counted)
+    order = settings.order or _neighbour(found, counted)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
@@ -123,13 +123,12 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         others, best = _with(others, best, with_D), with_D
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     disturbed, grows = None, False
-    if own.feedthrough and not effort.beyond(SEARCH) and (
-            left := unexplained(samples, best.fit)) > UNEXPLAINED:
+    if own.feedthrough and not effort.beyond(SEARCH) and \
+            (left := best.unexplained) > UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
-        if not grows or min(left, *(unexplained(samples, one.fit) for one in found.values())
-                            ) < _FAILS:
+        if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
@@ -171,8 +170,8 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best. K is not paid, for it is no number of the likelihood that is compared.
     """
     plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _misses(plant, best) or _in_colour(
-            samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
+    if plant is None or _misses(plant, best) or \
+            _in_colour(plant.simulated, matters) >= _in_colour(best, matters):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
@@ -247,7 +246,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     if late > 0.0:
         samples = seen(late)
         one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
-    domain = 'disturbed' if unexplained(samples, one.fit) > UNEXPLAINED else 'simulation'
+    domain = 'disturbed' if one.unexplained > UNEXPLAINED else 'simulation'
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
@@ -260,7 +259,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         predictor=(found.samples, found.found.fit, found.free))
 
 
-def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
+def _neighbour(found: dict[int, Tried], chosen: int) -> int:
     """
     Return the chosen order, or the one beside it that is likelier in noise of any colour.
 
@@ -275,13 +274,13 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
         n <= chosen or explains(own, found[n]) or bool(np.any(
             found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
-               key=lambda n: _in_colour(samples, found[n], matters))
+               key=lambda n: _in_colour(found[n], matters))
 
 
-def _in_colour(samples: Samples, one: Tried, matters: Mask | bool = True) -> float:
+def _in_colour(one: Tried, matters: Mask | bool = True) -> float:
     """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
-    costs = np.where(matters, coloured_costs(residuals(samples, one.fit)), 0.0)
-    return float(costs.sum()) + price(samples) * one.parameters
+    costs = np.where(matters, coloured_costs(one.errors), 0.0)
+    return float(costs.sum()) + price(one.samples) * one.parameters
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
@@ -389,15 +388,15 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
                               for n, one in found.items() if fewest <= n <= model.n):
         return best, free
-    without = _fitted(known, model, free, best.fit)
-    orders = search_orders(known, direct, subspace.poles, order=settings.order,
-                           max_order=model.n, near=_behind_lags(found, free),
-                           known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
+    known, orders = search_orders(
+        known, direct, subspace.poles, order=settings.order, max_order=model.n,
+        near=_behind_lags(found, free),
+        known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
     orders = {n: one for n, one in orders.items() if n >= fewest}
     if not orders or settings.order not in (0, *orders):
         return best, free
     with_D = orders[settings.order or choose(orders)]
-    if not beats(with_D, without):
+    if not beats(with_D, _fitted(known, model, free, best.fit)):
         return best, free
     return _centred(samples, _fitted(samples, with_D.fit.model, direct, with_D.fit),
                     direct), direct
@@ -506,7 +505,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and unexplained(samples, plant.simulated.fit) < DISTURBED:
+    if plant is not None and plant.simulated.unexplained < DISTURBED:
         return _as_it_simulates(part, settings, seen, samples, found, plant)
     return Solution(
         _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),
@@ -531,10 +530,10 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
     """
     fit = found.found.fit
-    noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
+    noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     growth, gain, far = _growth(found, samples), 0.0, 0.0
-    doubted = growth > _GROWS and unexplained(samples, best.fit) < UNEXPLAINED
+    doubted = growth > _GROWS and best.unexplained < UNEXPLAINED
     poles = best.fit.model.poles
     asked = growth <= _GROWS and not np.any(
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
@@ -589,7 +588,7 @@ class _Subspace:
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
-        self._poles: dict[tuple[int, Subspaces], list[ComplexArray]] = {}
+        self._realised = lru_cache(maxsize=None)(self._realise)
 
     def shown(self, n: int) -> tuple[Array, float]:
         """Return singular values and condition of the middle one of the tunings for order n."""
@@ -601,29 +600,23 @@ class _Subspace:
         found = made.of(tunings[len(tunings) // 2])
         return found.singular_values, found.condition
 
-    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
-        """Return the poles of models of order n, with given dead times."""
-        if n < _FEWEST:
-            return []
-        subspaces = self._projected(delay)
-        if subspaces is None:
-            return []
-        if (n, subspaces) not in self._poles:
-            self._poles[n, subspaces] = self._realised(n, subspaces)
-        return self._poles[n, subspaces]
+    def poles(self, n: int, delay: Array) -> Iterator[ComplexArray]:
+        """Yield the poles of models of order n, with given dead times, for every tuning."""
+        if n >= _FEWEST and (subspaces := self._projected(delay)) is not None:
+            for tuning in subspaces.some_tunings(n):
+                yield from self._realised(n, tuning, subspaces)
 
-    def _realised(self, n: int, subspaces: Subspaces) -> list[ComplexArray]:
-        found = []
+    def _realise(self, n: int, tuning: Tuning, subspaces: Subspaces) -> list[ComplexArray]:
         self._effort.spend(_REGRESSION)
-        for tuning in subspaces.some_tunings(n):
-            self._effort.check()
-            subspace = subspaces.of(tuning)
-            if n < len(subspace.singular_values):
-                m = realise(subspace, n)
-                if np.isfinite(m.A).all():
-                    p = np.linalg.eigvals(m.A).astype(complex)
-                    found.append(np.where(p.real > 0.0, -p.conj(), p))
-        return [p[p.imag >= 0.0] for p in found]
+        subspace = subspaces.of(tuning)
+        if n >= len(subspace.singular_values):
+            return []
+        A = realise(subspace, n).A
+        if not np.isfinite(A).all():
+            return []
+        p = np.linalg.eigvals(A).astype(complex)
+        p = np.where(p.real > 0.0, -p.conj(), p)
+        return [p[p.imag >= 0.0]]
 
     def _projected(self, delay: Array) -> Subspaces | None:
         """
