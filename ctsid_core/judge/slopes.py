@@ -66,7 +66,7 @@ class Slopes(NamedTuple):
         columns = np.hstack((self.rows, more))
         if columns.shape[1] > MOST * len(self.error):
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        self.samples.effort.spend(4.0 * len(self.error) * columns.shape[1] ** 2)
+        self.samples.effort.spend(1.5 * len(self.error) * columns.shape[1] ** 2)
         left, told = beside(columns, self.error)
         errors = np.split(left, np.cumsum(self.counts)[:-1])
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)

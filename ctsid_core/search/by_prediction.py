@@ -39,9 +39,8 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
+from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
@@ -64,7 +63,6 @@ AHEAD = 1                   # place of the one whose fit is reported
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
-_LITTLE = 1e-5              # relative step of a difference
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
 
@@ -73,7 +71,7 @@ _STABLE = 1e-9              # real part over size of the largest pole that is ro
 class PredictionFit:
     """A model by its predictions."""
 
-    matrices: Matrices        # of the plant, outputs in their own units; `tail` is zero
+    matrices: Matrices        # of the plant, outputs in their own units, at rest
     samples: Samples          # with the outputs' own past among the inputs
     found: Tried              # the predictor (1), of these
     free: Free
@@ -100,14 +98,15 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     starts = regressed(joint, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
-    joint = joint.thinned(affordable(joint))
-    thin = joint.thinned(SEARCHED)
+    thin = joint.thinned(affordable(joint)).thinned(SEARCHED)
     found = _orders(thin, {order: starts[order]} if order else starts, own, last)
     if not found:
         return None
     best = min(found.values(), key=lambda one: one.information)
-    if joint is not thin:
-        fit = best.found.fit
+    fit = best.found.fit
+    if thin is not joint:
+        joint = joint.thinned(affordable(joint, fit.model.n))
+    if joint is not thin and not joint.effort.beyond(SEARCH):
         best = _nearby(joint, fit.model, best.found.parameters, fit, own, last) or best
     return replace(best, orders={n: one.found for n, one in found.items()})
 
@@ -119,11 +118,12 @@ def _orders(joint: Samples, starts: dict[int, Start], free: Free,
     numbers: dict[int, int] = {}
     guesses = {n: Guess(start.model, np.ones((len(joint.records), joint.ny)))
                for n, start in starts.items()}
-    for n, (start, worth) in ((n, (s.model, s.parameters)) for n, s in starts.items()):
+    for n, start in starts.items():
         with suppress(np.linalg.LinAlgError):
-            fit = fit_at(joint, start.poles, start.delay, free, guesses[n], slopes=False)
+            fit = fit_at(joint, start.model.poles, start.model.delay, free, guesses[n],
+                         slopes=False)
             full = parameters(joint, fit, free)
-            numbers[n] = full + round(worth) - n * (joint.nu + joint.ny)
+            numbers[n] = full + round(start.parameters) - n * (joint.nu + joint.ny)
             score[n] = fit.cost + price(joint) * full
     best = min(score, key=lambda n: score[n], default=0)
     found: dict[int, PredictionFit] = {}
@@ -252,7 +252,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
     except np.linalg.LinAlgError:
         return None
     return replace(m, A=A, B=B, D=m.D[:, :nu], K=gain, x_trim=drive @ m.y_trim,
-                   tail=np.zeros_like(m.tail))
+                   start=np.zeros_like(m.start))
 
 
 def in_record(plant: Matrices, fit: Fit, samples: Samples, record: int) -> Matrices:
@@ -294,13 +294,13 @@ def held_interval(joint: Samples) -> float:
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
-def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | None = None,
+def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: bool = False,
                       horizons: Sequence[int] = HORIZONS) -> Array:
     """
     Return rms errors of predictions some samples ahead, over the motion, (horizons, ny).
 
-    The first tenth of the record starts the filter and does not count. Of a simulation its state
-    at the `start` [s] is known: a filter without gain would never learn it. Infinite if the filter
+    The first tenth of the record starts the filter and does not count. Of what `simulates` the
+    state at its start is known: a filter without gain would never learn it. Infinite if the filter
     is not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
     short record, the last ones, are left out.
     """
@@ -317,18 +317,18 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | 
     motion = np.std(y[real], axis=0)
     motion[motion == 0.0] = np.inf                 # of an output at rest nothing is asked
     with np.errstate(over='ignore', invalid='ignore'):
-        if start is None:
-            x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
+        if not simulates:
+            x, u = respond(m.A, m.B, m.x_trim, record.inputs, delay.tolist(), t, None)
         else:
             x, u = (rows[1:] for rows in respond(
-                m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(),
-                np.append(min(start, t[0]), t), m.tail[:, 0]))
-        rest = y - x @ m.C.T - u @ m.D.T - m.y_trim[:, 0]
+                m.A, m.B, m.x_trim, record.inputs, delay.tolist(), np.append(record.start, t),
+                m.start))
+        rest = y - x @ m.C.T - u @ m.D.T - m.y_trim
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
-        states = predicted_states(F, F @ M, m.C, rest, first if start is None else 0)
+        states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
         for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
@@ -357,16 +357,24 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
     """
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
         held_interval(samples)
-    K = m.B[:, nu:] / samples.size
-    found = []
-    for k in range(len(changes.A)):
-        size = max(float(np.max(np.abs(d))) / (float(np.max(np.abs(x))) + 1e-12)
-                   for d, x in ((changes.A[k], m.A), (changes.B[k], m.B), (changes.C[k], m.C)))
-        little = _LITTLE / max(size, 1e-12)
-        sides = [_open_loop(m.A + h * changes.A[k], (m.B + h * changes.B[k])[:, :nu],
-                            K + h * changes.B[k][:, nu:] / samples.size,
-                            m.C + h * changes.C[k], step, True)
-                 for h in (little, -little)]
-        found.append([(a - b) / (2.0 * little) for a, b in zip(*sides, strict=True)])
-    A, B = (np.array([f[i] for f in found]) for i in (0, 1))
-    return Entries(A, B, changes.C, changes.D[:, :, :nu], changes.delay[:, :nu])
+    K, dK = m.B[:, nu:] / samples.size, changes.B[:, :, nu:] / samples.size
+
+    def summed(z: ComplexArray) -> ComplexArray:
+        return step * phi(step * z, 1)[1]
+
+    def slope(z: ComplexArray) -> ComplexArray:
+        _, one, two = phi(step * z, 2)
+        return step ** 2 * (one - two)
+
+    transition, integral = (x[0] for x in exponentials(m.A, np.array([step]), 1))
+    moved = transition + integral @ K @ m.C
+    plant = np.real(_logarithm(moved)) / step
+    of_integral = change_of(m.A, changes.A, summed, slope)
+    of_moved = change_of(m.A, changes.A, lambda z: phi(step * z, 0)[0], lambda z: step * phi(
+        step * z, 0)[0]) + of_integral @ K @ m.C + integral @ (dK @ m.C + K @ changes.C)
+    A = change_of(moved, of_moved, np.log, np.reciprocal) / step
+    own = exponentials(plant, np.array([step]), 1)[1][0]
+    back = np.linalg.solve(own, integral)
+    of_back = np.linalg.solve(own, of_integral - change_of(plant, A, summed, slope) @ back)
+    return Entries(A, of_back @ m.B[:, :nu] + back @ changes.B[:, :, :nu], changes.C,
+                   changes.D[:, :, :nu], changes.delay[:, :nu])

@@ -51,8 +51,9 @@ def with_direct(given: Problem, samples: Samples, found: dict[int, Tried], best:
     if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
                               for n, one in found.items() if fewest <= n <= model.n):
         return best, free
-    orders = search_orders(known, direct, subspace, order=order, max_order=model.n,
-                           near=_behind_lags(found, free), known_delay=given.known_delay)
+    known, orders = search_orders(
+        known, direct, subspace, order=order, max_order=model.n,
+        near=_behind_lags(found, free), known_delay=given.known_delay)
     orders = {n: one for n, one in orders.items() if n >= fewest}
     if not orders or order not in (0, *orders):
         return best, free
@@ -107,7 +108,7 @@ def without_needless(samples: Samples, best: Tried, free: Free) -> tuple[Tried, 
     """
     found = best.fit.model.delay
     asked = np.array(free.delays) & (found > 0.0)
-    if np.any(best.power >= LEAST ** 2):
+    if asked.any() and np.any(best.power >= LEAST ** 2):
         asked &= found < _SURE * np.linalg.norm(entry_changes(samples, best.fit, free).delay,
                                                 axis=0)
     late = np.flatnonzero(asked)

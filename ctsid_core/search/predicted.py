@@ -11,15 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at, fit_states
+from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.estimate import Choice
-from ctsid_core.search.by_order import SEARCHED, Tried, price, tried
+from ctsid_core.search.by_order import SEARCHED, UNEXPLAINED, Tried, price, tried
 from ctsid_core.search.by_prediction import (
     AHEAD,
     Compared,
@@ -34,8 +32,6 @@ from ctsid_core.search.by_prediction import (
 from ctsid_core.search.problem import Problem, at_bound
 from ctsid_core.search.solution import DISTURBED, Solution
 
-UNEXPLAINED = 0.05    # error that is not noise, over the motion, with which the outputs' own past
-                      # may tell more of a plant that does not grow
 GROWS = 1.0           # times e within the record: less does not tell a plant that grows
 _GROWN = 2.0          # times e, as far as a plant that grows has to predict
 
@@ -59,12 +55,6 @@ def predicted(given: Problem, samples: Samples, free: Free) -> PredictionFit | N
 def growth(found: PredictionFit, samples: Samples) -> float:
     """Return how many times e a plant that predictions found grows within a record."""
     return float(np.max(np.linalg.eigvals(found.matrices.A).real)) * samples.length
-
-
-def unexplained(samples: Samples, fit: Fit) -> float:
-    """Return the rms of errors that are not noise, which the outputs' past may tell."""
-    coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
 
 
 def near(samples: Samples, free: Free, found: PredictionFit) -> Tried | None:
@@ -98,7 +88,7 @@ def likelier(given: Problem, samples: Samples, rival: Tried | None, free: Free,
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if growth(found, samples) > GROWS else _plant_of(given, samples, found, free)
-    if plant is not None and unexplained(samples, plant.simulated.fit) < DISTURBED:
+    if plant is not None and plant.simulated.unexplained < DISTURBED:
         return _as_it_simulates(given, samples, found, plant)
     return Solution(
         given.used(len(found.matrices.A), found.found.fit.model.delay[:samples.nu]), given.part,
@@ -148,7 +138,7 @@ def _as_it_simulates(given: Problem, samples: Samples, found: PredictionFit, pla
     if late > 0.0:
         samples = given.seen(late)
         one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
-    domain = 'disturbed' if unexplained(samples, one.fit) > UNEXPLAINED else 'simulation'
+    domain = 'disturbed' if one.unexplained > UNEXPLAINED else 'simulation'
     return Solution(
         given.used(fit.model.n, fit.model.delay), given.part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
@@ -174,21 +164,24 @@ def _predicts_better(given: Problem, samples: Samples, best: Tried,
     Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
     """
     fit, last = found.found.fit, given.part.last
-    noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), last)
+    noisy, _ = with_noise(samples, best.fit, best.errors, last)
     numbers = best.parameters + int(np.count_nonzero(noisy.K))
     grown, gain, far = growth(found, samples), 0.0, 0.0
-    doubted = grown > GROWS and unexplained(samples, best.fit) < UNEXPLAINED
+    doubted = grown > GROWS and best.unexplained < UNEXPLAINED
     poles = best.fit.model.poles
     asked = grown <= GROWS and not np.any(
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < GROWS))
     for place, counts in enumerate(samples.counts):
         record, compared = samples.records[place], _compared(given, place)
+        # Nor do outputs count that no simulation knows the inputs of.
+        cut = replace(compared, record=replace(compared.record, start=record.start))
         rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)
         plant = found.matrices if place == last else in_record(
             found.matrices, fit, found.samples, place)
-        simulated = partial(prediction_errors, rival, best.fit.model.delay, compared, record.start)
-        own = partial(prediction_errors, plant, fit.model.delay[:samples.nu], compared)
-        errors = found.errors if place == last else own()
+        simulated = partial(prediction_errors, rival, best.fit.model.delay, cut, simulates=True)
+        own = partial(prediction_errors, plant, fit.model.delay[:samples.nu], cut)
+        errors = found.errors if place == last and record.start == compared.record.start \
+            else own()
         rivals = simulated()
         gain += information(rivals, counts) - information(errors, counts)
         if asked and AHEAD < min(len(errors), len(rivals)):

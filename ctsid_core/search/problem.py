@@ -17,10 +17,9 @@ from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import MORE, SEARCH, Tried, affordable
 from ctsid_core.search.corrupt import Corrupt, corrupt_rows
 from ctsid_core.search.solution import Doubt, own_delays
-from ctsid_core.settings import LONGEST_DELAY, Settings
+from ctsid_core.settings import Settings, longest_sought
 
-LONGEST = 0.25        # of the window: the longest dead time that is looked for
-_NEARLY = 0.95        # of it: states may stand in for more
+_NEARLY = 0.95        # of the longest dead time that is looked for: states may stand in for more
 _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
                       # and nearer ones leave too few digits between a mode and the trim
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
@@ -141,5 +140,5 @@ def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
 def free_of(samples: Samples, own: Settings) -> Free:
     """Return what is free, and within which bounds."""
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
-                min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
+                longest_sought(samples.length), -_NEAREST / samples.length,
                 _FASTEST * np.pi / samples.finest)

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,13 +14,14 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Free, climb, climb_roughly, fit_at
-from ctsid_core.likelihood.residuals import coloured_costs, residuals
+from ctsid_core.likelihood.residuals import coloured_costs
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import (
     LEAST,
     SEARCH,
     SEARCHED,
+    UNEXPLAINED,
     Tried,
     advantage,
     choose,
@@ -31,27 +34,24 @@ from ctsid_core.search.corrupt import hide_outliers
 from ctsid_core.search.optional import centred, with_direct, without_needless
 from ctsid_core.search.predicted import (
     GROWS,
-    UNEXPLAINED,
     disturbed,
     growth,
     lasts,
     likelier,
     near,
     predicted,
-    unexplained,
 )
 from ctsid_core.search.problem import Problem, at_bound, free_of
 from ctsid_core.search.solution import Solution
 from ctsid_core.settings import Settings
-from ctsid_core.subspace.hd_pbsid import Subspaces
-from ctsid_core.subspace.pbsid_equations import realise
+from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
                       # plant in open loop, and it may grow
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
-_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 1.5e7      # work of HD-PBSID
+_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
 
 Other = tuple[float, Tried]              # advantage over the choice, and the model
 
@@ -68,13 +68,15 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
             solved := likelier(given, samples, near(samples, free, one), free, one)):
         return solved
     subspace = _Subspace(part, own, effort)
-    found = search_orders(samples, free, subspace.poles, order=settings.order,
-                          max_order=settings.max_order, known_delay=given.known_delay)
+    samples, found = search_orders(
+        samples, free, subspace.poles, order=settings.order, max_order=settings.max_order,
+        known_delay=given.known_delay)
+    given = replace(given, most=min(given.most, int(np.max(samples.counts.sum(axis=0)))))
     if not found or settings.order not in (0, *found):
         return None
     samples, found = _where_known(given, samples, found, free)
     counted = settings.order or choose(found)
-    order = settings.order or _neighbour(samples, found, counted)
+    order = settings.order or _neighbour(found, counted)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = given.left_out(found, order)
     best = found[order]
@@ -84,7 +86,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if hidden := hide_outliers(part, given.corrupt, samples, best.fit):
         samples = given.seen()
         best = _climbed(samples, best, free)
-    left = unexplained(samples, best.fit)
+    left = best.unexplained
     if one is not None:
         # So do modes that last where its past tells of none: of a set point, or of disturbances.
         imitates = growth(one, samples) < -GROWS and lasts(best, samples)
@@ -96,8 +98,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         one = predicted(given, samples, free)
         grows = one is not None and growth(one, samples) > GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
-        if one is not None and grows and min(left, *(
-                unexplained(samples, other.fit) for other in found.values())) >= _FAILS and (
+        if one is not None and grows and min(
+                left, *(other.unexplained for other in found.values())) >= _FAILS and (
                 solved := likelier(given, samples, best, free, one)):
             return replace(solved, hidden=hidden)
     climbed = _climbed(samples, best, free)
@@ -147,7 +149,7 @@ def _where_known(given: Problem, samples: Samples, found: dict[int, Tried],
     return samples, found
 
 
-def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
+def _neighbour(found: dict[int, Tried], chosen: int) -> int:
     """
     Return the chosen order, or the one beside it that is likelier in noise of any colour.
 
@@ -159,8 +161,8 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
 
     def in_colour(n: int) -> float:
         """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
-        costs = coloured_costs(residuals(samples, found[n].fit))
-        return float(np.sum(costs[matters])) + price(samples) * found[n].parameters
+        costs = coloured_costs(found[n].errors)
+        return float(np.sum(costs[matters])) + price(own.samples) * found[n].parameters
 
     return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
         n <= chosen or explains(own, found[n]) or bool(np.any(
@@ -211,7 +213,7 @@ class _Subspace:
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
-        self._poles: dict[tuple[int, Subspaces], list[ComplexArray]] = {}
+        self._realised = lru_cache(maxsize=None)(self._realise)
 
     def shown(self, n: int) -> tuple[Array, float]:
         """Return singular values and condition of the middle one of the tunings for order n."""
@@ -223,29 +225,23 @@ class _Subspace:
         found = made.of(tunings[len(tunings) // 2])
         return found.singular_values, found.condition
 
-    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
-        """Return the poles of models of order n, with given dead times."""
-        if n < _FEWEST:
-            return []
-        subspaces = self._projected(delay)
-        if subspaces is None:
-            return []
-        if (n, subspaces) not in self._poles:
-            self._poles[n, subspaces] = self._realised(n, subspaces)
-        return self._poles[n, subspaces]
+    def poles(self, n: int, delay: Array) -> Iterator[ComplexArray]:
+        """Yield the poles of models of order n, with given dead times, for every tuning."""
+        if n >= _FEWEST and (subspaces := self._projected(delay)) is not None:
+            for tuning in subspaces.some_tunings(n):
+                yield from self._realised(n, tuning, subspaces)
 
-    def _realised(self, n: int, subspaces: Subspaces) -> list[ComplexArray]:
-        found = []
+    def _realise(self, n: int, tuning: Tuning, subspaces: Subspaces) -> list[ComplexArray]:
         self._effort.spend(_REGRESSION)
-        for tuning in subspaces.some_tunings(n):
-            self._effort.check()
-            subspace = subspaces.of(tuning)
-            if n < len(subspace.singular_values):
-                m = realise(subspace, n)
-                if np.isfinite(m.A).all():
-                    p = np.linalg.eigvals(m.A).astype(complex)
-                    found.append(np.where(p.real > 0.0, -p.conj(), p))
-        return [p[p.imag >= 0.0] for p in found]
+        subspace = subspaces.of(tuning)
+        if n >= len(subspace.singular_values):
+            return []
+        A = realise(subspace, n).A
+        if not np.isfinite(A).all():
+            return []
+        p = np.linalg.eigvals(A).astype(complex)
+        p = np.where(p.real > 0.0, -p.conj(), p)
+        return [p[p.imag >= 0.0]]
 
     def _projected(self, delay: Array) -> Subspaces | None:
         """
@@ -262,3 +258,4 @@ class _Subspace:
         with suppress(np.linalg.LinAlgError):
             self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
+
