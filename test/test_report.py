@@ -324,6 +324,16 @@ def test_window_figure_shows_every_window_and_the_truth():
     assert strip.spans[0].high == strip.spans[1].low
 
 
+def test_modes_of_every_window_are_drawn_however_few_windows_have_them():
+    """Those that were seen for longer are lines, all others dots: none is left out."""
+    plants = [StateSpace([[-(3.0 ** k)]], [[1.0]], [[1.0]]) for k in range(20)]
+    found = window_figure(seen([estimate(p, start=i) for i, p in enumerate(plants)]))
+    panel = next(p for p in found.drawing.panels if p.title == 'natural frequency [rad/s]')
+    shown = [y for curve in panel.curves for y in curve.y.tolist() if not math.isnan(y)]
+    assert sorted(shown) == pytest.approx([3.0 ** k for k in range(20)])
+    assert [c.name for c in panel.curves].count('seen in few windows') == len(panel.curves)
+
+
 def test_bands_are_two_standard_deviations():
     real, pair = Mode(complex(-2), 0.1), Mode(-1 + 3j, 0.1)
     size = math.sqrt(10)

@@ -77,6 +77,9 @@ class Tried:
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
     parameters: int
+    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
+    # own errors say, too, how much there is to know
+    pointed: bool = False
 
     @cached_property
     def errors(self) -> Residuals:
@@ -118,7 +121,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     found: dict[int, Tried] = {}
     alike = Alike(grid, free, _delays(free, known_delay)) if samples.several else None
     looked: set[int] = set()
-    best, pointed = 1, False
+    best, far = 1, 0
     while True:
         short = samples.effort.beyond(SEARCH)
         if order in looked or short and found and not order:
@@ -128,9 +131,9 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             order if short else len(looked) + 1
         if not n and alike is not None:
             n = _promised(alike, thin, free, found, looked, max_order)
-        if not n and not pointed and found[best].unexplained > UNEXPLAINED:
-            pointed, n = True, _pointed(alike, (known_delay, found[best].fit.model.delay),
-                                        subspace, grid, free, max_order, found[best])
+        if not n and not far and found[best].unexplained > UNEXPLAINED:
+            n = far = _pointed(alike, (known_delay, found[best].fit.model.delay),
+                               subspace, grid, free, max_order, found[best])
             n = 0 if n in looked else n
         if not n:
             break
@@ -139,7 +142,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                        np.inf if order or not found else _rival(found, thin, n))
         if fit is None:
             continue
-        found[n] = tried(thin, fit, free)
+        found[n] = replace(tried(thin, fit, free), pointed=n == far)
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
@@ -153,9 +156,10 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     samples = samples.thinned(affordable(samples, found[chosen].fit.model.n))
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
-    return samples, {n: tried(samples, climb(samples, fit_at(
+    return samples, {n: replace(tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
-        steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
+        steps=STEPS if n == chosen else 1), free), pointed=one.pointed)
+        for n, one in found.items()}
 
 
 def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:
@@ -209,8 +213,10 @@ def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePol
             return start and fit_at(samples, *start[2:], free, slopes=False)
         return None
 
+    while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
+        max_order -= 1
     if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
-            tried(samples, most, free), parameters=best.parameters + (MORE + 1) * (
+            tried(samples, most, free), pointed=True, parameters=best.parameters + (MORE + 1) * (
                 samples.nu + samples.ny + len(samples.records))), best)):
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
@@ -300,9 +306,9 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
     n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's prior of unit information: numbers as many as samples explain anything. How many
-    # samples are independent, both models have a say.
-    unit = float((n_eff.sum() * np.maximum(larger.independent, 2.0).sum()) ** -0.5)
+    # Zellner's prior of unit information: numbers as many as samples explain anything.
+    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
+    unit = 1.0 / max(float(known), 2.0)
     ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio

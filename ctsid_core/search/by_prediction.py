@@ -14,7 +14,8 @@ transition is e^(A h) = e^(Abar h) + L C, which gives A; B and the continuous ga
 
 References
 ----------
-Ljung, System Identification, 2nd edition, sections 4.3, 7.2 and 13.4 (closed loop).
+Ljung, System Identification, 2nd edition, sections 4.3, 7.2 and 13.4 (closed loop); Kass and
+Raftery 1995, J. American Statistical Association 90 (what is strong evidence).
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
+_STRONG = 6.0               # of Schwarz's criterion: less is no strong evidence
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
@@ -102,13 +104,33 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     found = _orders(thin, {order: starts[order]} if order else starts, own, last)
     if not found:
         return None
-    best = min(found.values(), key=lambda one: one.information)
+    least = min(one.information for one in found.values())
+    best = found[min(n for n, one in found.items() if one.information <= least + _STRONG)]
     fit = best.found.fit
     if thin is not joint:
         joint = joint.thinned(affordable(joint, fit.model.n))
     if joint is not thin and not joint.effort.beyond(SEARCH):
         best = _nearby(joint, fit.model, best.found.parameters, fit, own, last) or best
+    best = _without_delays(best, last)
     return replace(best, orders={n: one.found for n, one in found.items()})
+
+
+def _without_delays(best: PredictionFit, last: Compared) -> PredictionFit:
+    """Return the predictor without dead times if it predicts as well, as far ahead as is asked."""
+    joint, free, fit = best.samples, best.free, best.found.fit
+    if not fit.model.delay[list(free.delays)].any():
+        return best
+
+    def worth(one: PredictionFit) -> float:
+        return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
+    fewer = replace(free, delays=(False,) * len(free.delays))
+    with suppress(np.linalg.LinAlgError):
+        delay = np.where(free.delays, 0.0, fit.model.delay)
+        top = climb_roughly(joint, fit_at(joint, fit.model.poles, delay, fewer, fit), fewer)
+        other = _judged(joint, top, fewer, last, parameters(joint, top, fewer))
+        if other is not None and worth(other) <= worth(best):
+            return other
+    return best
 
 
 def _orders(joint: Samples, starts: dict[int, Start], free: Free,

@@ -91,8 +91,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         # So do modes that last where its past tells of none: of a set point, or of disturbances.
         imitates = growth(one, samples) < -GROWS and lasts(best, samples)
         rival = near(samples, free, one) if imitates else best
-        if (imitates or left > UNEXPLAINED) and (
-                solved := likelier(given, samples, rival, free, one)):
+        if solved := likelier(given, samples, rival, free, one):
             return replace(solved, hidden=hidden)
     if own.feedthrough and left > UNEXPLAINED and not effort.beyond(SEARCH):
         one = predicted(given, samples, free)
@@ -204,7 +203,8 @@ def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
 def _climbed(samples: Samples, one: Tried, free: Free, roughly: bool = False) -> Tried:
     """Return a model at the maximum of the likelihood of other samples."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    return tried(samples, (climb_roughly if roughly else climb)(samples, start, free), free)
+    fit = (climb_roughly if roughly else climb)(samples, start, free)
+    return replace(tried(samples, fit, free), pointed=one.pointed)
 
 
 class _Subspace:

@@ -240,7 +240,8 @@ def batch_headline(flights: Sequence[Flight], odd: Mapping[str, str], params: st
         said.append('The same recording twice: ' + _and_more(
             [f'{shown[bag]} ({shown[first]})' for bag, first in same.items()]) + '.')
     if odd:
-        said.append('Other poles than most: ' + _and_more([shown[bag] for bag in odd]) + '.')
+        said.append('Other poles or gains than most: '
+                    + _and_more([shown[bag] for bag in odd]) + '.')
     readable = [f for f in doubtful if not f.failure]
     asked = [*[f.bag for f in readable], *odd, *[f.bag for f in doubtful if f.failure]]
     whole = ('ctsid', 'identify', *many, '--params', params)

@@ -110,6 +110,14 @@ def track_curve(track: Track, times: Array, number: int, *, frequency: bool) -> 
                  'both' if len(track.windows) <= _MOST_DOTS else 'line', low, high)
 
 
+def scattered(tracks: Sequence[Track], times: Array, *, frequency: bool) -> Curve:
+    """Return natural frequency or damping of modes that were seen in few windows, as dots."""
+    found = [(times[k], m.frequency if frequency else m.damping) for t in tracks
+             for k, m in zip(t.windows, t.modes, strict=True) if frequency or m.pole.imag > 0]
+    at, values = np.array(found, dtype=float).reshape(-1, 2).T
+    return Curve(at, values, 'seen in few windows', 0, 'dots')
+
+
 def _known_std(mode: Mode, *, frequency: bool) -> float:
     """Return the deviation of natural frequency or damping, made from the pole's if it must be."""
     known = mode.frequency_std if frequency else mode.damping_std

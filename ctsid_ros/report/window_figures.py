@@ -14,7 +14,7 @@ from ctsid_core.model.verdict import Grade
 from ctsid_ros.replay.along import Windows, changes
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import AMBER, GREEN, RED, Axes, Curve, Drawing, Span
-from ctsid_ros.report.poles import around, track_curve
+from ctsid_ros.report.poles import around, scattered, track_curve
 from ctsid_ros.report.tables import label
 from ctsid_ros.report.tracks import modes, tracks
 
@@ -92,19 +92,23 @@ def _names(windows: Windows) -> tuple[str, ...]:
 
 def _modes(windows: Windows, truth: StateSpace | None, marks: Sequence[tuple[float, str]]
            ) -> Iterator[Axes]:
-    found = tracks(windows.estimates)[:_MOST_TRACKS]
+    every = tracks(windows.estimates)
+    found, rest = every[:_MOST_TRACKS], every[_MOST_TRACKS:]
     lines, true = [(t, '') for t, _ in marks], modes(truth)
     if not found:
         return
-    yield Axes([track_curve(t, windows.middles, i, frequency=True) for i, t in enumerate(found)],
+    yield Axes([*(track_curve(t, windows.middles, i, frequency=True) for i, t in enumerate(found)),
+                *([scattered(rest, windows.middles, frequency=True)] if rest else [])],
                'natural frequency [rad/s]', y_log=True, levels=[m.frequency for m in true],
                height=180.0, marks=lines,
                y_limits=around([m.frequency for t in found for m in t.modes], log=True))
     # A real pole has damping 1 and says nothing more; an oscillating one does.
     swinging = [t for t in found if any(m.pole.imag > 0 for m in t.modes)]
     if swinging:
-        yield Axes([track_curve(t, windows.middles, found.index(t), frequency=False)
-                    for t in swinging], 'damping ratio of the oscillating modes', marks=lines,
+        yield Axes([*(track_curve(t, windows.middles, found.index(t), frequency=False)
+                      for t in swinging),
+                    *([scattered(rest, windows.middles, frequency=False)] if rest else [])],
+                   'damping ratio of the oscillating modes', marks=lines,
                    levels=[m.damping for m in true if m.pole.imag > 0], height=150.0,
                    y_limits=around([m.damping for t in swinging for m in t.modes
                                     if m.pole.imag > 0], log=False, std=np.array(

@@ -206,9 +206,13 @@ def _sections(outcome: _Outcome, args: argparse.Namespace, notes: tuple[str, ...
         columns[f'fit {k} ahead ({ahead} s) [%]'] = found.fit
     rows = tuple((name, *(percent(v[i]) for v in columns.values()))
                  for i, name in enumerate(outcome.model.output_names))
+    late: dict[str, list[str]] = {}
+    for name, delay in zip(outcome.model.input_names, outcome.model.delay, strict=True):
+        late.setdefault(name.partition('[')[0], []).append(number(delay))
+    delays = {name: ', '.join(dict.fromkeys(found)) for name, found in late.items()}
     title = f'{args.model} on {named(args.bag)}, {outcome.first:.1f} to {outcome.last:.1f} s'
     return [Section(title, (Table(('output', *columns), rows, ('output',)), _trim(args.trim))),
-            channel_section(outcome.data), complaint_section(notes)]
+            channel_section(outcome.data, delays=delays), complaint_section(notes)]
 
 
 def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
