@@ -41,3 +41,16 @@ def test_a_function_moves_as_its_derivative_says():
         for own, change in zip(found, changes, strict=True):
             sides = [scipy.linalg.expm(A + h * change) for h in (little, -little)]
             assert own == pytest.approx((sides[0] - sides[1]) / (2.0 * little), abs=1e-8)
+
+
+@pytest.mark.parametrize('A', [
+    [[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-1e-4, -1e-3]], [[1e-14, 0.0], [0.0, -2e-14]],
+    -np.eye(3) + np.diag([1.0, 1.0], 1), np.diag([-1.0, -1.0 - 1e-5, -1.0 + 1e-5]) + np.diag(
+        [1.0, 1.0], 1), [[-1.0, 1e6], [0.0, -2.0]]])
+def test_a_function_moves_as_its_derivative_says_where_modes_are_parallel(A):
+    """Beside that of SciPy: of two and three integrators, of states in very different units."""
+    A = np.array(A)
+    change = np.random.default_rng(1).standard_normal(A.shape) * np.maximum(np.abs(A), 1.0)
+    wanted = scipy.linalg.expm_frechet(A, change, compute_expm=False)
+    found = change_of(A, change[np.newaxis], np.exp, np.exp)[0]
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=2e-3 * np.max(np.abs(wanted)))

@@ -331,7 +331,7 @@ def test_modes_of_every_window_are_drawn_however_few_windows_have_them():
     panel = next(p for p in found.drawing.panels if p.title == 'natural frequency [rad/s]')
     shown = [y for curve in panel.curves for y in curve.y.tolist() if not math.isnan(y)]
     assert sorted(shown) == pytest.approx([3.0 ** k for k in range(20)])
-    assert [c.name for c in panel.curves].count('seen in few windows') == len(panel.curves)
+    assert [c.label for c in panel.curves].count('seen in few windows') == len(panel.curves)
 
 
 def test_bands_are_two_standard_deviations():

@@ -24,7 +24,8 @@ from ctsid_core.linear.types import Array, ComplexArray
 
 CONDITION_LIMIT = 1e4  # of the eigenvectors: scalar recursions lose that factor of 2e-16
 SOUND = 1e10           # the same where six digits are enough
-_SAME = 1e-6           # relative distance of two eigenvalues below which a slope is between them
+_SAME = 1e-6           # distance of eigenvalues over the largest, with which they are one
+_APART = 1e-8          # of a matrix: a change that sets modes apart which are parallel
 
 
 @dataclass(frozen=True)
@@ -143,14 +144,19 @@ def change_of(A: Array, changes: Array, function: Callable[[ComplexArray], Compl
     Given are the function and its derivative of complex numbers (N. J. Higham, "Functions of
     Matrices", 2008, theorem 3.11: Daleckii and Krein).
     """
+    A, scale = balanced(A)
+    changes = changes * scale / scale[:, np.newaxis]
     values, right = np.linalg.eig(A)
+    if np.linalg.cond(right) > CONDITION_LIMIT:     # as of two integrators: they are set apart
+        A = A + _APART * np.linalg.norm(A) * np.cos(np.arange(A.size)).reshape(A.shape)
+        values, right = np.linalg.eig(A)
     values, left = values.astype(complex), np.linalg.inv(right)
-    size, found = np.abs(values), function(values)
-    gap = values[:, np.newaxis] - values
-    same = np.abs(gap) <= _SAME * np.maximum(size[:, np.newaxis], size)
+    found, gap = function(values), values[:, np.newaxis] - values
+    same = np.abs(gap) <= _SAME * np.max(np.abs(values), initial=0.0)
     ratio = np.where(same, slope(0.5 * (values[:, np.newaxis] + values)),
                      (found[:, np.newaxis] - found) / np.where(same, 1.0, gap))
-    return np.asarray((right @ (ratio * (left @ changes @ right)) @ left).real)
+    moved = (right @ (ratio * (left @ changes @ right)) @ left).real
+    return np.asarray(moved * scale[:, np.newaxis] / scale)
 
 
 def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:

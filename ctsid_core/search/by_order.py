@@ -14,7 +14,8 @@ How much evidence there is for one more state depends on how many samples are in
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
 Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
-errors fall: as many numbers as there are independent samples explain any of them.
+errors fall: as many numbers as there are independent samples explain any of them. Of an order that
+HD-PBSID points at, both models' errors say how many these are.
 """
 
 from __future__ import annotations

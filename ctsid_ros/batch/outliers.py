@@ -15,7 +15,7 @@ from ctsid_ros.report.tables import number, pole_text
 
 # Bags of which a median and a usual distance from it mean something. If their spread is ten times
 # their own standard deviations, of one pole and one gain a batch of five that are all alike names
-# one in three times, of ten one in seven, of 30 or 200 one in 15 (1000 simulated batches of each);
+# one in three times, of ten one in seven, of 30 or 200 one in 20 (300 simulated batches and more);
 # if it is that of these deviations, never.
 FEWEST = 5
 # Standard deviations (of the bags, and the bag's own) that a pole is away from the median. Of
