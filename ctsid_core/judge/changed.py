@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import NOTED, SEARCHED, Own, only, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Own, only, slopes_of
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
@@ -51,6 +51,7 @@ _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
+NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 
 @dataclass(frozen=True)

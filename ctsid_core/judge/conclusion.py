@@ -10,19 +10,20 @@ import numpy as np
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.judge.changed import Change, most_likely_change
+from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
+from ctsid_core.judge.drift import Drift, drift_of
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.lead import WITHIN, lead_of_outputs
+from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
-from ctsid_core.judge.slopes import NOTED, Drift, drift_of
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
-from ctsid_core.likelihood.residuals import driven, motion_ahead, residuals, white_part
+from ctsid_core.likelihood.residuals import driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread

@@ -17,9 +17,9 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.instants import after_start
-from ctsid_core.judge.slopes import NOTED
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict

@@ -14,8 +14,7 @@ transition is e^(A h) = e^(Abar h) + L C, which gives A; B and the continuous ga
 
 References
 ----------
-Ljung, System Identification, 2nd edition, sections 4.3, 7.2 and 13.4 (closed loop); Kass and
-Raftery 1995, J. American Statistical Association 90 (what is strong evidence).
+Ljung, System Identification, 2nd edition, sections 4.3, 7.2 and 13.4 (closed loop).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ import warnings
 import numpy as np
 from scipy.linalg import logm
 
-from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import columns_of, least_cost
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -38,6 +37,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
     fit_states,
 )
+from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
@@ -46,7 +46,6 @@ from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import (
-    LEAST,
     SEARCH,
     SEARCHED,
     Tried,
@@ -56,14 +55,19 @@ from ctsid_core.search.by_order import (
     price,
     tried,
 )
+from ctsid_core.search.needless import without_needless
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
+_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
+_HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
+_FINAL = 2                  # orders that are climbed with all samples
+_JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
-_STRONG = 6.0               # of Schwarz's criterion: less is no strong evidence
+_QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
@@ -94,6 +98,7 @@ class Compared:
 def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: int,
                         known_delay: Array, last: Compared) -> PredictionFit | None:
     """Return the model that predicts the samples best, or None; orders are compared on `last`."""
+    samples = _before_inputs(samples)
     joint = with_own_past(samples)
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
                   limit=-_FORGETS / samples.length)
@@ -101,89 +106,161 @@ def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: 
     if not starts or order not in (0, *starts):
         return None
     thin = joint.thinned(affordable(joint)).thinned(SEARCHED)
-    found = _orders(thin, {order: starts[order]} if order else starts, own, last)
-    if not found:
+    begun, regression = _begun(thin, {order: starts[order]} if order else starts, own)
+    found = _orders(thin, begun, own, last)
+    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
+    if thin is not joint and likely:
+        joint = joint.thinned(affordable(joint, likely[0].found.fit.model.n))
+    orders = {n: one.found for n, one in found.items()}
+    straight = None if regression is None else _as_it_is(joint, regression, own, last)
+    known = [] if straight is None else [straight]
+    for one in likely:
+        fit, final = one.found.fit, _judged if joint.effort.beyond(SEARCH) else _nearby
+        climbed = one if joint is thin else final(
+            joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
+        known += [] if climbed is None else [climbed]
+    if not known:
         return None
-    least = min(one.information for one in found.values())
-    best = found[min(n for n, one in found.items() if one.information <= least + _STRONG)]
-    fit = best.found.fit
-    if thin is not joint:
-        joint = joint.thinned(affordable(joint, fit.model.n))
-    if joint is not thin and not joint.effort.beyond(SEARCH):
-        best = _nearby(joint, fit.model, best.found.parameters, fit, own, last) or best
-    best = _without_delays(best, last)
-    return replace(best, orders={n: one.found for n, one in found.items()})
+    # As they are used: the filter starts from the first samples, not from the best states.
+    best = min(known, key=lambda one: _as_used(one, joint))
+    if best is straight:                    # its dead times were compared with none
+        return replace(best, orders={**orders, best.found.fit.model.n: best.found})
+    # One sample ahead any error is small where samples are dense.
+    needed, fewer = without_needless(joint, best.found, best.free, 0.0, each=False)
+    other = replace(best, free=fewer) if needed is best.found else \
+        _judged(joint, needed.fit, fewer, last)
+    # Far ahead a dead time may show that hardly does one sample ahead.
+    if other is not None and _as_used(other, joint) <= _as_used(best, joint):
+        best = other
+    return replace(best, orders=orders)
 
 
-def _without_delays(best: PredictionFit, last: Compared) -> PredictionFit:
-    """Return the predictor without dead times if it predicts as well, as far ahead as is asked."""
-    joint, free, fit = best.samples, best.free, best.found.fit
-    if not fit.model.delay[list(free.delays)].any():
-        return best
+def _as_used(one: PredictionFit, joint: Samples) -> float:
+    return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
 
-    def worth(one: PredictionFit) -> float:
-        return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
-    fewer = replace(free, delays=(False,) * len(free.delays))
+
+def _begun(joint: Samples, starts: dict[int, Start],
+           free: Free) -> tuple[dict[int, Fit], Start | None]:
+    """Return where climbs begin, of every order, and the likeliest start as it is."""
+    begun: dict[int, Fit] = {}
+    score: dict[int, float] = {}
+    power = np.ones((len(joint.records), joint.ny))
+    for n, start in starts.items():
+        poles, delay = start.model.poles, start.model.delay
+        columns = columns_of(joint, poles, delay, direct=False, slopes=False)
+        with suppress(np.linalg.LinAlgError):
+            begun[n] = fit_at(joint, poles, delay, free, Guess(start.model, power), columns)
+            score[n] = fit_states(joint, start.model, free, columns).cost + price(joint) * (
+                start.parameters + n * len(power))
+    return begun, starts[min(score, key=lambda n: score[n])] if score else None
+
+
+def _as_it_is(joint: Samples, start: Start, free: Free, last: Compared) -> PredictionFit | None:
+    """Return the predictor of the regression as it is, or None."""
     with suppress(np.linalg.LinAlgError):
-        delay = np.where(free.delays, 0.0, fit.model.delay)
-        top = climb_roughly(joint, fit_at(joint, fit.model.poles, delay, fewer, fit), fewer)
-        other = _judged(joint, top, fewer, last, parameters(joint, top, fewer))
-        if other is not None and worth(other) <= worth(best):
-            return other
-    return best
+        fit = fit_states(joint, start.model, free)
+        free = replace(free, delays=tuple((start.model.delay > 0.0) & free.delays))
+        weights = fit.model.n * (joint.nu + joint.ny)
+        return _judged(joint, fit, free, last, round(start.parameters) - weights)
+    return None
 
 
-def _orders(joint: Samples, starts: dict[int, Start], free: Free,
+def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
             last: Compared) -> dict[int, PredictionFit]:
     """Return predictors of the orders next to that whose start predicts best."""
-    score: dict[int, float] = {}
-    numbers: dict[int, int] = {}
-    guesses = {n: Guess(start.model, np.ones((len(joint.records), joint.ny)))
-               for n, start in starts.items()}
-    for n, start in starts.items():
-        with suppress(np.linalg.LinAlgError):
-            fit = fit_at(joint, start.model.poles, start.model.delay, free, guesses[n],
-                         slopes=False)
-            full = parameters(joint, fit, free)
-            numbers[n] = full + round(start.parameters) - n * (joint.nu + joint.ny)
-            score[n] = fit.cost + price(joint) * full
-    best = min(score, key=lambda n: score[n], default=0)
+    best = min(begun, key=lambda n: begun[n].cost + price(joint) * parameters(
+        joint, begun[n], free), default=0)
     found: dict[int, PredictionFit] = {}
     looked: set[int] = set()
     while not found or not joint.effort.beyond(SEARCH):
-        n = nearest(score, looked, best)
+        n = nearest(begun, looked, best)
         if not n:
             break
         looked.add(n)
-        one = _nearby(joint, starts[n].model, numbers[n], guesses[n], free, last)
+        one = _climbed(joint, begun[n], free, last)
         if one is not None:
             found[n] = one
             best = min(found, key=lambda n: found[n].information)
     return found
 
 
-def _nearby(joint: Samples, start: ModalModel, numbers: int, guess: Fit | Guess, free: Free,
-            last: Compared) -> PredictionFit | None:
-    """
-    Return the likelier one of a predictor as it is, and of that to which a climb from it leads.
+def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
+    """Return the best predictor near a start or near a filter of its plant; None: no plant."""
+    # Slower than what the regression sees are filters alone: else states fit what is before the
+    # record, and mislead elsewhere.
+    quick = replace(free, limit=min(free.limit, -_QUICK / held_interval(joint)))
+    best = _nearby(joint, start, quick, last)
+    filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
+    other = _nearby(joint, filtered, free, last) if filtered is not None else None
+    return min((one for one in (best, other) if one is not None),
+               key=lambda one: one.information, default=None)
 
-    Climbs look one sample ahead; where they fit a hundred numbers, a regression whose weights have
-    a prior predicts better.
+
+def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
+    """Return the likeliest predictor near a start; the start, if that one is of no plant."""
+    try:
+        top = climb_roughly(joint, start, free)
+    except np.linalg.LinAlgError:
+        top = start
+    return _judged(joint, top, free, last) \
+        or (None if top is start else _judged(joint, start, free, last))
+
+
+def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
     """
-    fits: list[tuple[Fit, int]] = []
+    Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
+
+    The noise at each input has the same effect on the outputs, over the frequencies looked at.
+    Predictors may be slower than the past of the regression, and climbs end before they are
+    there. With no noise in the plant poles are its own, those that grow mirrored.
+    """
+    m, n = one.matrices, len(one.matrices.A)
+    C = m.C / joint.size[:, np.newaxis]
+    omega = np.geomspace(1.0 / joint.length, 1.0 / held_interval(joint), _NOISES)
+    try:
+        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
+                                        m.B[np.newaxis])
+    except np.linalg.LinAlgError:
+        return None
+    size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
+    moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
+    known: dict[float, tuple[float, ComplexArray]] = {}
+    delay = one.found.fit.model.delay
+
+    def at(noise: float) -> float:
+        if noise not in known:
+            both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
+            poles = np.sort_complex(both)[:n]
+            stable = bool(np.all(poles.real < free.limit))          # not if any is no number
+            known[noise] = least_cost(columns_of(
+                joint, canonical(poles), delay, direct=False, slopes=False), free.trim) \
+                if stable else np.inf, poles
+        return known[noise][0]
+
+    noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
+    step = np.sqrt(noises[1:] / noises[:-1]).mean()
+    best = min((0.0, *noises.tolist()), key=at)
+    for _ in range(_HALVINGS):
+        best = min((best / step, best, best * step), key=at)
+        step = np.sqrt(step)
+    if not np.isfinite(at(best)):
+        return None
     with suppress(np.linalg.LinAlgError):
-        fits.append((fit_states(joint, start, free), numbers))
-        top = climb_roughly(joint, fit_at(joint, start.poles, start.delay, free, guess), free)
-        fits.append((top, parameters(joint, top, free)))
-    known = [one for fit, count in fits
-             if (one := _judged(joint, fit, free, last, count)) is not None]
-    return min(known, key=lambda one: one.information, default=None)
+        fit = fit_at(joint, known[best][1], delay, free)
+        return fit if fit.cost < one.found.fit.cost else None
+    return None
 
 
 def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
-            numbers: int) -> PredictionFit | None:
-    """Return a predictor of so many numbers and how its plant predicts; None: none does."""
-    one, nu = replace(tried(joint, fit, free), parameters=numbers), joint.nu - joint.ny
+            more: int = 0) -> PredictionFit | None:
+    """
+    Return a predictor and how its plant predicts; None: there is no plant that does.
+
+    So many `more` numbers than are free were determined.
+    """
+    one = tried(joint, fit, free)
+    one = replace(one, parameters=one.parameters + more)
+    delay, nu = fit.model.delay, joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
     likely = np.sqrt(fit.power.mean(axis=0))
     known: list[PredictionFit] = []
@@ -192,11 +269,13 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
         if plant is None:
             continue
         joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in last.record.outputs))
-        with suppress(np.linalg.LinAlgError):
-            errors = prediction_errors(plant, fit.model.delay[:nu], last)
-            if np.max(errors) < _DIVERGED:
-                known.append(PredictionFit(plant, joint, one, free, errors, information(
-                    np.vstack((likely, errors[1:])), joint.counts.sum(axis=0), numbers), {}))
+        try:
+            errors = prediction_errors(plant, delay[:nu], last)
+        except np.linalg.LinAlgError:
+            continue
+        if np.max(errors) < _DIVERGED:
+            known.append(PredictionFit(plant, joint, one, free, errors, information(
+                np.vstack((likely, errors[1:])), joint.counts.sum(axis=0), one.parameters), {}))
         if is_stable(plant):
             break
     # Far ahead shows whether a mode really grows.
@@ -212,8 +291,30 @@ def information(errors: Array, counts: Array, parameters: int = 0) -> float:
     of `HORIZONS`, (horizons, ny).
     """
     counts = counts / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
-    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, LEAST)))) \
+    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
         + float(np.log(counts[0].max())) * parameters
+
+
+def _before_inputs(samples: Samples) -> Samples:
+    """
+    Return the samples, those that closely follow an input put to its instant.
+
+    In closed loop an input is computed from the sample before it and tells its noise. Where
+    stamps jitter it may seem to be the earlier one, and would predict it.
+    """
+    near = _JITTER * samples.interval
+
+    def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
+        stamps = np.unique(np.concatenate([s.time for s in inputs]))
+        last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
+        moved = np.maximum(last, start)
+        # Of two samples as near to it only the first one is put there.
+        apart = moved > np.concatenate(([-np.inf], times[:-1]))
+        return np.where((times >= last) & (times - last < near) & apart, moved, times)
+
+    return replace(samples, records=tuple(replace(r, streams=tuple(
+        replace(s, times=earlier(s.times, r.inputs, r.start)) for s in r.streams))
+        for r in samples.records))
 
 
 def with_own_past(samples: Samples) -> Samples:

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.cross_check import DEVIATIONS, agreement
 from ctsid_core.judge.rules import KNOWN
-from ctsid_core.judge.slopes import NOTED
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Agreement
