@@ -40,7 +40,6 @@ from ctsid_core.search.by_order import (
     affordable,
     beats,
     choose,
-    criterion,
     explains,
     price,
     search_orders,
@@ -136,7 +135,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     climbed = _climbed(samples, best, free)
     best, free = without_needless(samples, climbed, free, LEAST)
     if disturbed is not None and not settings.order and (solved := _disturbed(
-            part, settings, seen, samples, best, disturbed, free, found, hidden)):
+            part, settings, corrupt, seen, samples, best, disturbed, free, found, hidden)):
         return solved
     others = _with(others, climbed, best)
     late = float(np.max(best.fit.model.delay, initial=0.0))
@@ -159,19 +158,18 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     condition=condition)
 
 
-def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
-               found: PredictionFit, free: Free, orders: dict[int, Tried],
+def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
+               best: Tried, found: PredictionFit, free: Free, orders: dict[int, Tried],
                hidden: int) -> Solution | None:
     """
-    Return the plant that predictions found, as it simulates, if likelier in errors of any colour.
+    Return the plant that predictions found, as it simulates, if these are likelier.
 
     What disturbs a plant for longer than it remembers is like an input that is not known. Output
     error then trusts most the frequencies that are disturbed most; predictions trust those that
-    are known best. K is not paid, for it is no number of the likelihood that is compared.
+    are known best.
     """
-    plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _misses(plant, best) or \
-            _in_colour(plant.simulated, matters) >= _in_colour(best, matters):
+    plant = _plant_of(part, samples, found, free)
+    if plant is None or not _predicts_better(part, corrupt, samples, best, found):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
@@ -186,18 +184,6 @@ class _Plant(NamedTuple):
     matrices: Matrices
     simulated: Tried
     free: Free
-
-
-def _misses(plant: _Plant, best: Tried) -> bool:
-    """
-    Return whether a plant that predictions found misses what the best simulation explains.
-
-    That one may explain more by what disturbances make of its numbers: as much as these are worth
-    in open loop, where disturbances do not move the inputs.
-    """
-    one, other = (replace(t, power=np.maximum(t.power, LEAST ** 2))
-                  for t in (plant.simulated, best))
-    return criterion(replace(one, parameters=0), other) > 0.0
 
 
 def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -> _Plant | None:
