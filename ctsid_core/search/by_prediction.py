@@ -46,6 +46,7 @@ from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import (
+    LEAST,
     SEARCH,
     SEARCHED,
     Tried,
@@ -288,10 +289,10 @@ def information(errors: Array, counts: Array, parameters: int = 0) -> float:
 
     The least is most likely. Errors h samples ahead are alike for h samples, so that one of h is
     independent, of those that are counted of each output. They are root mean squares at the first
-    of `HORIZONS`, (horizons, ny).
+    of `HORIZONS`, (horizons, ny); those below `LEAST` are no evidence.
     """
     counts = counts / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
-    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
+    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, LEAST)))) \
         + float(np.log(counts[0].max())) * parameters
 
 

@@ -538,13 +538,13 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
         rivals = simulated()
         gain += information(rivals, counts) - information(errors, counts)
         if asked and AHEAD < min(len(errors), len(rivals)):
-            far += float(counts @ np.log(np.maximum(errors[AHEAD], 1e-12)
-                                         / np.maximum(rivals[AHEAD], 1e-12)))
+            far += float(counts @ np.log(np.maximum(errors[AHEAD], LEAST)
+                                         / np.maximum(rivals[AHEAD], LEAST)))
         if doubted:
             length = record.end - record.start
             ahead = min(_GROWN / growth * samples.length, 0.4 * length)
             horizons = (max(int(ahead / held_interval(found.samples)), 1),)
-            own, other = (np.maximum(f(horizons=horizons), 1e-12) for f in (predicted, simulated))
+            own, other = (np.maximum(f(horizons=horizons), LEAST) for f in (predicted, simulated))
             # Errors so far ahead are alike for as long.
             far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
     # Fewer numbers are no reason to give up a simulation.
