@@ -51,9 +51,10 @@ def test_nothing_is_lost_while_identification_takes_longer_than_the_stride(live)
                             'a model of the last window')
     skipped, windows = (int(said.values[key]) for key in ('skipped windows', 'windows'))
     assert windows > 15
-    assert 0 < skipped < windows
-    # A topic with a history of one need not deliver a model that a newer one has replaced.
-    assert 1 < len(node.models) <= windows - skipped
+    assert 0 < skipped < windows - 1
+    # A topic with a history of one need not deliver a model that a newer one has replaced: on a
+    # busy machine this process may see the last one only.
+    assert 1 <= len(node.models) <= windows - skipped
     assert said.values['faults'] == node.health('ingest')[-1].values['resets'] == '0'
     computing = [data['computing_seconds'] for data in node.metadata()]
     assert np.median(computing) > 0.05  # the stride
