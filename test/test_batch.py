@@ -274,7 +274,8 @@ def test_the_word_for_all_bags_and_the_command_go_to_the_worst():
     assert mixed.command == 'ctsid replay /d/b3 --params p.yaml'
     assert first('GOOD', 'FAILED').command == 'ctsid info /d/b1'
     assert first('GOOD', 'GOOD', odd=('/d/b1',)).command == 'ctsid replay /d/b1 --params p.yaml'
-    assert 'b1' in first('GOOD', 'GOOD', odd=('/d/b1',)).sentence
+    assert first('GOOD', 'GOOD', odd=('/d/b1',)).sentence.endswith(
+        'Other poles or gains than most: b1.')
 
 
 def drawn(*recorded_s: float, poles: bool = True):
@@ -484,6 +485,8 @@ def test_a_payload_shows_in_gains_where_poles_are_those_of_the_others():
     assert list(found) == ['loaded']
     assert found['loaded'].startswith('gain of u to y ')
     assert ' standard deviations from the median ' in found['loaded']
+    # Bags that scatter by more than each says of itself are alike all the same.
+    assert outliers({f'b{k}': bag(3.0 + 0.1 * k, 0.01) for k in range(12)}) == {}
 
 
 # --- processes that are killed, disks that are full

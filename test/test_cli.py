@@ -238,6 +238,8 @@ def test_simulate_explains_another_bag_without_parameters(ctsid, shared, identif
     assert len(fits) == 4
     assert min(map(float, fits)) > 90
     assert 'fitted to this bag' in out
+    delay, = load_estimate(model).model.delay
+    assert re.search(rf'input .* zoh +{re.escape(number(delay))} ', out)
     code, out, _ = ctsid('simulate', model, other, '--json', '--trim', 'model',
                          '--params', shared / 'params.yaml')
     found = json.loads(out)

@@ -130,6 +130,16 @@ def test_a_stream_of_zero_header_stamps_uses_the_log_and_says_so():
     assert plain.report() == []
 
 
+def test_messages_before_the_beginning_that_wait_for_their_source_are_not_of_it():
+    ingest, plain = make(U, P, window_length=5.0), make(U, P, window_length=5.0)
+    for k in range(2):          # of stamps that are zero it takes three to know
+        ingest.push('/cmd', EPOCH - S + k * S // 25, 0, 0, (9.0,))
+    ingest.begin()
+    for one in (ingest, plain):
+        play(one, header_u=0)
+    assert ingest.counts() == plain.counts()
+
+
 @pytest.mark.parametrize('header', [lambda _: EPOCH + 5, lambda stamp: stamp // S * S])
 def test_a_header_that_stands_still_is_left_for_the_log(header):
     """Nobody fills it, or its nanoseconds: of 300 samples 1, or 3, would be left."""

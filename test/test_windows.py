@@ -191,6 +191,26 @@ def test_history_of_inputs_does_not_reach_over_a_restart():
     assert again[0].inputs[0].time[0] >= -0.2
 
 
+def test_what_came_before_the_beginning_is_history_and_counts_for_nothing():
+    """Of samples with a straggler, duplicates, values that are no numbers, and a restart."""
+    before = stream(6.0, seed=3)
+    before += [before[-1], ('y', before[-1][1] - S // 2, (0.0, 0.0)), ('u', 10, (1.0,)),
+               ('y', before[-1][1] + 1, (np.nan, 0.0))]
+    slider, alone, later = *(window(length=1e5, lead=1.0) for _ in range(2)), stream(12.0)
+    for sample in stream(9.0, seed=2) + before + [s for s in later if s[1] < EPOCH + 5 * S]:
+        slider.push(*sample)
+    assert slider.counts.resets == 2
+    assert slider.counts.groups['y'].non_finite == 1
+    slider.begin()
+    for sample in (s for s in later if s[1] >= EPOCH + 5 * S):
+        slider.push(*sample)
+        alone.push(*sample)
+    found, wanted = slider.whole(), alone.whole()
+    assert slider.counts == alone.counts
+    assert (found.epoch_ns, found.end) == (wanted.epoch_ns, wanted.end)
+    assert found.inputs[0].time[0] < -0.9 < wanted.inputs[0].time[0]
+
+
 def test_no_window_and_bounded_memory_while_a_group_is_missing():
     slider = window(lead=0.5)
     for k in range(100_000):

@@ -143,7 +143,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                        np.inf if order or not found else _rival(found, thin, n))
         if fit is None:
             continue
-        found[n] = replace(tried(thin, fit, free), pointed=n == far)
+        found[n] = tried(thin, fit, free, n == far)
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
@@ -157,10 +157,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     samples = samples.thinned(affordable(samples, found[chosen].fit.model.n))
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
-    return samples, {n: replace(tried(samples, climb(samples, fit_at(
-        samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
-        steps=STEPS if n == chosen else 1), free), pointed=one.pointed)
-        for n, one in found.items()}
+    return samples, {n: climbed(samples, one, free, STEPS if n == chosen else 1)
+                     for n, one in found.items()}
 
 
 def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:
@@ -173,7 +171,8 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
                 fit = fit_at(samples, np.delete(model.poles, k), model.delay, free, slopes=False)
                 n = fit.model.n
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
-                    found[n] = tried(samples, climb_roughly(samples, fit, free), free)
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free,
+                                     found[n].pointed)
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
@@ -206,7 +205,6 @@ def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePol
     samples = grid.samples
 
     @cache
-
     def by_subspace(n: int) -> Fit | None:
         start = min((s for d in delays for s in _by_subspace(n, subspace, grid, free, d)),
                     key=lambda s: s[0], default=None)
@@ -217,7 +215,7 @@ def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePol
     while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
         max_order -= 1
     if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
-            tried(samples, most, free), pointed=True, parameters=best.parameters + (MORE + 1) * (
+            tried(samples, most, free, True), parameters=best.parameters + (MORE + 1) * (
                 samples.nu + samples.ny + len(samples.records))), best)):
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
@@ -263,9 +261,15 @@ def _later(samples: Samples, n: int) -> float:
         + gain_work(samples, n)
 
 
-def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
+def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
+
+
+def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tried:
+    """Return a model at the maximum of the likelihood of other samples, or on the way there."""
+    return tried(samples, climb(samples, _again(samples, one.fit, free), free, steps=steps), free,
+                 one.pointed)
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:

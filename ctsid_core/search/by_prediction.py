@@ -384,11 +384,16 @@ def in_record(plant: Matrices, fit: Fit, samples: Samples, record: int) -> Matri
     return plant_of(fit, samples, record, not is_stable(plant)) or plant
 
 
+def _from_sample_to_sample(A: Array, K: Array, C: Array, step: float) -> tuple[Array, Array]:
+    """Return the plant's transition, and what a constant makes of the predictor's states in it."""
+    transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
+    return transition + integral @ K @ C, integral
+
+
 def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
                unstable: bool) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
-    transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
-    moved = transition + integral @ K @ C
+    moved, integral = _from_sample_to_sample(A, K, C, step)
     plant = _logarithm(moved) / step if np.isfinite(moved).all() else moved
     if not np.isfinite(plant).all():
         raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
@@ -483,6 +488,9 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
         held_interval(samples)
     K, dK = m.B[:, nu:] / samples.size, changes.B[:, :, nu:] / samples.size
 
+    def grown(z: ComplexArray) -> ComplexArray:
+        return phi(step * z, 0)[0]
+
     def summed(z: ComplexArray) -> ComplexArray:
         return step * phi(step * z, 1)[1]
 
@@ -490,12 +498,11 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
         _, one, two = phi(step * z, 2)
         return step ** 2 * (one - two)
 
-    transition, integral = (x[0] for x in exponentials(m.A, np.array([step]), 1))
-    moved = transition + integral @ K @ m.C
+    moved, integral = _from_sample_to_sample(m.A, K, m.C, step)
     plant = np.real(_logarithm(moved)) / step
     of_integral = change_of(m.A, changes.A, summed, slope)
-    of_moved = change_of(m.A, changes.A, lambda z: phi(step * z, 0)[0], lambda z: step * phi(
-        step * z, 0)[0]) + of_integral @ K @ m.C + integral @ (dK @ m.C + K @ changes.C)
+    of_moved = change_of(m.A, changes.A, grown, lambda z: step * grown(z)) \
+        + of_integral @ K @ m.C + integral @ (dK @ m.C + K @ changes.C)
     A = change_of(moved, of_moved, np.log, np.reciprocal) / step
     own = exponentials(plant, np.array([step]), 1)[1][0]
     back = np.linalg.solve(own, integral)

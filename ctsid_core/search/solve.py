@@ -18,7 +18,6 @@ from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import (
     Fit,
     Free,
-    climb,
     climb_roughly,
     fit_at,
     fit_states,
@@ -40,6 +39,7 @@ from ctsid_core.search.by_order import (
     affordable,
     beats,
     choose,
+    climbed,
     explains,
     price,
     search_orders,
@@ -67,7 +67,8 @@ _NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody
                       # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 0.05        # times e within the record: less does not tell a mode that decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_FAILS = 0.5          # ... and with which no simulation tells it, and it may grow
+_FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
+                      # plant in open loop, and it may grow
 _GROWS = 1.0          # times e within the record: less does not tell a plant that grows
 _GROWN = 2.0          # times e, as far as a plant that grows has to predict
 _AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
@@ -132,17 +133,17 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
         return replace(solved, hidden=hidden)
-    climbed = _climbed(samples, best, free)
-    best, free = without_needless(samples, climbed, free, LEAST)
+    reached = climbed(samples, best, free)
+    best, free = without_needless(samples, reached, free, LEAST)
     if disturbed is not None and not settings.order and (solved := _disturbed(
             part, settings, corrupt, seen, samples, best, disturbed, free, found, hidden)):
         return solved
-    others = _with(others, climbed, best)
+    others = _with(others, reached, best)
     late = float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
         samples = seen(late)
-    if late > 0.0 or best is not climbed:
-        best = _climbed(samples, best, free)
+    if late > 0.0 or best is not reached:
+        best = climbed(samples, best, free)
     best = _centred(samples, best, free)
     smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
@@ -172,7 +173,7 @@ def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, sa
     if plant is None or not _predicts_better(part, corrupt, samples, best, found):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
-    best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
+    best = climbed(solved.samples, best, free) if solved.samples is not samples else best
     return replace(
         solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
         smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
@@ -217,10 +218,9 @@ def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Fr
             thin, rest = known.thinned(SEARCHED), {}
             for n, one in up_to.items():
                 start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-                rest[n] = replace(tried(thin, climb_roughly(thin, start, free), free),
-                                  pointed=one.pointed)
+                rest[n] = tried(thin, climb_roughly(thin, start, free), free, one.pointed)
             if choose(rest) < chosen:
-                return known, {n: _climbed(known, one, free) for n, one in rest.items()}
+                return known, {n: climbed(known, one, free) for n, one in rest.items()}
     return samples, found
 
 
@@ -264,7 +264,7 @@ def _neighbour(found: dict[int, Tried], chosen: int) -> int:
                key=lambda n: _in_colour(found[n], matters))
 
 
-def _in_colour(one: Tried, matters: Mask | bool = True) -> float:
+def _in_colour(one: Tried, matters: Mask) -> float:
     """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
     costs = np.where(matters, coloured_costs(one.errors), 0.0)
     return float(costs.sum()) + price(one.samples) * one.parameters
@@ -299,12 +299,6 @@ def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
                     samples, fit_at(samples, model.poles, delay, free), free).model
         models.append((model, free))
     return tuple(models)
-
-
-def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
-    """Return a model at the maximum of the likelihood of other samples."""
-    start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    return replace(tried(samples, climb(samples, start, free), free), pointed=one.pointed)
 
 
 def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
@@ -355,7 +349,7 @@ def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tri
     hidden = hide_outliers(part, corrupt, samples, best.fit)
     if hidden:
         samples = seen()
-        best = _climbed(samples, best, free)
+        best = climbed(samples, best, free)
     return samples, best, hidden
 
 
