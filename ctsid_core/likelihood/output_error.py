@@ -142,12 +142,7 @@ def climb_roughly(samples: Samples, start: Fit, free: Free, rival: float = np.in
 
 def steps_around(samples: Samples, model: ModalModel) -> PoleSteps:
     """Return how the poles of a model move."""
-    alike = None
-    if samples.rank > 1:
-        both = np.abs((model.c.T @ model.c.conj()) * (model.b @ model.b.conj().T))
-        size = np.sqrt(both.diagonal()) + 1e-150
-        alike = both / np.outer(size, size)
-    return PoleSteps.of(model.poles, 1.0 / samples.length, samples.rank, alike)
+    return PoleSteps.of(model.poles, 1.0 / samples.length, samples.rank)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:

@@ -18,8 +18,7 @@ import numpy as np
 from ctsid_core.linear.types import Array, ComplexArray, Places
 
 _APART = 1e-4         # relative distance at which two equal poles are kept
-_NEAR = 4.0           # ratio of two real poles up to which they share a factor,
-_PARALLEL = 0.95      # if their residues have all ranks, or are nearly parallel
+_NEAR = 4.0           # ratio of two real poles up to which they share a factor
 
 
 @dataclass(frozen=True)
@@ -33,14 +32,12 @@ class PoleSteps:
     scale: Array         # (k,): of the step of each pole [rad/s]
 
     @classmethod
-    def of(cls, poles: ComplexArray, slowest: float, rank: int = 1,
-           alike: Array | None = None) -> PoleSteps:
+    def of(cls, poles: ComplexArray, slowest: float, rank: int = 1) -> PoleSteps:
         """
         Group poles; steps are relative to their size, or to the slowest that is seen.
 
-        Equal ones move together. `rank` is the largest of a residue. Real poles that are there
-        less often pass each other, unless their residues are nearly `alike`: cosines between
-        those of all modes, (m, m).
+        Equal ones move together. `rank` is the largest of a residue: real poles that are there
+        less often pass each other, for their residues are different ones.
         """
         poles = canonical(poles, rank)
         part = ranks_of(poles)[1]
@@ -50,12 +47,8 @@ class PoleSteps:
         scale = [max(abs(x), slowest) for x in p]
         real = sorted((k for k, x in enumerate(p) if x.imag == 0.0), key=lambda k: p[k].real)
         factors, i = [(k, -1) for k, x in enumerate(p) if x.imag > 0.0], 0
-        meeting = np.minimum.outer(ranks, ranks) == rank
-        if alike is not None:
-            meeting |= (alike[np.ix_(first, first)] > _PARALLEL) & (
-                np.maximum.outer(ranks, ranks) == 1)
-        gaps = [abs(p[b].real - p[a].real) / min(scale[a], scale[b]) if meeting[a, b] else np.inf
-                for a, b in pairwise(real)]
+        gaps = [abs(p[b].real - p[a].real) / min(scale[a], scale[b])
+                if min(ranks[a], ranks[b]) == rank else np.inf for a, b in pairwise(real)]
         while i < len(real):
             joins = i < len(gaps) and gaps[i] < _NEAR and not (
                 i + 1 < len(gaps) and gaps[i + 1] < gaps[i])

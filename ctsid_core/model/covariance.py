@@ -237,16 +237,15 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     the principal directions of all changes. Equal poles of equal changes are one, that moves as a
     whole.
     """
-    rows = np.concatenate((poles[np.newaxis], changes)).T
-    with np.errstate(invalid='ignore'):
-        alike = np.abs(rows[:, np.newaxis] - rows) <= _EQUAL * np.max(np.abs(rows), axis=0)
-    first, place = np.unique(np.argmax(np.all(alike, axis=2) | np.eye(len(rows), dtype=bool),
-                                       axis=1), return_inverse=True)
-    if len(first) < len(poles):
-        return scatter_of_poles(poles[first], changes[:, first])[place]
     n = len(poles)
     if n < 2 or not len(changes) or not np.isfinite(changes).all():
         return _deviation(changes)
+    rows = np.concatenate((poles[np.newaxis], changes)).T
+    alike = np.abs(rows[:, np.newaxis] - rows) <= _EQUAL * np.max(np.abs(rows), axis=0)
+    first, place = np.unique(np.argmax(np.all(alike, axis=2), axis=1),
+                             return_inverse=True)
+    if len(first) < n:
+        return scatter_of_poles(poles[first], changes[:, first])[place]
     _, sizes, axes = np.linalg.svd(np.hstack((changes.real, changes.imag)), full_matrices=False)
     main = sizes[:, np.newaxis] * axes
     ahead = main[:, :n] + 1j * main[:, n:]
