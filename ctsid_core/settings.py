@@ -16,8 +16,8 @@ from typing import Any, Literal
 
 from ctsid_core.errors import SettingsError
 
-DELAYS_LONG = 8.0      # so many dead times a window has to be long: half of the longest looked for
-LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s]
+LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s], ...
+_SHARE = 0.25          # ... as far as it is this part of a record at most
 OF_STRIDE = 0.8  # budget of a window: the rest is for publishing, and for estimates of work
 Hold = Literal['zoh', 'linear', 'smooth']
 METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
@@ -186,16 +186,17 @@ class Settings:
         """
         Return the dead time of each of `nu` inputs [s]; 0 where it is to be found from the data.
 
-        Raises
-        ------
-        SettingsError
-            If `delay` is a sequence of another length.
+        Raises `SettingsError` if `delay` is a sequence of another length.
         """
         return tuple(0.0 if isinstance(d, str) else float(d) for d in self._each(nu))
 
     def unknown_delays(self, nu: int) -> tuple[bool, ...]:
         """Return of which inputs the dead time is to be found; raises like `delays`."""
         return tuple(isinstance(d, str) for d in self._each(nu))
+
+    def longest_delay(self, nu: int, length: float) -> float:
+        """Return the longest dead time of `nu` inputs in a record of some length [s]."""
+        return max((longest_sought(length) * any(self.unknown_delays(nu)), *self.delays(nu)))
 
     def with_known_delays(self) -> Settings:
         """Return a copy in which dead times that are to be found count as 0."""
@@ -221,10 +222,7 @@ class Settings:
         """
         Build settings from dotted names.
 
-        Raises
-        ------
-        SettingsError
-            If any name is unknown or any value is wrong; all faults are listed at once.
+        Raises `SettingsError` if names are unknown or values wrong; all faults are listed at once.
         """
         settings: Settings = build_declared(cls, values)
         return settings
@@ -232,6 +230,11 @@ class Settings:
     def to_dict(self) -> dict[str, object]:
         """Return the values under their dotted names."""
         return {parameter_name(f): getattr(self, f.name) for f in fields(self)}
+
+
+def longest_sought(length: float) -> float:
+    """Return the longest dead time that is looked for in a record of some length [s]."""
+    return min(_SHARE * length, LONGEST_DELAY)
 
 
 def build_declared(cls: type[Any], values: Mapping[str, object], prefix: str = '') -> Any:

@@ -9,6 +9,7 @@ import csv
 from dataclasses import replace
 import json
 import logging
+import math
 import os
 from pathlib import Path
 import re
@@ -28,7 +29,7 @@ from test_window_headline import STUCK, hung
 import yaml
 
 from ctsid_ros.batch.bags import find_bags, vehicle
-from ctsid_ros.batch.outliers import Poles, outliers
+from ctsid_ros.batch.outliers import Numbers, outliers
 from ctsid_ros.batch.store import ROWS, Store
 from ctsid_ros.batch.summary import GRADES, Flight, batch_headline, sections
 from ctsid_ros.batch.task import Recipe, Task, perform
@@ -448,11 +449,11 @@ def test_what_cannot_be_is_said(capsys, fleet, tmp_path):
 def test_outliers_are_named_and_equal_bags_are_not():
     rng = np.random.default_rng(3)
 
-    def bag(*poles: complex) -> Poles:
+    def bag(*poles: complex) -> Numbers:
         values = np.array(poles, dtype=complex)
         noise = rng.standard_normal(len(poles)) + 1j * rng.standard_normal(len(poles)) * (
             values.imag > 0)
-        return Poles(values + 0.02 * noise, np.full(len(poles), 0.02))
+        return Numbers(values + 0.02 * noise, np.full(len(poles), 0.02))
 
     fleet_ = {f'b{k}': bag(-1.5 + 3j, -8.0) for k in range(30)}
     assert outliers(fleet_) == {}
@@ -464,9 +465,25 @@ def test_outliers_are_named_and_equal_bags_are_not():
     assert found['far'].startswith('no pole near -')
     assert outliers({f'b{k}': bag(-1.0 - k) for k in range(4)}) == {}    # too few to tell
     # Over its size a pole of 0 is far from any other.
-    near_0 = {f'b{k}': Poles(np.array([x, -0.7 + 0j]), np.array([0.05, 0.02]))
+    near_0 = {f'b{k}': Numbers(np.array([x, -0.7 + 0j]), np.array([0.05, 0.02]))
               for k, x in enumerate((-0.02, -0.05, 0.0, 0.06, -0.1))}
     assert outliers(near_0) == {}
+
+
+def test_a_payload_shows_in_gains_where_poles_are_those_of_the_others():
+    rng = np.random.default_rng(4)
+
+    def bag(gain: float, std: float = 0.1) -> Numbers:
+        return Numbers(np.array([-2.0 + 0.05 * rng.standard_normal() + 0j]), np.array([0.05]), {
+            'gain of u to y': (gain + std * rng.standard_normal(), std),
+            'rate gain of u to y': (math.nan, math.nan)})
+
+    fleet_ = {f'b{k}': bag(3.0) for k in range(20)}
+    assert outliers(fleet_) == {}
+    found = outliers(fleet_ | {'loaded': bag(2.0), 'hardly known': bag(2.0, 1.0)})
+    assert list(found) == ['loaded']
+    assert found['loaded'].startswith('gain of u to y ')
+    assert ' standard deviations from the median ' in found['loaded']
 
 
 # --- processes that are killed, disks that are full

@@ -28,7 +28,7 @@ from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.judge.changed import _divided
 from ctsid_core.likelihood.output_error import climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
-from ctsid_core.search.solve import free_of
+from ctsid_core.search.problem import free_of
 
 CLOSED_LOOP = Settings(feedthrough=False)
 

@@ -16,10 +16,9 @@ from ctsid_core.errors import SettingsError, StorageError
 from ctsid_core.judge.cross_check import agreement, cross_checked
 from ctsid_core.judge.rules import KNOWN, UNTESTED, in_sequence, weakened
 from ctsid_core.model.covariance import Covariance
-from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.model_json import from_json, to_json
-from ctsid_core.model.verdict import Excitation, Grade, Verdict
+from ctsid_core.model.verdict import Agreement, Excitation, Grade, Verdict
 from ctsid_core.subspace.methods import METHODS
 from ctsid_ros.report.document import to_text
 from ctsid_ros.report.sections import model_section

@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from ctsid_core import Record, Settings, Status, identify
-from ctsid_core.linear.matrices import Matrices
+from ctsid_core.linear.types import Matrices, plain_matrices
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.subspace.ct_pbsid import instants, laguerre_levels, to_continuous
@@ -46,10 +46,8 @@ def in_laguerre_domain(p: plants.Plant, K, a: float) -> Matrices:
     """Return the discrete model of a plant by the equations as they are derived."""
     c, M = np.sqrt(2.0 * a), np.linalg.inv(p.A - a * np.eye(len(p.A)))
     through = np.eye(len(p.C)) - p.C @ M @ K                       # of the innovations
-    empty = np.empty((len(p.A), 0))
-    return Matrices(A=M @ (p.A + a * np.eye(len(p.A))), B=c * M @ p.B, C=-c * p.C @ M,
-                    D=p.D - p.C @ M @ p.B, K=c * M @ K @ np.linalg.inv(through),
-                    tail=empty, x_trim=empty, y_trim=np.empty((len(p.C), 0)))
+    return plain_matrices(A=M @ (p.A + a * np.eye(len(p.A))), B=c * M @ p.B, C=-c * p.C @ M,
+                          D=p.D - p.C @ M @ p.B, K=c * M @ K @ np.linalg.inv(through))
 
 
 def test_the_map_back_is_the_inverse_in_any_coordinates():

@@ -112,7 +112,8 @@ def test_two_inputs_have_their_own():
 def test_one_of_two_inputs_may_be_late_and_one_known():
     given, p = two_inputs(np.random.default_rng(8), (0.0, 0.08))
     found = identify(given, FAST)
-    assert found.model.delay[0] == found.delay_std[0] == 0.0
+    assert found.model.delay[0] == 0.0
+    assert found.delay_std[0] < 1e-3                        # of rivals with one
     assert abs(found.model.delay[1] - 0.08) < 3.0 * found.delay_std[1]
     given, p = two_inputs(np.random.default_rng(8), (0.05, 0.08))
     found = identify(given, FAST.replace(delay=('auto', 0.08)))
@@ -150,8 +151,7 @@ def with_jumps(seed: int, order: int, every: float) -> tuple[Record, Record, flo
 
 
 @pytest.mark.parametrize(('seeds', 'order'), [
-    (range(6), 1), pytest.param(range(6, 26), 1, marks=[pytest.mark.slow, pytest.mark.xfail(
-        reason='median fit 97.7 % of another experiment; 98 asked')]), *slow((range(20), 2))])
+    (range(6), 1), *slow((range(6, 26), 1), (range(20), 2))])
 def test_a_held_input_that_acts_at_once_after_its_dead_time(seeds, order):
     """Jumps pass samples only now and then; it is known no better than from one to the next."""
     right, off, fits = 0, [], []
@@ -376,11 +376,17 @@ def test_a_dead_time_that_was_dropped_is_not_known_to_be_none():
     assert all(abs(delay - 0.05) < 3.0 * std for delay, std in told)
 
 
-@pytest.mark.parametrize('late', [2.4, *slow(4.0)])
+@pytest.mark.parametrize(('late', 'seed'), [(2.4, 2), (2.4, 3), (4.0, 2), (4.0, 3), *slow(
+    (4.0, 4), (4.0, 5), (4.0, 7))])
 @pytest.mark.parametrize('feedthrough', [False, True])
-def test_a_dead_time_of_an_eighth_of_the_record_is_found(feedthrough, late):
-    """6 to 10 states stood in for it, or a plant that simulated another run to 9 %."""
-    rng, p = np.random.default_rng(2), plant([[-3.0]], [[3.0]], [[1.0]])
+def test_a_dead_time_of_an_eighth_of_the_record_is_found(feedthrough, late, seed):
+    """
+    6 to 10 states stood in for it, or a plant that simulated another run to 9 %.
+
+    Without D predictions were preferred: the state of the simulation, known when its inputs are,
+    was taken for that at the start of the record.
+    """
+    rng, p = np.random.default_rng(seed), plant([[-3.0]], [[3.0]], [[1.0]])
     t_u, t_y = np.arange(0.0, 20.0, 0.02), np.arange(0.003, 20.0, 0.02)
     u = rng.choice([-1.0, 1.0], 26)[(t_u / 0.8).astype(int), np.newaxis]
     y = held_response(p, t_u + late, u, t_y)

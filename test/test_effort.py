@@ -123,7 +123,7 @@ def test_nothing_is_counted_any_more_once_it_is_cancelled():
     assert effort.seconds == 0.0
 
 
-@pytest.mark.parametrize(('budget', 'order'), [*slow((0.03, 1)), (0.06, 2)])
+@pytest.mark.parametrize(('budget', 'order'), [*slow((0.02, 1)), (0.06, 2)])
 def test_a_budget_holds_for_every_stage(budget, order):
     """Counted: what a second is depends on the computer."""
     record = running(np.random.default_rng(0), PLANTS['hd51'], 60, rate=200.0)
@@ -134,8 +134,9 @@ def test_a_budget_holds_for_every_stage(budget, order):
     assert any('budget' in note for note in short.notes)
 
 
+@pytest.mark.parametrize('feedthrough', [True, False])
 @pytest.mark.parametrize('budget', [0.5, *slow(0.3, 1.0)])
-def test_a_budget_holds_for_many_inputs_and_outputs(budget):
+def test_a_budget_holds_for_many_inputs_and_outputs(budget, feedthrough):
     """What has to be done after the search takes longest there, and is kept."""
     rng, t = np.random.default_rng(6), np.arange(0.0, 10.0, 0.004)
     u, x = np.repeat(rng.standard_normal((125, 6)), 20, axis=0), np.zeros((2500, 6))
@@ -144,9 +145,11 @@ def test_a_budget_holds_for_many_inputs_and_outputs(budget):
         x[k + 1] = decays * x[k] + (1.0 - decays) * u[k]
     y = x @ rng.standard_normal((6, 6))
     y += 0.1 * y.std(axis=0) * rng.standard_normal(y.shape)
-    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings(budget=budget))
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                     Settings(budget=budget, feedthrough=feedthrough))
     print(found.statistics['seconds_spent'], found.fit)
     assert found.statistics['seconds_spent'] < 1.1 * budget
+    assert budget < 0.5 or found.fit.min() > 85.0            # the noise leaves 90 %
 
 
 def test_windows_have_the_budget_of_their_stride():

@@ -20,7 +20,7 @@ from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.gobf_equations import (
+from ctsid_core.subspace.gobf import (
     dynamics,
     filter_records,
     integrated,

@@ -297,15 +297,15 @@ def test_windows_are_long_beside_a_dead_time(tmp_path, monkeypatch):
     np.savetxt(tmp_path / 'run.csv', np.transpose([
         time, u, y + 0.02 * rng.standard_normal(len(u))]), delimiter=',', comments='',
         header='t [s],a,b')
-    assert 24.0 <= guessed(tmp_path / 'run.csv').config.settings.window_length <= 32.0
+    assert 18.0 <= guessed(tmp_path / 'run.csv').config.settings.window_length <= 24.0
     # Where the recording does not tell how late an output is, its model does.
     monkeypatch.setattr('ctsid_ros.recordings.coherence.lag', lambda *_: math.nan)
     assert guessed(tmp_path / 'run.csv').config.settings.window_length == 12.0
     assert main(['try', str(tmp_path / 'run.csv'), '--out', str(tmp_path / 'out'),
                  '--quiet']) == 0
     settings = parse_config(yaml.safe_load((tmp_path / 'out/params.yaml').read_text())).settings
-    assert settings.window_length == 24.0
-    assert settings.window_stride == 2.4
+    assert settings.window_length == 18.0
+    assert settings.window_stride == 1.8
 
 
 # --- guesses

@@ -6,9 +6,8 @@ from plants import PLANTS, jittered, random_plant, random_signal
 import pytest
 
 from ctsid_core import Record, Settings, Signal
-from ctsid_core.bases.hermite import hermite_lines, project_record, time_scale
+from ctsid_core.bases.hermite import as_real, hermite_lines, project_record, time_scale
 from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.bases.projection import as_real
 from ctsid_core.bases.quadrature import coefficients
 
 ORDERS = (1, 2, 3, 8, 9, 250, 301, 744, 745)

@@ -5,10 +5,14 @@ import numpy as np
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.bases import hermite_sums, quadrature
+from ctsid_core.bases import quadrature
 from ctsid_core.bases.hermite import time_scale
-from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.bases.hermite_sums import project
+from ctsid_core.bases.hermite_functions import (
+    frequency_grid,
+    frequency_table,
+    hermite_functions,
+    project,
+)
 from ctsid_core.signals.record import Signal
 
 LONG = pytest.mark.skipif(np.finfo(np.longdouble).maxexp < 16000, reason='needs long exponents')
@@ -122,22 +126,22 @@ def test_equal_bits_whatever_was_computed_before(nmax):
     first = project(nmax, x, weights)
     project(nmax + 1, x, weights)
     np.testing.assert_array_equal(project(nmax, x, weights), first)
-    hermite_sums.frequency_table.cache_clear()
-    hermite_sums.frequency_grid.cache_clear()
+    frequency_table.cache_clear()
+    frequency_grid.cache_clear()
     np.testing.assert_array_equal(project(nmax, x, weights), first)
 
 
 @pytest.mark.slow
 def test_what_is_kept_is_bounded():
     x, weights = np.zeros(4000), np.ones((1, 4000))
-    hermite_sums.frequency_table.cache_clear()
+    frequency_table.cache_clear()
     tracemalloc.start()
     for nmax in range(1500, 1512):
         project(nmax, x, weights)
     kept = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
-    assert hermite_sums.frequency_table.cache_info().currsize == 8
-    hermite_sums.frequency_table.cache_clear()
+    assert frequency_table.cache_info().currsize == 8
+    frequency_table.cache_clear()
     assert kept < 140e6
 
 
@@ -193,8 +197,8 @@ def test_identification_does_not_depend_on_what_is_kept():
     record = Record.from_arrays(t, u, t + 1e-4, y, input_hold='zoh')
     settings = Settings(order=1, nmax=250)
     first = identify(record, settings)
-    hermite_sums.frequency_table.cache_clear()
-    hermite_sums.frequency_grid.cache_clear()
+    frequency_table.cache_clear()
+    frequency_grid.cache_clear()
     identify(record, settings.replace(nmax=251))
     again = identify(record, settings)
     assert first.model is not None

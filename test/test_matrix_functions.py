@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The singular value decomposition that does not give up."""
+"""Functions of matrices, how they move, and a decomposition that does not give up."""
 
 from pathlib import Path
 
 import numpy as np
+import pytest
+import scipy.linalg
 
-from ctsid_core.linear.matrix_functions import svd
+from ctsid_core.linear.least_squares import svd
+from ctsid_core.linear.matrix_functions import change_of
 
 DATA = Path(__file__).parent / 'data'
 
@@ -25,3 +28,16 @@ def test_svd_agrees_with_numpy_where_that_works():
     matrix = np.random.default_rng(0).standard_normal((7, 4))
     for ours, theirs in zip(svd(matrix), np.linalg.svd(matrix, full_matrices=False), strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_function_moves_as_its_derivative_says():
+    """Beside differences of the function itself, of poles apart, in pairs, and that meet."""
+    rng = np.random.default_rng(0)
+    for A in (rng.standard_normal((5, 5)), np.diag([-1.0, -1.0 - 1e-9, -3.0]),
+              np.diag([-1.0, -1.0, 0.0])):
+        changes = rng.standard_normal((3, *A.shape))
+        found = change_of(A, changes, np.exp, np.exp)
+        little = 1e-5
+        for own, change in zip(found, changes, strict=True):
+            sides = [scipy.linalg.expm(A + h * change) for h in (little, -little)]
+            assert own == pytest.approx((sides[0] - sides[1]) / (2.0 * little), abs=1e-8)

@@ -9,7 +9,7 @@ from ctsid_core import Record, Settings
 from ctsid_core.bases.hermite import project_record, time_scale
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.least_squares import solve
-from ctsid_core.subspace.pbsid_equations import Tuning, realise, regress, stack_levels
+from ctsid_core.subspace.hd_pbsid import Tuning, realise, regress, stack_levels
 
 TUNING = Tuning(beta=5.0, gamma=20.0, past=4, future=3)
 OMEGA = np.array([0.0, 0.3, 2.0, 9.0, 40.0])

@@ -384,7 +384,7 @@ def test_an_output_without_noise_does_not_hide_a_disturbed_plant():
         gust = stays * gust + 0.7 * np.sqrt(1.0 - stays ** 2) * rng.standard_normal()
         x[:2] = joined[:2, :2] @ x[:2] + joined[:2, 2] * (u[k] + gust)
         x[2] = np.exp(-1.5 * h) * x[2] + (1.0 - np.exp(-1.5 * h)) * u[k]
-    y[:, 0] += 0.01 * np.std(y[:, 0]) * rng.standard_normal(800)
+    y += [0.01, 1e-5] * np.std(y, axis=0) * rng.standard_normal(y.shape)
     found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
     assert any(c.value == 'disturbed' for c in found.choices)
     assert np.min(np.abs(found.model.poles - (-1.0 + 2.83j))) < 0.4

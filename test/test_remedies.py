@@ -19,11 +19,10 @@ from ctsid_core.judge import rules
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.stuck import Stuck
-from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.model_json import from_json, to_json
 from ctsid_core.model.storage import load_estimate
-from ctsid_core.model.verdict import UNJUDGED, Excitation, Grade, Remedy
+from ctsid_core.model.verdict import UNJUDGED, Agreement, Excitation, Grade, Remedy
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
 from ctsid_ros.report.headline import Run, headline

@@ -161,12 +161,26 @@ def test_split_is_counted_from_the_start_of_the_bag_whatever_clock_the_stamps_ar
     assert data.split == pytest.approx(8.0, abs=0.02)
 
 
-def test_an_interval_takes_only_what_was_recorded_in_it(bag):
-    record = read_record(bag, CONFIG, Interval(5.0, 4.0)).record
-    for signal in (*record.inputs, *record.outputs):
-        absolute = record.epoch_ns + signal.time * 1e9 - START
-        assert 4.99 * S < absolute.min() < 5.06 * S
-        assert 8.94 * S < absolute.max() < 9.01 * S
+def test_an_interval_takes_what_was_recorded_in_it_and_the_inputs_that_act_in_it(bag):
+    found = {}
+    for delay, first in (('auto', 4.0), (0.5, 4.5), (0.0, 5.0)):
+        config = replace(CONFIG, channels=(
+            replace(CONFIG.inputs[0], delay=delay), *CONFIG.outputs),
+                         settings=CONFIG.settings.replace(delay='auto'))
+        data = found[delay] = read_record(bag, config, Interval(5.0, 4.0))
+        for signal, begin in ((data.record.inputs[0], first), (data.record.outputs[0], 5.0)):
+            absolute = data.record.epoch_ns + signal.time * 1e9 - START
+            assert (begin - 0.07) * S < absolute.min() < (begin + 0.06) * S
+            assert 8.94 * S < absolute.max() < 9.01 * S
+    plain = found.pop(0.0)
+    for data in found.values():     # nothing else is another one
+        assert (data.counts, data.complaints) == (plain.counts, plain.complaints)
+        assert (data.record.start, data.record.end, data.record.epoch_ns) == (
+            plain.record.start, plain.record.end, plain.record.epoch_ns)
+        assert [data.samples(c) for c in CONFIG.channels] == [
+            plain.samples(c) for c in CONFIG.channels]
+        np.testing.assert_array_equal(
+            *(d.record.outputs[0].between(0.0, 4.0, context=0).values for d in (data, plain)))
 
 
 @pytest.mark.parametrize(('start', 'duration', 'fits'), [
@@ -218,8 +232,8 @@ def test_delays_of_channels_survive_the_completion(bag):
                      settings=CONFIG.settings.replace(delay='auto'))
     data = read_record(bag, config)
     assert data.config.settings.delay == 0.25
-    # Inputs are known from so much earlier.
-    assert data.record.inputs[0].time[0] == pytest.approx(-0.25, abs=0.06)
+    later = read_record(bag, config, Interval(5.0)).record
+    assert later.inputs[0].time[0] == pytest.approx(-0.25, abs=0.06)
 
 
 def test_messages_that_cannot_be_decoded_do_not_settle_the_source_of_stamps(tmp_path):

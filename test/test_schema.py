@@ -13,7 +13,6 @@ pytest.importorskip('jsonschema', reason='jsonschema is not installed')
 from schema import faults, faults_of_file, validator  # noqa: E402
 
 from ctsid_core.model import model_json  # noqa: E402
-from ctsid_core.model.cross_check_result import Agreement  # noqa: E402
 from ctsid_core.model.estimate import (  # noqa: E402
     Estimate,
     OrderTried,
@@ -21,7 +20,7 @@ from ctsid_core.model.estimate import (  # noqa: E402
     Status,
 )
 from ctsid_core.model.storage import to_json  # noqa: E402
-from ctsid_core.model.verdict import Excitation, Grade, Verdict  # noqa: E402
+from ctsid_core.model.verdict import Agreement, Excitation, Grade, Verdict  # noqa: E402
 from ctsid_core.settings import Settings  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent

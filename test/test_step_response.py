@@ -11,8 +11,8 @@ import pytest
 import scipy.signal
 
 from ctsid_core.model.covariance import Covariance
+from ctsid_core.model.gains import horizon, step_response
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.step_response import horizon, step_response
 from ctsid_core.signals.record import Signal
 
 TWO = StateSpace([[-1.0, 2.0], [-3.0, -0.5]], [[1.0, 0.5], [0.0, 2.0]], [[1.0, 0.0], [0.3, 1.0]],

@@ -374,6 +374,27 @@ def test_csv_series(tmp_path):
     assert Path(tmp_path / 'none.csv').read_text() == 'start_ns,end_ns,status,verdict,order\n'
 
 
+def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
+    """Of windows one with a gain, one whose outputs move on, one without a model."""
+    names = {'input_names': ('rudder', 'flap'), 'output_names': ('yaw',)}
+    known = {'status': Status.OK, 'settings': Settings(), 'pole_std': np.array([0.1])}
+    settles, moves = (StateSpace([[pole]], [[3.0, 1.0]], [[1.0]], delay=(0.25, 0.0), **names)
+                      for pole in (-2.0, 0.0))
+    root = np.zeros((1, Covariance.entry_count(1, 2, 1)))
+    root[0, 1], root[0, -2] = 0.2, 0.01                 # of the first input: B and the dead time
+    save_series(tmp_path / 'e.csv', [
+        Estimate(model=settles, covariance=Covariance(root, 1, 2, 1), **known),
+        Estimate(model=moves, **known), Estimate(status=Status.GAPS, settings=Settings())])
+    with open(tmp_path / 'e.csv', encoding='utf-8', newline='') as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row['delay_rudder [s]'] for row in rows] == ['0.25', '0.25', '']
+    assert [row['delay_std_rudder [s]'] for row in rows] == ['0.01', '', '']
+    assert [row['gain_yaw/rudder'] for row in rows] == ['1.5', '', '']
+    assert [row['gain_yaw/flap'] for row in rows] == ['0.5', '', '']
+    assert [row['rate_gain_yaw/rudder'] for row in rows] == ['', '3.0', '']
+    assert [row['gain_std_yaw/rudder'] for row in rows] == ['0.1', '', '']
+
+
 def test_csv_names_outputs_even_with_commas(tmp_path):
     named = estimate(model=model(0, output_names=('roll, raw', 'p')))
     save_series(tmp_path / 'e.csv', [Estimate(status=Status.GAPS, settings=Settings()), named])

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.least_squares import triangle
 
 SIZES = [(1, 1), (10, 3), (3, 10), (5000, 1), (2000, 40), (1025, 64), (30000, 12), (4097, 100)]
 

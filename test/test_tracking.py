@@ -17,12 +17,14 @@ from ctsid_core.identify import identify
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import simulation
-from ctsid_core.model.verdict import EXPLAINED, Grade, Remedy, Verdict
+from ctsid_core.model.verdict import EXPLAINED, Grade, Verdict
 from ctsid_core.sequence import tracking
 from ctsid_core.sequence.alignment import aligning
 from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
+from ctsid_core.signals.samples import Group
+from ctsid_core.signals.windows import SlidingWindow
 
 S = 10**9
 SETTINGS = Settings(order=2)
@@ -414,21 +416,58 @@ def late_lag(delay: float, duration: float) -> Record:
                               input_hold='zoh')
 
 
-def test_windows_that_are_short_of_dead_times_say_so_and_invent_no_change():
-    """Of windows of five dead times two were GOOD, and then "does not follow the inputs"."""
-    whole = late_lag(2.0, 50.0)
-    short = Tracker(Settings(feedthrough=False))
-    found = [short.take(whole.between(s, s + 10.0)).estimate for s in (4.0, 14.0, 19.0)]
-    assert [e.verdict.grade for e in found] == [Grade.GOOD, Grade.REJECT, Grade.REJECT]
-    for estimate in found[1:]:
-        assert estimate.status is Status.TOO_SHORT
-        assert estimate.verdict.remedy is Remedy.LONGER
-        assert estimate.verdict.reason.endswith('take windows of 16 s or more.')
-    still = whole.between(14.0, 24.0)
-    rest = replace(still, inputs=tuple(replace(s, values=0.0 * s.values) for s in still.inputs))
-    assert short.take(rest).estimate.status is Status.NO_EXCITATION
-    long = Tracker(Settings(feedthrough=False))
-    for start in (4.0, 14.0, 19.0):
-        estimate = long.take(whole.between(start, start + 16.0)).estimate
-        assert estimate.good
-        assert estimate.model.delay[0] == pytest.approx(2.0, abs=0.02)
+def windows_of(whole: Record, length: float, stride: float, settings: Settings) -> list[Record]:
+    """The windows of a stream of these samples, by the way of the node and of a replay."""
+    slider = SlidingWindow((Group('u', 1, 'input', 'zoh'), Group('y', 1, 'output', 'smooth')),
+                           length, stride, 0.1, settings.longest_delay(1, length))
+    samples = [(stamp, name, row) for name, (signal,) in (('u', whole.inputs),
+                                                          ('y', whole.outputs))
+               for stamp, row in zip(signal.time, signal.values, strict=True)]
+    found = []
+    for stamp, name, row in sorted(samples, key=lambda sample: sample[0]):
+        slider.push(name, 1000 * S + round(stamp * 1e9), row)
+        found += slider.due()
+    return found + list(slider.flush())
+
+
+@pytest.mark.parametrize('feedthrough', [True, False])
+@pytest.mark.parametrize('delay', [0.05, 0.5, 2.0, 4.0])
+def test_windows_answer_to_inputs_that_came_before_them(delay, feedthrough):
+    """Cut at its start, one in three of 2 s was of another order, and REJECT or another plant."""
+    settings = Settings(feedthrough=feedthrough)
+    first, *others = windows_of(late_lag(delay, 46.0), 20.0, 5.0, settings)
+    assert first.inputs[0].time[0] == 0.0
+    assert len(others) == 5
+    for record in others:
+        assert record.inputs[0].time[0] == pytest.approx(-5.0, abs=0.16)
+        assert record.outputs[0].time[0] == pytest.approx(0.0, abs=0.07)
+        found = identify(record, settings)
+        lags = -1.0 / found.model.poles.real        # perhaps with one of less than a sample
+        assert (found.verdict.grade, found.model.n <= 2) == (Grade.GOOD, True)
+        assert max(lags) == pytest.approx(0.5, abs=0.025)
+        assert found.model.delay[0] + sum(lags) - max(lags) == pytest.approx(delay, abs=0.015)
+
+
+def test_windows_of_five_dead_times_invent_no_change():
+    """Without the inputs before them two of three were "does not follow the inputs"."""
+    tracker = Tracker(Settings(feedthrough=False))
+    for record in windows_of(late_lag(2.0, 50.0), 10.0, 5.0, tracker.settings)[1:]:
+        found = tracker.take(record).estimate
+        assert (found.status, found.model.n) == (Status.OK, 1)
+        assert found.model.delay[0] == pytest.approx(2.0, abs=0.02)
+
+
+def test_inputs_before_a_window_change_nothing_where_none_acts_later():
+    whole, settings = late_lag(0.0, 30.0), Settings(delay=0.0)
+    alone, known = (identify(whole.between(10.0, 30.0, lead=lead), settings)
+                    for lead in (0.0, 5.0))
+    np.testing.assert_allclose(known.model.poles, alone.model.poles, rtol=1e-6)
+    np.testing.assert_allclose(known.fit, alone.fit, rtol=1e-6)
+    np.testing.assert_allclose(known.pole_std, alone.pole_std, rtol=1e-5)
+    np.testing.assert_allclose([one.uncertainty for one in known.verdict.excitation],
+                               [one.uncertainty for one in alone.verdict.excitation], rtol=1e-5)
+    assert (known.start_ns, known.end_ns, known.notes) == (
+        alone.start_ns, alone.end_ns, alone.notes)
+    assert known.statistics.keys() == alone.statistics.keys()
+    assert {k: known.statistics[k] for k in known.statistics if 'samples' in k} == {
+        k: alone.statistics[k] for k in alone.statistics if 'samples' in k}

@@ -21,8 +21,8 @@ from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.errors import DataError
 from ctsid_core.judge.changed import Change
 from ctsid_core.judge.evidence import Evidence
-from ctsid_core.judge.motion import motion_ahead, motion_within
 from ctsid_core.judge.rules import judge
+from ctsid_core.likelihood.residuals import motion_ahead, motion_within
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.model_json import from_json, to_json

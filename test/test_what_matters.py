@@ -17,7 +17,7 @@ from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
-from ctsid_core.search.solve import free_of
+from ctsid_core.search.problem import free_of
 from ctsid_core.settings import LONGEST_DELAY
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.reachable import models, outputs

@@ -60,7 +60,7 @@ def cut_by_hand(samples: list[Sample], length: float, stride: float, lead: float
     for name in ('u', 'y'):
         mine = [s for s in samples if s[0] == name]
         groups.append((np.array([s[1] for s in mine]), np.array([s[2] for s in mine])))
-    start = max(groups[0][0][0] + round(lead * 1e9), groups[1][0][0])
+    start = max(groups[0][0][0], groups[1][0][0])
     while start + round(length * 1e9) <= max(stamps[-1] for stamps, _ in groups):
         end, parts = start + round(length * 1e9), []
         for (stamps, values), history, after in zip(groups, (lead, 0.0), (0, 3), strict=True):
@@ -151,15 +151,44 @@ def test_stamps_keep_their_nanoseconds():
         assert set(back.tolist()) <= set(stamps)
 
 
-def test_first_window_starts_where_all_is_known_and_inputs_have_their_lead():
+def test_first_window_starts_where_all_is_known_and_inputs_have_the_history_there_is():
     samples = stream(start_u=3.0, start_y=1.0)
     first_u = next(t for name, t, _ in samples if name == 'u')
-    records = run(samples, window(lead=0.5))
-    assert records[0].epoch_ns == first_u + S // 2
-    assert records[0].inputs[0].time[0] == -0.5
+    first, second = run(samples, window(lead=0.5))[:2]
+    assert first.epoch_ns == first_u
+    assert first.inputs[0].time[0] == 0.0
+    assert -0.8 < second.inputs[0].time[0] <= -0.5      # a held value is known from before
     samples = stream(start_u=1.0, start_y=3.0)
     first_y = next(t for name, t, _ in samples if name == 'y')
-    assert run(samples, window(lead=0.5))[0].epoch_ns == first_y
+    first = run(samples, window(lead=0.5))[0]
+    assert first.epoch_ns == first_y
+    assert -0.8 < first.inputs[0].time[0] <= -0.5
+
+
+def test_history_of_inputs_does_not_reach_over_a_gap():
+    """What came in it is not known; only what is held when a window begins is, or is guessed."""
+    early, late = stream(6.0, seed=1), stream(6.0, seed=2)
+    samples = early + [(name, stamp + 60 * S, values) for name, stamp, values in late]
+    back = next(stamp for name, stamp, _ in samples[len(early):] if name == 'u')
+    for every in (1, 0):        # whenever windows are asked for
+        records = [r for r in run(samples, window(lead=1.5, stride=0.25), every)
+                   if r.epoch_ns > EPOCH + 50 * S]
+        behind = [r for r in records if r.epoch_ns >= back + S // 4]
+        assert len(behind) >= 5
+        for record in behind:
+            first, since = record.inputs[0].time[0], (back - record.epoch_ns) / 1e9
+            assert max(since, -1.9) - 1e-9 <= first <= max(since, -1.5) + 1e-9
+        ahead = next(r for r in records if r.epoch_ns < back)
+        assert ahead.inputs[0].time[0] < -40.0
+
+
+def test_history_of_inputs_does_not_reach_over_a_restart():
+    samples = stream(9.0, seed=1) + stream(9.0, seed=2)
+    slider = window(lead=1.5)
+    first = run(samples[:-1], slider, flush=False)
+    assert slider.counts.resets == 1
+    again = [r for k, r in enumerate(first) if k and r.epoch_ns < first[k - 1].epoch_ns]
+    assert again[0].inputs[0].time[0] >= -0.2
 
 
 def test_no_window_and_bounded_memory_while_a_group_is_missing():
@@ -171,7 +200,7 @@ def test_no_window_and_bounded_memory_while_a_group_is_missing():
     late = [('u', EPOCH + 500 * S + k * S // 20, (float(k),)) for k in range(200)]
     late += [('y', EPOCH + 500 * S + k * S // 200, (1.0, float(k))) for k in range(2000)]
     records = run(sorted(late, key=lambda s: s[1]), slider)
-    assert records[0].epoch_ns == EPOCH + 500 * S + S // 2
+    assert records[0].epoch_ns == EPOCH + 500 * S
     assert records[0].outputs[0].time[0] == -0.015
 
 
@@ -338,19 +367,14 @@ def test_nanoseconds_that_coincide_decades_before_a_window_do_not_raise():
 
 
 def test_the_whole_stream_as_one_record():
-    samples, slider = stream(start_u=1.0), window(length=1e5, lead=0.2)
+    samples, slider = stream(start_u=1.0, start_y=1.5), window(length=1e5, lead=0.2)
     assert slider.whole() is None
     assert run(samples, slider) == []
-    record, first = slider.whole(), next(s for s in samples if s[0] == 'u')
-    assert record.epoch_ns == first[1] + S // 5
-    assert record.end == pytest.approx(12.0 - 1.2, abs=0.1)
-    assert len(record.inputs[0].time) == sum(s[0] == 'u' for s in samples)
-
-
-def test_the_whole_stream_is_none_where_it_is_shorter_than_the_lead():
-    slider = window(length=1e5, lead=20.0)
-    run(stream(), slider)
-    assert slider.whole() is None
+    record, first = slider.whole(), next(s for s in samples if s[0] == 'y')
+    assert record.epoch_ns == first[1]
+    assert record.end == pytest.approx(12.0 - 1.5, abs=0.1)
+    assert -0.5 < record.inputs[0].time[0] < -0.2
+    assert len(record.outputs[0].time) == sum(s[0] == 'y' for s in samples)
 
 
 def test_the_whole_stream_is_none_where_groups_do_not_overlap():

@@ -15,20 +15,44 @@ pairs; those of w >= 0 are kept. Even orders give their real parts, odd ones the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import roots_hermite
 
 from ctsid_core.bases.hermite_functions import hermite_functions
-from ctsid_core.bases.projection import Projection, joined
 from ctsid_core.bases.quadrature import coefficients
 from ctsid_core.linear.types import Array, Lines
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal, channel_slices
+
+
+@dataclass(frozen=True)
+class Projection:
+    """
+    A record in a basis in which the derivative is diagonal.
+
+    All rows are spectral lines f_k, one complex number per line with frequency >= 0. Real and
+    imaginary parts of all lines together are an orthonormal image of the basis coefficients (lines
+    of positive frequency carry the factor sqrt(2) of their conjugates), so that sums of squares
+    over them are those over the coefficients.
+    """
+
+    s: Lines      # (L,): the derivative, line by line [rad/s]: purely imaginary
+    u: Lines      # (nu, L)
+    y: Lines      # (ny, L)
+    # (0 or parts, L): virtual inputs that stand for the truncated part of the state's derivative,
+    # one for each part of a divided record, one record after the other
+    tail: Lines
+    ones: Lines   # (0 or records, L): the constant 1 over each record: trim of states and outputs
+    # Time that a coordinate unit stands for [s]: white noise of intensity R has variance R / unit
+    # in every real and imaginary part
+    unit: float
+    length: float  # of the record, or of one of its parts; of several records the longest [s]
 
 
 @dataclass(frozen=True)
@@ -129,7 +153,25 @@ def _by_delay(record: Record,
     for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True):
         own = delays[channels]
         alike = len(set(own)) == 1
-        signals += [signal] if alike else [
-            Signal(signal.time, signal.values[:, j:j + 1], signal.hold) for j in range(len(own))]
+        signals += [signal] if alike else [signal.columns([j]) for j in range(len(own))]
         shifts += own[:1] if alike else own
     return signals, shifts
+
+
+def joined(records: Sequence[Projection]) -> Projection:
+    """Return lines of several records, each with its own `ones`, side by side; of one, itself."""
+    if len(records) == 1:
+        return records[0]
+    unit = max(p.unit for p in records)
+    sized = [(float(np.sqrt(p.unit / unit)), p) for p in records]
+    return Projection(
+        s=np.concatenate([p.s for p in records]), u=np.hstack([size * p.u for size, p in sized]),
+        y=np.hstack([size * p.y for size, p in sized]),
+        tail=block_diag(*(size * p.tail for size, p in sized)),
+        ones=block_diag(*(size * p.ones for size, p in sized)),
+        unit=unit, length=max(p.length for p in records))
+
+
+def as_real(lines: Lines) -> Array:
+    """Return real and imaginary parts as columns: (m, L) complex to (m, 2 L) real."""
+    return np.ascontiguousarray(lines).view(np.float64)

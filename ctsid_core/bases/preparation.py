@@ -11,6 +11,7 @@ import numpy as np
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
+from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.settings import Settings
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import Record, Signal, channel_slices
@@ -148,13 +149,10 @@ def _held_at(record: Record, signals: list[Signal],
     if not settings.feedthrough:
         return (None,) * len(signals)
     delays = settings.delays(record.nu)
-    held = [(signal.time + delay, row)
-            for signal, channels in zip(record.inputs, channel_slices(record.inputs), strict=True)
-            if signal.hold == 'zoh'
-            for delay, row in zip(delays[channels], signal.values.T, strict=True)]
-    return tuple(np.array([row[np.maximum(np.searchsorted(t, s.time, side='right') - 1, 0)]
-                           for t, row in held]).reshape(len(held), len(s.time)).T
-                 for s in signals)
+    held = [(signal, delays[channels]) for signal, channels in zip(
+        record.inputs, channel_slices(record.inputs), strict=True) if signal.hold == 'zoh']
+    late = sum((own for _, own in held), ())
+    return tuple(input_polynomials([u for u, _ in held], late, s.time)[0] for s in signals)
 
 
 def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
@@ -210,11 +208,7 @@ def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ..
         moves |= np.isin(places, keep)
         kept += places[moves].tolist()
         fixed += places[~moves].tolist()
-        if moves.all():
-            kept_signals.append(signal)
-        elif moves.any():
-            kept_signals.append(replace(
-                signal, values=signal.values[:, moves],
-                names=tuple(np.array(signal.names)[moves]) if signal.names else (),
-                units=tuple(np.array(signal.units)[moves]) if signal.units else ()))
+        if moves.any():
+            kept_signals.append(signal if moves.all() else
+                                signal.columns(np.flatnonzero(moves).tolist()))
     return kept_signals, tuple(kept), fixed

@@ -25,8 +25,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ctsid_core.bases.hermite_functions import integral_of_first
-from ctsid_core.bases.hermite_sums import project
+from ctsid_core.bases.hermite_functions import integral_of_first, project
 from ctsid_core.linear.types import Array
 from ctsid_core.signals.record import Signal
 
@@ -126,12 +125,9 @@ def _lines(t: Array, values: Array, start: float, end: float, alpha: float,
     step, rise = np.diff(x), np.diff(level, axis=1)
     steep = step * top < _STEEP
     slope = np.where(steep, 0.0, rise) / np.where(steep, 1.0, step)
-    kinks, jumps = np.zeros_like(level), np.zeros_like(level)
-    kinks[:, :-1] = slope
-    kinks[:, 1:] -= slope
-    half = 0.5 * np.where(steep, rise, 0.0)                # a jump, half of it at either end
-    jumps[:, :-1] = half
-    jumps[:, 1:] += half
+    kinks = np.diff(slope, axis=1, prepend=0.0, append=0.0)
+    half = np.pad(0.5 * np.where(steep, rise, 0.0), ((0, 0), (1, 1)))
+    jumps = half[:, 1:] + half[:, :-1]                     # half of each at either end
     jumps[:, 0] += level[:, 0]
     jumps[:, -1] -= level[:, -1]
     first = integral_of_first(x)
@@ -195,11 +191,9 @@ def _trapezoid(t: Array, values: Array, start: float, end: float, alpha: float) 
         nodes, level = np.append(start, nodes), np.hstack((_near(t, values, start), level))
     if nodes[-1] < end:
         nodes, level = np.append(nodes, end), np.hstack((level, _near(t, values, end)))
-    half = np.diff(nodes) * (0.5 / alpha)
-    weights = np.zeros_like(nodes)
-    weights[:-1] = half
-    weights[1:] += half
-    return Samples(_dimensionless(nodes, start, end, alpha), level * weights, lambda sums: sums)
+    half = np.pad(np.diff(nodes) * (0.5 / alpha), 1)
+    return Samples(_dimensionless(nodes, start, end, alpha), level * (half[1:] + half[:-1]),
+                   lambda sums: sums)
 
 
 def _near(t: Array, values: Array, node: float) -> Array:

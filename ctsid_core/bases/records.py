@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.bases.bandwidth import choose_nmax, output_band
-from ctsid_core.bases.hermite import project_record
+from ctsid_core.bases.hermite import Projection, joined, project_record
 from ctsid_core.bases.preparation import Usable, moving, usable
-from ctsid_core.bases.projection import Projection, joined
 from ctsid_core.errors import DataError
 from ctsid_core.model.estimate import Status
 from ctsid_core.settings import Settings

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Own, only, slopes_of
+from ctsid_core.judge.slopes import NOTED, SEARCHED, Own, only, slopes_of
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
     Fit,
@@ -40,8 +40,9 @@ from ctsid_core.linear.types import Array
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
 _LIKELY = 2           # of these that are looked at
-_SMALLER = 2.0        # power that two smaller models may leave, to first order, over the whole's:
-                      # a pole that jumps is no small change, and climbs reach further
+_FURTHER = 2.0        # power that two models may leave to first order, or beside the instant, over
+                      # what they may at the end: a pole that jumps is no small change, and climbs
+                      # reach further
 _CLOSER = (0.02, 0.01)                     # steps from the best of them, one after another
 _LOOK = 1e7           # work of looking for them, beside the basis
 _NOTHING = 1e-9       # of a direction: less of it is rounding
@@ -50,7 +51,6 @@ _SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
-NOTED = 1.0           # per cent of the motion that one model has to miss, to be worth a word
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _divisions(samples: Samples, own: Own, whole: Own, place: int) -> Change:
     found = max((_divided(samples, own, whole, place, share)
                  for share in _likely(only(samples, place), own, whole)),
                 key=_clean, default=Change())
-    for step in _CLOSER if found.gain > 0.0 else ():
+    for step in _CLOSER if found.gain > 0.0 and found.left < _FURTHER * _LEFT else ():
         found = max(found, *(_divided(samples, own, whole, place, share)
                              for share in (found.share - step, found.share + step)
                              if _EDGE <= share <= 1.0 - _EDGE), key=_clean)
@@ -146,7 +146,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     """
     Return the instants at which a model of each side's own promises most, if it is enough.
 
-    Two models of a smaller order than the whole's may hardly leave more than the whole does.
+    Two models may leave hardly more than noise of one output, and than the whole's model does.
     With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
     samples before an instant says all of that side, and 1 - Q'Q all of the other one.
     """
@@ -156,6 +156,10 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     rows, states, shares, error = slopes.rows, slopes.states, slopes.shares, slopes.error
     rival = slopes.fit if own is whole else fit_states(samples, *whole)
     most = float(np.sum(samples.counts * rival.power / slopes.fit.power))
+    errors = np.split(error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
+    noise = white_part((tuple(errors),)) ** 2
+    most = min(most, float(np.sum(slopes.counts) - (1.0 - _LEFT) * np.max(
+        slopes.counts * (1.0 - noise))))
     order = np.argsort(shares, kind='stable')
     # What a side's own states and trims explain is no change: they come first.
     columns = np.column_stack((rows[:, states], rows[:, ~states]))[order]
@@ -188,7 +192,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         promise += np.where(count >= fewest, gain, 0.0)
     price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:]
-            if promise[k] > price and left[k] < _SMALLER * most]
+            if promise[k] > price and left[k] < _FURTHER * most]
 
 
 def _best(samples: Samples, own: Own, change: Change) -> bool:

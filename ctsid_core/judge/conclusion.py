@@ -10,23 +10,21 @@ import numpy as np
 from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.judge.changed import NOTED, Change, most_likely_change
+from ctsid_core.judge.changed import Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
-from ctsid_core.judge.drift import Drift, drift_of
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.lead import WITHIN, lead_of_outputs
-from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
+from ctsid_core.judge.slopes import NOTED, Drift, drift_of
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
-from ctsid_core.likelihood.residuals import driven, residuals, white_part
+from ctsid_core.likelihood.residuals import driven, motion_ahead, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
 from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
@@ -64,9 +62,6 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
                       solution.refit, solution.predictor)
     simulated = solution.simulated
-    change = Change() if solution.refit or simulated is None else \
-        most_likely_change(*simulated, solution.smaller, solution.telling)
-    drift = _drift(solution) if change.cost <= NOTED else Drift()
     names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
     seen, unsure = excitations(samples, solution.delay, own, moving, names,
@@ -77,8 +72,12 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     if simulated is not None and solution.plant is not None and curves.any():
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
-    lead = np.zeros(moving.nu) if simulated is None or not sought else \
+    # Last what a budget may leave out.
+    lead = np.zeros(moving.nu) if simulated is None or not sought or effort.over else \
         lead_of_outputs(*simulated, sought)
+    change = Change() if solution.refit or simulated is None else \
+        most_likely_change(*simulated, solution.smaller, solution.telling)
+    drift = _drift(solution) if change.cost <= NOTED else Drift()
     evidence = _evidence(solution, errors, unseen, (change, drift), (seen, unsure), model, moving,
                          deviation, curves, lead)
     status, verdict = judge(evidence)
@@ -106,8 +105,8 @@ def _whole_trim(part: Usable, m: Matrices) -> tuple[Array, Array]:
     whole, y = part.whole, list(part.y)
     level = np.zeros(whole.ny) if len(y) == whole.ny else \
         np.concatenate([s.values.mean(axis=0) for s in whole.outputs])
-    level[y] = m.y_trim[:, 0] + part.y_level - m.D @ part.u_level
-    return m.x_trim[:, 0] - m.B @ part.u_level, level
+    level[y] = m.y_trim + part.y_level - m.D @ part.u_level
+    return m.x_trim - m.B @ part.u_level, level
 
 
 def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
@@ -136,7 +135,8 @@ def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
 def _spent(effort: Effort) -> tuple[str, ...]:
     """Return what the budget has left out at the end, in words."""
     return (f'the budget of {effort.budget:.3g} s is spent: whether the plant changed within the '
-            'window was looked at in part or not at all; raise `budget`',) if effort.over else ()
+            'window, and whether outputs answer before inputs, was looked at in part or not at '
+            'all; raise `budget`',) if effort.over else ()
 
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
@@ -152,8 +152,7 @@ def _with_trim(solution: Solution, record: int) -> Matrices:
     """Return a plant that predictions found with the trim of its simulation of a record."""
     assert solution.plant is not None
     level = solution.fit.model.y0[record] * solution.samples.size
-    return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim),
-                   y_trim=level[:, np.newaxis])
+    return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim), y_trim=level)
 
 
 def _covariances(solution: Solution, model: StateSpace,

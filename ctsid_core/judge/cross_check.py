@@ -21,9 +21,9 @@ import numpy as np
 
 from ctsid_core.judge.rules import KNOWN, weakened
 from ctsid_core.linear.types import Array
-from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.verdict import Agreement
 from ctsid_core.settings import UNCHECKED, Settings
 from ctsid_core.subspace.methods import METHODS
 

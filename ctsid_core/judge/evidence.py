@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ctsid_core.judge.changed import Change
-from ctsid_core.judge.drift import Drift
+from ctsid_core.judge.slopes import Drift
 from ctsid_core.judge.stuck import Stuck
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.verdict import Verdict

@@ -169,11 +169,13 @@ def _input_spectra(samples: Samples, delay: Array
     inside = np.minimum(np.arange(count - 1), np.arange(count - 1)[::-1]) / (_TAPERED * count)
     taper = 0.5 - 0.5 * np.cos(np.pi * np.minimum(inside, 1.0))
     tapered = np.abs(np.fft.rfft(np.diff(u, axis=1) * taper, axis=1))[:, 1:] ** 2 / omega
-    half_rates = np.array([rate for s in inputs for rate in _half_rates(s)])
+    half_rates = np.array([rate for s in inputs for rate in _half_rates(
+        s.between(since, record.end))])
     return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), sent,
             _Acting(omega, tapered, half_rates))
 
 
 def _motion(record: RecordSamples) -> float:
     """Return by how much the inputs of a record change in all."""
-    return float(sum(np.abs(np.diff(s.values, axis=0)).sum() for s in record.inputs))
+    return float(sum(np.abs(np.diff(s.values[s.rows(record.start, record.end)], axis=0)).sum()
+                     for s in record.inputs))

@@ -17,15 +17,15 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.instants import after_start
+from ctsid_core.judge.slopes import NOTED
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.search.solution import DISTURBED
-from ctsid_core.settings import DELAYS_LONG, Settings
+from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
@@ -47,7 +47,6 @@ _MOVED = 3.0            # standard deviations by which a pole moves between wind
 _DOUBTED = (Status.OK, Status.UNEXPLAINED)      # ... whose cause may be a setting
 _GUESSED = (Remedy.EXCITE, Remedy.SIGNALS)
 _FAULTY = (*_DOUBTED, Status.CHANGED)           # ... or a fault of the samples that is known
-_MISLED = (*_GUESSED, Remedy.SPLIT, Remedy.PART, Remedy.SETTING)
 _BY_LOG = 'in a bag: set `stamp: log` for all channels'
 _WAIT = 'wait until successive models agree again (in a recording: take longer windows)'
 UNTESTED = 'The model has not been tested on held-out data: '
@@ -345,24 +344,6 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
             remedy, reason = reasons[0]
             verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)
     return replace(estimate, verdict=verdict)
-
-
-def short_of_delays(estimate: Estimate, delay: float, length: float) -> Estimate:
-    """
-    Return an estimate that is not GOOD with the reason that its window [s] is too short for that.
-
-    The dead time is that of the last GOOD model. In short windows states stand in for it, and
-    nothing follows the inputs, or the plant seems to change.
-    """
-    if estimate.verdict.remedy not in _MISLED or estimate.status not in _FAULTY \
-            or length >= DELAYS_LONG * delay:
-        return estimate
-    reason = (f'The dead time of the last GOOD model, {delay:.3g} s, may not be found in a window '
-              f'of {length:.3g} s, and without it other models are; take windows of '
-              f'{DELAYS_LONG * delay:.2g} s or more.')
-    return replace(
-        estimate, status=Status.OK if estimate.ok else Status.TOO_SHORT,
-        verdict=replace(estimate.verdict, reason=reason, remedy=Remedy.LONGER))
 
 
 def _collapses(names: tuple[str, ...], fit: Array, ratio: Array

@@ -20,6 +20,13 @@
 
 typedef double complex cplx;
 
+/* Compiled for wide registers, too, if the loader can choose: the same bits, sooner. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
 /* An input signal: `modal.py:Drive`, with the paces of a held one. */
 typedef struct {
     const double *stamps, *pieces, *between, *rates;
@@ -119,10 +126,10 @@ static int terms_of(double size) {
  * phi_0 ... phi_count of p h for a few h, `matrix_functions.py:phi`: f[j][i], real parts before
  * imaginary ones. Sums over all h at once, for a processor has several under way.
  */
-static void phis(cplx p, const double *h, int number, int count, double f[][2][FEW]) {
+WIDE static void phis(cplx p, const double *h, int number, int count, double f[][2][FEW]) {
     double re[FEW], im[FEW], largest = 0.0, size = sqrt(creal(p) * creal(p) + cimag(p) * cimag(p));
     int real = cimag(p) == 0.0, small = 1;
-    for (int i = 0; i < number; i++) largest = fmax(largest, fabs(h[i]));
+    for (int i = 0; i < number; i++) largest = fabs(h[i]) > largest ? fabs(h[i]) : largest;
     small = size * largest < 1.0;
     for (int i = 0; i < number; i++) {
         int far = size * fabs(h[i]) >= 1.0;
@@ -169,7 +176,7 @@ typedef struct {
     cplx keep, lag, push[DEGREES], turn[DEGREES];
 } Step;
 
-static void steps_of(cplx pole, const double *h, int number, int degree, int slopes, Step *to) {
+WIDE static void steps_of(cplx pole, const double *h, int number, int degree, int slopes, Step *to) {
     double f[DEGREES + 2][2][FEW];
     phis(pole, h, number, degree + 1 + slopes, f);
     for (int i = 0; i < number; i++) {
@@ -235,7 +242,7 @@ static inline size_t kept(const Entry *e, int mode, int stamp) {
     return (size_t)mode * (e->end - e->first) + (stamp - e->first);
 }
 
-static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, int slopes) {
+WIDE static void pass_stamps(Entry *group, int inputs, const cplx *poles, int modes, int slopes) {
     const Drive *d = group->drive;
     int low = d->count, high = 0, degree = d->degree;
     size_t apart = (size_t)d->width * (d->count + 1);
@@ -333,7 +340,7 @@ static double input_at(const Entry *e, const Spots *spots, int i, double *rate) 
 }
 
 /* Read inputs of the same delay at a few times of a stream, and write their columns. */
-static void read_inputs(const Samples *s, const Shape *shape, const Entry *group, int inputs,
+WIDE static void read_inputs(const Samples *s, const Shape *shape, const Entry *group, int inputs,
                         int input, const cplx *poles, const double *times, int number,
                         double *table, int ld) {
     const Drive *d = group->drive;
@@ -378,7 +385,7 @@ static void read_inputs(const Samples *s, const Shape *shape, const Entry *group
 }
 
 /* Write the columns of some samples of a stream, outputs beside. */
-static void fill(const Samples *s, const Shape *shape, const Record *record, const Entry *entries,
+WIDE static void fill(const Samples *s, const Shape *shape, const Record *record, const Entry *entries,
                  const cplx *poles, const Stream *stream, int from, int count, double *table,
                  int ld) {
     const double *times = stream->times + from;

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 import ctypes
 from ctypes import CDLL, Structure, c_double, c_int, c_uint, c_void_p
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -24,10 +24,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.linear.types import Array, ComplexArray
 
 if TYPE_CHECKING:
-    from ctsid_core.likelihood.modal_model import ModalModel
     from ctsid_core.model.modal import Drive
 
 VARIABLE = 'CTSID_KERNEL'
@@ -80,6 +80,11 @@ class Layout:
     shape: Shape
     rows: NDArray[np.intc]  # how many rows each stream has: of a triangle as many as columns
     size: int               # how many numbers there are in all tables
+
+    @cached_property
+    def place(self) -> int:
+        """Where `rows` are in memory."""
+        return _at(self.rows)
 
 
 @cache
@@ -183,7 +188,7 @@ class Kernel:
         values = np.empty(layout.size + self._records * self.nu)
         given = np.concatenate((np.ascontiguousarray(poles, dtype=complex).view(float), delay))
         self._done(self._library.ctsid_columns(
-            self._place, self._shape(layout, False), _at(given), _at(layout.rows), _at(values)))
+            self._place, self._shape(layout, False), _at(given), layout.place, _at(values)))
         return values
 
     def solve(self, layout: Layout, trim: bool, values: Array, model: ModalModel,
@@ -191,7 +196,7 @@ class Kernel:
         """Return the model with all that is linear at its best, and its errors' mean squares."""
         numbers = _packed(model, power)
         self._done(self._library.ctsid_solve(
-            self._place, self._shape(layout, trim), _at(layout.rows), _at(values), _at(numbers)))
+            self._place, self._shape(layout, trim), layout.place, _at(values), _at(numbers)))
         found, at = [], 2 * len(model.poles)
         for one in (model.b, model.c, model.x0):
             found.append(numbers[at:at + 2 * one.size].view(complex).reshape(one.shape))
@@ -201,14 +206,14 @@ class Kernel:
             found.append(numbers[at:at + other.size].reshape(other.shape))
             at += other.size
         b, c, x0, D, y0, own = found
-        return replace(model, b=b, c=c, x0=x0, D=D, y0=y0), own
+        return ModalModel(model.poles, b, c, x0, D, y0, model.delay), own
 
     def errors(self, layout: Layout, values: Array, model: ModalModel) -> Array:
         """Return the errors of each output of each stream, one after another."""
         found = np.empty(int(layout.rows @ self._channels))
         numbers = _packed(model, np.ones(self._records * self.ny))
         self._done(self._library.ctsid_errors(
-            self._place, self._shape(layout, False), _at(layout.rows), _at(values), _at(numbers),
+            self._place, self._shape(layout, False), layout.place, _at(values), _at(numbers),
             _at(found)))
         return found
 
@@ -219,7 +224,7 @@ class Kernel:
         numbers = _packed(model, power, dp.ravel().view(float), late.astype(float))
         place = _at(values)
         self._done(self._library.ctsid_slopes(
-            self._place, self._shape(layout, trim), _at(layout.rows), place,
+            self._place, self._shape(layout, trim), layout.place, place,
             place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), count,
             _at(found)))
         return found[:count], found[count:].reshape(count, count)

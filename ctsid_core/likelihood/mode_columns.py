@@ -22,7 +22,7 @@ import numpy as np
 
 from ctsid_core.likelihood.kernel import Layout, Shape
 from ctsid_core.likelihood.samples import RecordSamples, Samples
-from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.model.modal import steps_of
 

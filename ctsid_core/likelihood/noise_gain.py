@@ -27,10 +27,8 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit, Residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.recursion import chain
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.matrix_functions import chain, exponentials
+from ctsid_core.linear.types import Array, ComplexArray, Matrices
 from ctsid_core.model.whiteness import cell
 
 _STEPS = 10
@@ -41,7 +39,7 @@ _LEAST = 0.02         # part of the errors' size that innovations must be smalle
 _FIXED_POINT = 20
 _SETTLED = 1e-6       # relative error of what K, or a filter, does from sample to sample
 _LIMIT = 0.999        # largest magnitude of the predictor's modes, unless the plant's are larger
-_WORK, _PER_NUMBER = 1.5e7, 4e3         # work: at least, and for each entry of K and sample
+_WORK, _PER_NUMBER = 1.5e7, 2e3         # work: at least, and for each entry of K and sample
 
 
 def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
@@ -217,12 +215,17 @@ def with_noise(samples: Samples, fit: Fit, errors: Residuals,
     m = matrices_of(fit.model, samples.size, record)
     step, parts = uniform(samples, errors)
     K, R = np.zeros_like(m.K), np.diag(fit.power[record] * samples.size ** 2)
-    samples.effort.spend(_WORK + _PER_NUMBER * m.K.size * float(len(parts[0]) * len(parts)))
+    samples.effort.spend(gain_work(samples, len(m.A)))
     if len(m.A) and np.max(np.linalg.eigvals(m.A).real) < 0.0:
         with suppress(np.linalg.LinAlgError):       # none has a gain in continuous time: K is zero
             K, R = noise_gain(m.A, m.C, [v * samples.size for v in parts], step,
                               samples.effort)
     return replace(m, K=K), R * step
+
+
+def gain_work(samples: Samples, n: int) -> float:
+    """Return the work of K for a model of n states (`effort.py`)."""
+    return _WORK + _PER_NUMBER * n * float(samples.counts.sum())
 
 
 def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:

@@ -94,8 +94,11 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
     kept = near is not None and len(near.model.poles) == len(poles) and \
         bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))
-    start = replace(near.model, poles=poles, delay=delay) if kept and near is not None else \
-        free_start(samples, poles, delay, columns, free)
+    if kept and near is not None:
+        m = near.model
+        start = ModalModel(poles, m.b, m.c, m.x0, m.D, m.y0, delay)
+    else:
+        start = free_start(samples, poles, delay, columns, free)
     return _solved(samples, start, columns, free, power)
 
 

@@ -76,9 +76,9 @@ class Samples:
 
     @cached_property
     def size_of_all(self) -> tuple[float, float]:
-        """Number of stamps of all outputs, and of all inputs."""
-        return (sum(float(len(s.times)) for r in self.records for s in r.streams),
-                sum(float(len(s.time)) for r in self.records for s in r.inputs))
+        """Number of stamps of all outputs, and of all inputs in the time of the records."""
+        return (sum(float(len(s.times)) for r in self.records for s in r.streams), sum(
+            float(len(s.time[s.rows(r.start, r.end)])) for r in self.records for s in r.inputs))
 
     @cached_property
     def layouts(self) -> dict[tuple[Shape, bool], Layout]:

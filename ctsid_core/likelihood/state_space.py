@@ -14,9 +14,8 @@ from ctsid_core.likelihood.output_error import Fit, Free, fit_at, jacobian, step
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import orthonormal
-from ctsid_core.linear.matrices import Matrices
 from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.signals.record import Signal
 
@@ -24,14 +23,14 @@ _MET = 0.03           # relative distance of two poles below which they share a 
 GAUGE = 1e-7          # relative singular value below which a direction changes nothing
 _SAME = 1e-12         # ... below which two columns are the same
 _SPARE = 0.05         # share of the errors' power that a fit leaves at least
-_WORK = 1.0           # of a covariance, for each sample and pair of numbers
+_WORK = 2.0           # of a covariance, for each sample and pair of numbers
 
 
 def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
     """
     Return the matrices of a modal model, of outputs that were divided by their size (ny,).
 
-    Trim and `tail`, the state at the start, are those of a record.
+    Trim and the state at the start are those of a record.
     """
     pairs = np.flatnonzero(model.poles.imag > 0.0)
     A, B, C = _modal(model.poles, model.b, model.c * size[:, np.newaxis], pairs)
@@ -40,8 +39,8 @@ def matrices_of(model: ModalModel, size: Array, record: int = 0) -> Matrices:
     n, ny = len(A), len(C)
     x0 = np.concatenate((model.x0[record].real, model.x0[record, pairs].imag))
     return Matrices(A=T @ A @ inverse, B=T @ B, C=C @ inverse, D=model.D * size[:, np.newaxis],
-                    K=np.zeros((n, ny)), tail=(T @ x0)[:, np.newaxis], x_trim=np.zeros((n, 1)),
-                    y_trim=(model.y0[record] * size)[:, np.newaxis])
+                    K=np.zeros((n, ny)), start=T @ x0, x_trim=np.zeros(n),
+                    y_trim=model.y0[record] * size)
 
 
 def modal_of(m: Matrices, samples: Samples, delay: Array,

@@ -6,23 +6,25 @@ The matrix exponential and its integrals, for very many intervals at once.
 
 (M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 19, 2010, section 2). Where
 the eigenvectors of A are well-conditioned they are functions of its eigenvalues; elsewhere
-(multiple poles) power series, summed on a short interval and doubled.
+(multiple poles) power series, summed on a short interval and doubled. `chain` takes modes from
+interval to interval.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
-import scipy.linalg
-from scipy.linalg import matrix_balance
+from scipy.linalg.lapack import dgebal, dtbtrs, ztbtrs
 
 from ctsid_core.linear.types import Array, ComplexArray
 
 CONDITION_LIMIT = 1e4  # of the eigenvectors: scalar recursions lose that factor of 2e-16
 SOUND = 1e10           # the same where six digits are enough
+_SAME = 1e-6           # relative distance of two eigenvalues below which a slope is between them
 
 
 @dataclass(frozen=True)
@@ -43,16 +45,22 @@ def modes(A: Array, condition_limit: float = CONDITION_LIMIT) -> Modes | None:
     if not A.size:
         none = np.empty((0, 0), dtype=complex)
         return Modes(none.reshape(-1), none, none)
-    # Units of the states must not decide: scale them first.
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    values, vectors = np.linalg.eig(balanced)
-    if not np.linalg.cond(vectors) < condition_limit:
+    same, scale = balanced(A)
+    values, vectors = np.linalg.eig(same)
+    sizes = np.linalg.svd(vectors, compute_uv=False)
+    if not sizes[0] < condition_limit * sizes[-1]:
         return None
     keep = values.imag >= 0
     doubled = np.where(values.imag > 0, 2.0, 1.0)
     right = (scale[:, np.newaxis] * vectors * doubled)[:, keep]
     left = (np.linalg.inv(vectors) / scale)[keep]
     return Modes(values[keep].astype(complex), right.astype(complex), left.astype(complex))
+
+
+def balanced(A: Array) -> tuple[Array, Array]:
+    """Return A with states in other units, and these units (n,): theirs must not decide."""
+    found, _, _, scale, _ = dgebal(A, scale=1, permute=0)
+    return found, scale
 
 
 def phi(z: Array | ComplexArray, count: int) -> list[ComplexArray]:
@@ -93,6 +101,26 @@ def _phi_series(x: Array | ComplexArray, j: int) -> ComplexArray:
     return value
 
 
+def chain(factor: Array | ComplexArray, push: Array | ComplexArray) -> ComplexArray:
+    """
+    Return z of z_0 = 0, z_(k+1) = factor_k z_k + push_k, (m, w, K + 1); real if both are.
+
+    Of factors (m, K), or (m, 1) if they are the same at every step, and pushes (m, w, K): by
+    LAPACK's solver for band matrices.
+    """
+    m, width, count = push.shape
+    kind = np.result_type(factor, push)
+    solver = ztbtrs if kind.kind == 'c' else dtbtrs
+    z: ComplexArray = np.zeros((m, width, count + 1), dtype=kind)
+    if count:
+        band = np.ones((2, count), dtype=kind, order='F')
+        for own, factors, pushes in zip(z, factor, push, strict=True):
+            band[1, :-1] = -factors[1:] if len(factors) > 1 else -factors[0]
+            solved, _ = solver(band, pushes.T, uplo='L', diag='U')
+            own[:, 1:] = solved.T
+    return z
+
+
 def exponentials(A: Array, h: Array, count: int) -> list[Array]:
     """
     Return h^j phi_j(A h) for j = 0 ... count: e^(A h) and its repeated integrals, each (K, n, n).
@@ -107,11 +135,29 @@ def exponentials(A: Array, h: Array, count: int) -> list[Array]:
             for j, f in enumerate(functions)]
 
 
+def change_of(A: Array, changes: Array, function: Callable[[ComplexArray], ComplexArray],
+              slope: Callable[[ComplexArray], ComplexArray]) -> Array:
+    """
+    Return by how much a function of A moves, (r, n, n), to first order in changes of A.
+
+    Given are the function and its derivative of complex numbers (N. J. Higham, "Functions of
+    Matrices", 2008, theorem 3.11: Daleckii and Krein).
+    """
+    values, right = np.linalg.eig(A)
+    values, left = values.astype(complex), np.linalg.inv(right)
+    size, found = np.abs(values), function(values)
+    gap = values[:, np.newaxis] - values
+    same = np.abs(gap) <= _SAME * np.maximum(size[:, np.newaxis], size)
+    ratio = np.where(same, slope(0.5 * (values[:, np.newaxis] + values)),
+                     (found[:, np.newaxis] - found) / np.where(same, 1.0, gap))
+    return np.asarray((right @ (ratio * (left @ changes @ right)) @ left).real)
+
+
 def _doubled_series(A: Array, h: Array, count: int) -> list[Array]:
     # Power series on h / 2^s, where |A| h / 2^s <= 1/2, then s times
     #   F_j(2h) = F_0(h) F_j(h) + sum_(i=1..j) h^(j-i)/(j-i)! F_i(h),   F_j(h) = h^j phi_j(A h).
     n, terms = len(A), 16
-    scaled, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    scaled, scale = balanced(A)
     size = np.abs(h) * np.max(np.abs(scaled).sum(axis=0), initial=0.0)
     doublings = np.maximum(np.ceil(np.log2(np.maximum(2 * size, 1e-300))), 0).astype(int)
     step = h / 2.0 ** doublings
@@ -137,19 +183,3 @@ def _double(functions: list[Array], rows: NDArray[np.intp], step: Array) -> None
         extra = sum((h ** (j - i) / factorial(j - i) * old[i] for i in range(1, j + 1)),
                     np.zeros(()))
         f[rows] = old[0] @ old[j] + extra
-
-
-def svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """
-    Return the thin singular value decomposition, also where the fast algorithm gives up.
-
-    Divide and conquer (LAPACK's gesdd) fails to converge on rare matrices that are perfectly
-    sound; the QR iteration (gesvd) is slower and does not.
-    """
-    try:
-        left, s, right = np.linalg.svd(matrix, full_matrices=False)
-    except np.linalg.LinAlgError:
-        if not np.isfinite(matrix).all():
-            raise
-        left, s, right = scipy.linalg.svd(matrix, full_matrices=False, lapack_driver='gesvd')
-    return left, s, right

@@ -82,11 +82,10 @@ class Estimate:
     Parameters
     ----------
     status : Status
-        `Status.OK`, or what to do next.
     model : StateSpace or None
-        The model; None unless the status is OK, so that nobody takes a bad one by accident.
+        None unless the status is OK, so that nobody takes a bad one by accident.
     rejected_model : StateSpace or None
-        A model that was computed but not accepted: for people to look at, not for controllers.
+        One that was computed but not accepted: for people to look at, not for controllers.
     settings : Settings
         As used: automatic values filled in.
     pole_std : ndarray, shape (n,)
@@ -95,7 +94,6 @@ class Estimate:
         known.
     covariance : Covariance or None
         Of the entries of the model, or of the rejected one if there is no other; None if unknown.
-        Further properties of the estimate follow from it.
     fit : ndarray, shape (ny,)
         Simulation fit (NRMSE) of each output on the window itself [%].
     held_out_fit : ndarray, shape (ny,)
@@ -119,8 +117,7 @@ class Estimate:
         Of several records that were identified together, those that were used; else empty. The
         model's trim and noise are those of the record that ends last.
     verdict : Verdict
-        GOOD, WEAK or REJECT, the reason, and the numbers behind it. REJECT if and only if
-        `model` is None: without a model it is made so.
+        REJECT if and only if `model` is None: without a model it is made so.
 
     Raises
     ------
@@ -195,22 +192,11 @@ class Estimate:
         """
         Return the standard deviations of magnitude (over the magnitude) and phase [rad].
 
-        Parameters
-        ----------
-        omega : array_like, shape (M,)
-            Frequencies [rad/s].
-
-        Returns
-        -------
-        ResponseDeviation
-            Two arrays of shape (M, ny, nu); NaN where unknown.
+        At frequencies omega (M,) [rad/s]: two arrays of shape (M, ny, nu); NaN where unknown.
         """
-        model = self.model or self.rejected_model
-        if model is None or self.covariance is None:
-            nothing = np.full((np.size(omega), *((model.ny, model.nu) if model else (0, 0))),
-                              np.nan)
-            return ResponseDeviation(nothing, nothing)
-        return known.response_deviation(self.covariance, model, omega)
+        return ResponseDeviation(*self._derived(
+            lambda covariance, model: np.array(known.response_deviation(covariance, model, omega)),
+            2, np.size(omega), 'ny', 'nu'))
 
     def _derived(self, what: Callable[[Covariance, StateSpace], Array],
                  *shape: str | int) -> Array:
@@ -223,15 +209,10 @@ class Estimate:
 
     def trimmed(self, model: StateSpace, number: int) -> StateSpace:
         """
-        Return a model of this estimate at the trim of one of several records.
+        Return `model`, or `rejected_model`, at the trim of one of several records.
 
-        Parameters
-        ----------
-        model : StateSpace
-            `model`, or `rejected_model`.
-        number : int
-            Of the record among those given, from 1; of one that was not used, the model's trim
-            stays.
+        `number` counts the records that were given from 1; of one that was not used, the model's
+        trim stays.
         """
         for record in self.records:
             if record.number == number:

@@ -102,9 +102,15 @@ def entries(value: Any, where: str, readers: Mapping[str, Reader],
 
 def readers_of(cls: type[Any], **others: Reader) -> dict[str, Reader]:
     """Return the readers of the fields of a dataclass: of words and numbers, and others."""
-    by_type = {'str': word, 'bool': answer, 'int': whole, 'float': number,
-               'Array': numbers(nan=True)}
+    by_type = {'str': word, 'bool': answer, 'int': whole, 'float': number, 'object': anything,
+               'Array': numbers(nan=True), 'tuple[str, ...]': listed(word)}
     return {f.name: others.get(f.name) or by_type[str(f.type)] for f in fields(cls)}
+
+
+def made(cls: type[Any], **others: Reader) -> Reader:
+    """Return a reader of a dataclass whose keys are its fields."""
+    wanted = readers_of(cls, **others)
+    return lambda value, where: cls(**entries(value, where, wanted))
 
 
 def listed(read: Reader) -> Reader:

@@ -21,15 +21,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 
-from ctsid_core.linear.matrix_functions import phi
-from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.matrix_functions import chain, phi
 from ctsid_core.linear.types import Array, ComplexArray, Places
-from ctsid_core.model.simulation import input_polynomials
+from ctsid_core.model.simulation import input_polynomials, shifted
 from ctsid_core.signals.record import Signal
 
 _CACHED = 2 ** 14      # steps of modes taken at a time: what is between stays in the cache
@@ -149,32 +147,22 @@ def _part(drive: Drive, delay: Array, start: float, times: Array) -> _Part:
         h = lengths[which]
     v = drive.pieces[:, :, low:high + 1].copy()
     for c, d in enumerate(of):
-        v[:, c, begins[d]] = _shifted(v[:, c, begins[d]], drive.stamps, int(first[d]), begin[d])
+        if first[d] and len(v) > 1:
+            v[:, c, begins[d]] = shifted(v[:, c, begins[d]], begin[d] - drive.stamps[first[d] - 1])
         v[:, c, :begins[d]] = 0.0
     slot = (place - low)[of]
     now = np.take_along_axis(v, slot[np.newaxis], axis=2)
     force = np.concatenate((v[:, :, :S], now), axis=2)
     far = to[of]
-    u, rate = now[0], np.zeros_like(now[0])
-    for j in range(1, len(v)):
-        u = u + now[j] * (far ** j / factorial(j))
-        rate = rate + now[j] * (far ** (j - 1) / factorial(j - 1))
-    if len(v) == 1 and len(drive.stamps):
+    if len(v) > 1:
+        u, rate = shifted(now, far)[:2]
+    else:
         between, rates = drive.paces
-        rate = np.take_along_axis(rates, np.searchsorted(between, wanted)[of], axis=1)
+        u, rate = now[0], np.take_along_axis(rates, np.searchsorted(between, wanted)[of], axis=1)
     for j in range(len(v)):
         force[j] *= h ** (j + 1)
     return _Part(lengths, which, S, D, slot, force, u, rate,
                  v[0, np.arange(len(of)), begins[of]])
-
-
-def _shifted(derivatives: Array, stamps: Array, place: int, to: float) -> Array:
-    """Return the derivatives of the polynomial after the stamp before a place at a later time."""
-    if place == 0 or len(derivatives) == 1:
-        return derivatives
-    h = to - stamps[place - 1]
-    return np.array([sum(x * h ** k / factorial(k) for k, x in enumerate(derivatives[j:]))
-                     for j in range(len(derivatives))])
 
 
 def _read_in_blocks(poles: Array | ComplexArray, part: _Part,

@@ -25,11 +25,10 @@ import numpy as np
 from ctsid_core.errors import DataError, SettingsError, StorageError
 from ctsid_core.model import json_values as read
 from ctsid_core.model.covariance import Covariance, Rival
-from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import REMEDIES, Choice, Estimate, OrderTried, RecordShare, Status
 from ctsid_core.model.json_values import Reader, from_text, to_text
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.verdict import Excitation, Grade, Remedy, Verdict
+from ctsid_core.model.verdict import Agreement, Excitation, Grade, Remedy, Verdict
 from ctsid_core.settings import Settings
 
 FORMAT = 'ctsid-model'
@@ -51,11 +50,7 @@ def to_json(estimate: Estimate, metadata: Mapping[str, object] | None = None) ->
     """
     Return an estimate as JSON text; the same estimate gives the same text.
 
-    Parameters
-    ----------
-    estimate : Estimate
-    metadata : mapping, optional
-        What else to keep: names to words, numbers, lists or mappings of them.
+    Metadata are what else to keep: names to words, numbers, lists or mappings of them.
     """
     document = {
         'format': FORMAT, 'version': VERSION, 'equations': EQUATIONS,
@@ -223,14 +218,13 @@ def _read_covariance(value: Any, model: StateSpace | None) -> Covariance | None:
         'rivals': read.listed(_read_rival)},
         optional=('rivals',))
     size = {key: found[key] for key in SIZES}
-    if model is None or size != {'n': model.n, 'nu': model.nu, 'ny': model.ny}:
+    if model is None or size != {key: getattr(model, key) for key in SIZES}:
         raise StorageError(f'`covariance` is of {size}, and that is not the model; write the file '
                            'again')
     count = Covariance.entry_count(**size)
     rows = read.listed(read.numbers(count))(value['root'], 'covariance.root')
     try:
-        return Covariance(np.array(rows).reshape(-1, count), **size,
-                          rivals=found.get('rivals', ()))
+        return Covariance(**{**found, 'root': np.array(rows).reshape(-1, count)})
     except DataError as error:
         raise StorageError(f'`covariance`: {error}') from error
 
@@ -246,7 +240,7 @@ def read_verdict(value: Any, default: Remedy = Remedy.TEST) -> Verdict:
     """Return the verdict that `describe` described, through JSON; else raise `StorageError`."""
     found = read.entries(value, 'verdict', read.readers_of(
         Verdict, grade=read.member(Grade), remedy=read.member(Remedy),
-        excitation=read.listed(_read_excitation), agreement=_made(Agreement)),
+        excitation=read.listed(_read_excitation), agreement=read.made(Agreement)),
         optional=('agreement', 'remedy'))
     return Verdict(**{'remedy': default, **found})
 
@@ -255,12 +249,6 @@ def _read_excitation(value: Any, where: str) -> Excitation:
     found = read.entries(value, where, {'input': read.word,
                                         **dict.fromkeys(EXCITATION, read.number)})
     return Excitation(found.pop('input'), **found)
-
-
-def _made(cls: type[Any], **readers: Reader) -> Reader:
-    """Return a reader of a dataclass whose keys are its fields."""
-    wanted = read.readers_of(cls, **readers)
-    return lambda value, where: cls(**read.entries(value, where, wanted))
 
 
 def _read_settings(value: Any, where: str) -> Settings:
@@ -275,16 +263,13 @@ def _read_statistics(value: Any, where: str) -> dict[str, float]:
             for key, v in read.mapping(value, where).items()}
 
 
-_ROW = read.numbers(nan=True)
 TOP: dict[str, Reader] = {
     **dict.fromkeys(('format', 'version', 'equations'), read.anything),
-    'status': read.member(Status), 'message': read.anything, 'verdict': read.anything,
-    'start_ns': read.whole, 'end_ns': read.whole, 'model': _read_model,
-    'rejected_model': _read_model, 'pole_std': _ROW, 'deviations': read.anything,
-    'covariance': read.anything, 'fit': _ROW, 'held_out_fit': _ROW, 'singular_values': _ROW,
-    'condition': read.number, 'statistics': _read_statistics,
-    'choices': read.listed(_made(Choice, value=read.anything)),
-    'notes': read.listed(read.word), 'settings': _read_settings, 'metadata': read.mapping,
-    'records': read.listed(_made(RecordShare, x_trim=read.numbers(), y_trim=read.numbers(),
-                                 weight=read.finite)),
-    'orders': read.listed(_made(OrderTried))}
+    **read.readers_of(
+        Estimate, status=read.member(Status), settings=_read_settings, model=_read_model,
+        rejected_model=_read_model, statistics=_read_statistics,
+        choices=read.listed(read.made(Choice)), orders=read.listed(read.made(OrderTried)),
+        records=read.listed(read.made(RecordShare, x_trim=read.numbers(), y_trim=read.numbers(),
+                                      weight=read.finite)),
+        **dict.fromkeys(('covariance', 'verdict'), read.anything)),
+    **dict.fromkeys(('message', 'deviations'), read.anything), 'metadata': read.mapping}

@@ -15,14 +15,14 @@ is one scalar recursion per mode, and all of them run at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import factorial
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 from scipy.linalg import schur, solve_sylvester
 
 from ctsid_core.errors import DataError
-from ctsid_core.linear.matrix_functions import Modes, exponentials, modes, phi
-from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.matrix_functions import Modes, chain, exponentials, modes, phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal, channel_slices
 
@@ -40,16 +40,13 @@ def input_polynomials(inputs: Sequence[Signal], delay: Sequence[float], knots: A
     Before its first and after its last stamp an input is held. Valid up to the next of the
     increasing knots (K,) [s] if all stamps, later by the dead times of the channels, are knots.
     """
-    parts = []
+    joined = np.zeros((4, len(knots), sum(signal.width for signal in inputs)))
     for signal, places in zip(inputs, channel_slices(inputs), strict=True):
         own = np.asarray(delay[places])
-        part = np.zeros((4, len(knots), signal.width))
         for d in np.unique(own):
             channels = own == d
             found = _pieces(signal.time + d, signal.values[:, channels], signal.hold, knots)
-            part[:len(found), :, channels] = found
-        parts.append(part)
-    joined = np.concatenate(parts, axis=2) if parts else np.zeros((1, len(knots), 0))
+            joined[:len(found), :, places][:, :, channels] = found
     degree = max((j for j in range(len(joined)) if joined[j].any()), default=0)
     return joined[:degree + 1]
 
@@ -68,6 +65,12 @@ def _pieces(stamps: Array, values: Array, hold: str, knots: Array) -> Array:
     slopes = [np.where(inside[:, np.newaxis], curve(knots, nu=j), 0.0)
               for j in range(1, degree + 1)]
     return np.array([value, *slopes])
+
+
+def shifted(derivatives: Array, h: float | Array) -> Array:
+    """Return polynomials, given by their derivatives, from a time h later on [s]: Taylor's sum."""
+    return np.array([sum(x * h ** k / factorial(k) for k, x in enumerate(derivatives[j:]))
+                     for j in range(len(derivatives))])
 
 
 def respond(A: Array, B: Array, offset: Array, inputs: Sequence[Signal], delay: Sequence[float],

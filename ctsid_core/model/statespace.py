@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike
 from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model import realisation
-from ctsid_core.model.checks import delays, numbers, shaped, words
-from ctsid_core.model.frequency_response import transfer
 from ctsid_core.model.simulation import respond
 from ctsid_core.signals.record import Signal
 
@@ -32,8 +30,8 @@ class StateSpace:
     """
     A continuous-time state-space model in innovation form, with dead times and trim.
 
-    Only A, B and C have to be given; everything else is zero, or nameless, unless it is. Arrays
-    are copied and read-only. Models are equal (==) if all of their entries are.
+    What is not given is zero, or nameless. Arrays are copied and read-only. Models are equal (==)
+    if all of their entries are.
 
     Parameters
     ----------
@@ -84,20 +82,27 @@ class StateSpace:
     noise: Array | None = None
 
     def __post_init__(self) -> None:
-        given = {name: numbers(name, getattr(self, name)) for name in ('A', 'B', 'C')}
-        if any(x.ndim != 2 for x in given.values()):
-            shapes = ', '.join(f'{name} has shape {x.shape}' for name, x in given.items())
-            raise DataError(f'{shapes}; wanted are matrices (n, n), (n, nu), (ny, n)')
-        n, nu, ny = len(given['A']), given['B'].shape[1], len(given['C'])
+        A, B, C = (_numbers(name, getattr(self, name)) for name in 'ABC')
+        if not A.ndim == B.ndim == C.ndim == 2:
+            raise DataError(f'A has shape {A.shape}, B has shape {B.shape}, C has shape {C.shape};'
+                            ' wanted are matrices (n, n), (n, nu), (ny, n)')
+        n, nu, ny = len(A), B.shape[1], len(C)
         wanted = {'A': (n, n), 'B': (n, nu), 'C': (ny, n), 'D': (ny, nu), 'K': (n, ny),
-                  'x_trim': (n,), 'y_trim': (ny,), 'noise': (ny, ny)}
+                  'x_trim': (n,), 'y_trim': (ny,)} | ({} if self.noise is None else
+                                                      {'noise': (ny, ny)})
         for name, shape in wanted.items():
-            if name != 'noise' or self.noise is not None:
-                object.__setattr__(self, name, shaped(name, getattr(self, name), shape))
-        object.__setattr__(self, 'delay', delays(self.delay, nu))
+            object.__setattr__(self, name, _shaped(name, getattr(self, name), shape))
+        delay = tuple(float(d) for d in self.delay) or (0.0,) * nu
+        if len(delay) != nu or not all(0 <= d < float('inf') for d in delay):
+            raise DataError(f'`delay` is {delay}; wanted are {nu} dead times in s, one per input, '
+                            'none negative')
+        object.__setattr__(self, 'delay', delay)
         for name, count in (('input_names', nu), ('input_units', nu),
                             ('output_names', ny), ('output_units', ny)):
-            object.__setattr__(self, name, words(name, getattr(self, name), count))
+            words = getattr(self, name)
+            if isinstance(words, str) or len(words) not in (0, count):
+                raise DataError(f'`{name}` is {words!r}; wanted are {count}, one per channel')
+            object.__setattr__(self, name, tuple(words) or ('',) * count)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, StateSpace):
@@ -166,29 +171,17 @@ class StateSpace:
 
     def frequency_response(self, omega: ArrayLike) -> ComplexArray:
         """
-        Return G(j omega) = (C (j omega I - A)^-1 B + D) exp(-j omega delay).
+        Return G(j omega) = (C (j omega I - A)^-1 B + D) exp(-j omega delay), (M, ny, nu).
 
-        Parameters
-        ----------
-        omega : array_like, shape (M,)
-            Frequencies [rad/s]; negative ones are allowed.
-
-        Returns
-        -------
-        ndarray, shape (M, ny, nu)
-            Where omega is a pole that the entry sees: infinite magnitude, phase NaN
-            (inf + NaN j). Entries that do not see that pole are finite and right.
-
-        Raises
-        ------
-        DataError
-            If omega is not a row of finite numbers.
+        At frequencies omega (M,) [rad/s], also negative ones. Where omega is a pole that the entry
+        sees: infinite magnitude, phase NaN (inf + NaN j). Entries that do not see that pole are
+        finite and right. Raises `DataError` if omega is not a row of finite numbers.
         """
         omega = np.asarray(omega, dtype=float)
         if omega.ndim != 1 or not np.isfinite(omega).all():
             raise DataError(f'`omega` has shape {omega.shape}; wanted is one row of finite '
                             'frequencies in rad/s')
-        return transfer(self.A, self.B, self.C, self.D, self.delay, omega)
+        return realisation.transfer(self.A, self.B, self.C, self.D, self.delay, omega)
 
     def simulate(self, inputs: Sequence[Signal], times: ArrayLike,
                  x0: ArrayLike | None = None) -> Array:
@@ -198,9 +191,8 @@ class StateSpace:
         Parameters
         ----------
         inputs : sequence of Signal
-            Together nu channels, each signal with stamps of its own: held ('zoh'), on straight
-            lines ('linear') or on a cubic spline ('smooth') between them; held before the first
-            and after the last.
+            Together nu channels, each signal with stamps of its own; held before the first and
+            after the last.
         times : array_like, shape (M,)
             Where the outputs are wanted, not decreasing [s].
         x0 : array_like, shape (n,), optional
@@ -216,13 +208,9 @@ class StateSpace:
         ------
         DataError
             If the channels do not fit the model, an input has no sample, or `times` decreases.
-
-        Notes
-        -----
-        Exponential integrators between all stamps, see `ctsid_core.model.simulation`.
         """
         self.check_width('input', sum(s.width for s in inputs), self.nu)
-        start = np.zeros(self.n) if x0 is None else shaped('x0', x0, (self.n,))
+        start = np.zeros(self.n) if x0 is None else _shaped('x0', x0, (self.n,))
         x, u = respond(self.A, self.B, self.x_trim, inputs, self.delay,
                        np.asarray(times, dtype=float), start)
         with np.errstate(over='ignore', invalid='ignore'):
@@ -237,18 +225,11 @@ class StateSpace:
 
     def transform(self, T: ArrayLike) -> StateSpace:
         """
-        Return the same system with the states z = T x.
+        Return the same system with the states z = T x, T (n, n).
 
-        Parameters
-        ----------
-        T : array_like, shape (n, n)
-
-        Raises
-        ------
-        DataError
-            If T has another shape or is singular.
+        Raises `DataError` if T has another shape or is singular.
         """
-        matrix = shaped('T', T, (self.n, self.n))
+        matrix = _shaped('T', T, (self.n, self.n))
         if self.n and not realisation.regular(matrix):
             raise DataError('`T` is singular; a change of states needs independent rows')
         return replace(
@@ -260,16 +241,8 @@ class StateSpace:
         """
         Return a model without dead time, each one replaced by its Pade approximation.
 
-        Parameters
-        ----------
-        order : int
-            Number of extra states per delayed input, 0 to 10. 0: the dead times are dropped.
-            Good up to about omega * delay = order [rad].
-
-        Raises
-        ------
-        DataError
-            If the order is out of range.
+        It has `order` more states per delayed input, 0 to 10, and is good up to about omega *
+        delay = order [rad]; 0: the dead times are dropped. Raises `DataError` for another order.
         """
         if not 0 <= order <= 10:
             raise DataError(f'`order` of the Pade approximation is {order}; choose 0 to 10')
@@ -278,3 +251,30 @@ class StateSpace:
         return replace(self, A=A, B=B, C=C, D=D, delay=(0.0,) * self.nu,
                        K=np.vstack([self.K, np.zeros((extra, self.ny))]),
                        x_trim=np.concatenate([self.x_trim, np.zeros(extra)]))
+
+
+def _numbers(name: str, value: ArrayLike) -> Array:
+    """Return a copy as float64; raise `DataError` unless all entries are finite numbers."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f'`{name}` is not an array of numbers: {error}') from error
+    if not np.isfinite(array).all():
+        raise DataError(f'`{name}` holds NaN or infinity; every entry must be finite')
+    return array
+
+
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """
+    Return a read-only copy of the wanted shape, or raise `DataError`.
+
+    An empty row stands for zeros where a matrix may be left out (D, K, x_trim, y_trim).
+    """
+    array = _numbers(name, value)
+    if array.shape == (0,) and name in ('D', 'K', 'x_trim', 'y_trim'):
+        array = np.zeros(shape)  # not given
+    if array.shape != shape:
+        raise DataError(f'`{name}` has shape {array.shape}, wanted is {shape}: A is (n, n), '
+                        'B (n, nu), C (ny, n), D (ny, nu), K (n, ny)')
+    array.setflags(write=False)
+    return array

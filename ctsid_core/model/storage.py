@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from ctsid_core.errors import DataError, StorageError
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.gains import gains
 from ctsid_core.model.model_json import from_json, parse, to_json
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
@@ -37,6 +38,7 @@ SERIES_FORMAT = 'ctsid-series'
 SERIES_VERSION = 1
 PER_POLE = ('re [rad/s]', 'im [rad/s]', 'std [rad/s]', 'natural_frequency [rad/s]',
             'natural_frequency_std [rad/s]', 'damping', 'damping_std')
+PER_PAIR = ('gain', 'gain_std', 'rate_gain', 'rate_gain_std')       # of an output and an input
 
 
 def save_model(path: str | os.PathLike[str], estimate: Estimate | StateSpace,
@@ -68,10 +70,7 @@ def load_estimate(path: str | os.PathLike[str]) -> Estimate:
     """
     Read what `save_model` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        If the file cannot be read, is not a model file, or is of a newer version.
+    Raises `StorageError` if the file cannot be read, is not a model file, or of a newer version.
     """
     return _load(path)[0]
 
@@ -80,10 +79,7 @@ def load_model(path: str | os.PathLike[str]) -> StateSpace:
     """
     Read the model of a file that `save_model` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        As `load_estimate`, and if the identification gave no accepted model.
+    Raises like `load_estimate`, and if the identification gave no accepted model.
     """
     estimate = load_estimate(path)
     if estimate.model is None:
@@ -114,25 +110,13 @@ def save_series(path: str | os.PathLike[str], estimates: Sequence[Estimate], *,
     """
     Write the estimates of many windows; the suffix of the path decides how.
 
-    Parameters
-    ----------
-    path : path-like
-        '.csv': one row per window: window, status, verdict, order, poles with standard deviation,
-        natural frequency and damping (with theirs), fits. '.npz': the same and the matrices as
-        arrays with one entry per window, padded with NaN to the largest order, and each whole
-        estimate as JSON.
-    estimates : sequence of Estimate
-    columns : mapping, optional
-        Further numbers, by name with unit: one per estimate.
-    force : bool
-        Whether an existing file may be replaced.
+    '.csv': one row per window: window, status, verdict, order, poles with standard deviation,
+    natural frequency and damping (with theirs), fits. '.npz': the same and the matrices as arrays
+    with one entry per window, padded with NaN to the largest order, and each whole estimate as
+    JSON. Columns are further numbers, by name with unit: one per estimate.
 
-    Raises
-    ------
-    StorageError
-        If the suffix is another, the file exists, or it cannot be written.
-    DataError
-        If a column is of another length.
+    Raises `StorageError` if the suffix is another, or like `save_model`, and `DataError` if a
+    column is of another length.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in ('.csv', '.npz'):
@@ -150,10 +134,7 @@ def load_series(path: str | os.PathLike[str]) -> tuple[Estimate, ...]:
     """
     Read the estimates of an NPZ file that `save_series` has written, equal to the last bit.
 
-    Raises
-    ------
-    StorageError
-        If the file cannot be read, is not such a file, or is of a newer version.
+    Raises `StorageError` if the file cannot be read, is not such a file, or of a newer version.
     """
     data = _read_file(path)
     try:
@@ -176,23 +157,33 @@ def load_series(path: str | os.PathLike[str]) -> tuple[Estimate, ...]:
 
 def _csv(estimates: Sequence[Estimate], columns: Mapping[str, Sequence[float]]) -> bytes:
     order = max((e.model.n for e in estimates if e.model), default=0)
-    ny = max((max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0)
-    models = (e.model or e.rejected_model for e in estimates)
-    given = next((m.output_names for m in models if m), ())
-    names = [name or f'y{i + 1}' for i, name in enumerate((*given, *('',) * ny)[:ny])]
+    given = next((m for e in estimates for m in (e.model, e.rejected_model) if m), None)
+    outputs = _called('y', given.output_names if given else (), max(
+        (max(len(e.fit), len(e.held_out_fit)) for e in estimates), default=0))
+    inputs = _called('u', given.input_names if given else ())
+    ny, pairs = len(outputs), [f'{y}/{u}' for y in outputs for u in inputs]
     stream = io.StringIO(newline='')
     writer = csv.writer(stream, lineterminator='\n')
     writer.writerow(('start_ns', 'end_ns', 'status', 'verdict', 'order',
                      *(f'pole{k + 1}_{what}' for k in range(order) for what in PER_POLE),
-                     *(f'fit_{name} [%]' for name in names),
-                     *(f'held_out_fit_{name} [%]' for name in names), *columns))
+                     *(f'delay{more}_{name} [s]' for more in ('', '_std') for name in inputs),
+                     *(f'{what}_{pair}' for what in PER_PAIR for pair in pairs),
+                     *(f'fit_{name} [%]' for name in outputs),
+                     *(f'held_out_fit_{name} [%]' for name in outputs), *columns))
     for i, e in enumerate(estimates):
-        cells = (*_pole_cells(e, order), *_padded(e.fit, (ny,)), *_padded(e.held_out_fit, (ny,)),
+        cells = (*_pole_cells(e, order), *_input_cells(e, ny, len(inputs)),
+                 *_padded(e.fit, (ny,)), *_padded(e.held_out_fit, (ny,)),
                  *(float(values[i]) for values in columns.values()))
         writer.writerow((e.start_ns, e.end_ns, e.status.name, e.verdict.grade.name,
                          e.model.n if e.model else '',
                          *('' if np.isnan(x) else repr(float(x)) for x in cells)))
     return stream.getvalue().encode()
+
+
+def _called(letter: str, names: Sequence[str], least: int = 0) -> list[str]:
+    """Return names of channels, a letter and a number for those that have none."""
+    return [name or f'{letter}{i + 1}'
+            for i, name in enumerate((*names, *('',) * (least - len(names))))]
 
 
 def _pole_cells(estimate: Estimate, order: int) -> Array:
@@ -203,6 +194,18 @@ def _pole_cells(estimate: Estimate, order: int) -> Array:
             m.poles.real, m.poles.imag, _padded(estimate.pole_std, (m.n,)), m.natural_frequency,
             estimate.natural_frequency_std, m.damping, estimate.damping_std))
     return _padded(cells, (order, len(PER_POLE))).ravel()
+
+
+def _input_cells(estimate: Estimate, ny: int, nu: int) -> Array:
+    """Return dead times and their deviations, and what `PER_PAIR` says; NaN what is not known."""
+    m, times, found = estimate.model, np.full((2, nu), np.nan), np.full((4, ny, nu), np.nan)
+    if m is not None:
+        times[:] = m.delay, estimate.delay_std
+        if known := gains(m, estimate.covariance):
+            for k, rate in enumerate((False, True)):
+                found[2 * k:2 * k + 2] = np.where(
+                    known.rate == rate, (known.value, known.std), np.nan)
+    return np.concatenate((times.ravel(), found.ravel()))
 
 
 def _padded(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

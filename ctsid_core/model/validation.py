@@ -41,24 +41,11 @@ class Validation:
 
 def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:
     """
-    Return 100 (1 - |y - y_hat| / |y - mean y|) per output [%]: the NRMSE fit.
+    Return 100 (1 - |y - y_hat| / |y - mean y|) per output [%]: the NRMSE fit, (ny,).
 
-    100: perfect; 0: no better than the mean of y; negative: worse.
-
-    Parameters
-    ----------
-    y, y_hat : array_like, shape (M, ny)
-        Rows where either is NaN do not count.
-
-    Returns
-    -------
-    ndarray, shape (ny,)
-        NaN for a constant output or fewer than two rows, -inf if y_hat is infinite.
-
-    Raises
-    ------
-    DataError
-        If the shapes differ.
+    100: perfect; 0: no better than the mean of y; negative: worse. Rows of y and y_hat, (M, ny),
+    do not count where either is NaN. NaN for a constant output or fewer than two rows, -inf if
+    y_hat is infinite. Raises `DataError` if the shapes differ.
     """
     norm = np.linalg.norm
     return _compared(y, y_hat, lambda a, b: (norm(a - b), norm(a - a.mean())))
@@ -118,22 +105,17 @@ def simulation(model: StateSpace, record: Record, *,
     """
     Compare a record with the simulation of a model from its inputs and the best initial state.
 
-    That is the least-squares one, outputs weighted by their spread.
+    That is the least-squares one, outputs weighted by their spread. It is found together with a
+    bounded solution: the fit of an unstable model is right even where simulating onward from `x0`
+    would lose all digits. For an unbiased test, take another record than for the identification.
 
     Parameters
     ----------
     model : StateSpace
     record : Record
-        Other than the one of the identification, for an unbiased test.
     trim : {'model', 'refit'}
         Offsets of the outputs: the model's, or fitted to this record on top of them (if the
         robot may have been trimmed otherwise).
-
-    Returns
-    -------
-    Validation
-        For an unstable model, the estimated state is found together with a bounded solution, so
-        that the fit is right even where simulating onward from `x0` would lose all digits.
 
     Raises
     ------
@@ -175,28 +157,14 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
 
     The sample j of an output is predicted from the samples of all outputs up to the stamp of
     its own sample j - `horizon_steps`, and from the inputs, which are taken as known throughout.
-    In between the model runs freely. Nothing depends on later outputs.
+    In between the model runs freely. The first tenth of the record starts the filter (its initial
+    state is fitted there): nothing is predicted from within it, `y_hat` is NaN, and `fit` does not
+    count it. Raises `DataError` if the record's channels do not fit the model, or the horizon is
+    not a positive integer.
 
-    Parameters
-    ----------
-    model : StateSpace
-        Its K is the gain of the filter (`ctsid_core.model.predictor`: stamps that differ). With
-        K = 0 and a stable model the filter trusts the model: all horizons agree with the
-        simulation. If A - K C is not stable, a Kalman filter takes over and a note says so.
-    record : Record
-    horizon_steps : int
-        At least 1.
-
-    Returns
-    -------
-    Validation
-        The first tenth of the record starts the filter (its initial state is fitted there):
-        nothing is predicted from within it, `y_hat` is NaN, and `fit` does not count it.
-
-    Raises
-    ------
-    DataError
-        If the record's channels do not fit the model, or the horizon is not a positive integer.
+    The model's K is the gain of the filter (`ctsid_core.model.predictor`: stamps that differ).
+    With K = 0 and a stable model the filter trusts the model: all horizons agree with the
+    simulation. If A - K C is not stable, a Kalman filter takes over and a note says so.
     """
     if not isinstance(horizon_steps, int | np.integer) or horizon_steps < 1:
         raise DataError(f'`horizon_steps` is {horizon_steps!r}; wanted is a whole number of '
@@ -250,23 +218,10 @@ def residual_tests(model: StateSpace, record: Record, *,
     """
     Test the residuals of a model, output by output at the output's own stamps.
 
-    Parameters
-    ----------
-    model : StateSpace
-    record : Record
-        Other than the one of the identification, for exact levels.
-    residuals : {'simulation', 'prediction'}
-        Of `simulation` with refitted trim (an offset is not a fault of the dynamics), or of the
-        one-step `prediction`.
-
-    Raises
-    ------
-    DataError
-        If the record's channels do not fit the model, or the kind of residuals is unknown.
-
-    Notes
-    -----
-    How lags are counted under uneven stamps: see `ctsid_core.model.whiteness`.
+    They are those of `simulation` with refitted trim (an offset is not a fault of the dynamics),
+    or of the one-step `prediction`. Levels are exact for another record than that of the
+    identification; how lags are counted under uneven stamps: see `ctsid_core.model.whiteness`.
+    Raises `DataError` if the record's channels do not fit the model, or for other residuals.
     """
     if residuals not in ('simulation', 'prediction'):
         raise DataError(f'`residuals` is {residuals!r}; choose simulation or prediction')
@@ -274,16 +229,13 @@ def residual_tests(model: StateSpace, record: Record, *,
         prediction(model, record, 1)
     size, slowest = spread(found.y), float(min(model.natural_frequency, default=np.inf))
     memory = 3 / slowest if slowest > 0 else np.inf
-
-    def inputs_at(times: Array) -> Array:
-        return np.asarray(input_polynomials(record.inputs, model.delay, times)[0])
-
     white, independent = [], []
     for i in range(model.ny):
         e = found.y[:, i] - found.y_hat[:, i]
         rows = np.isfinite(e) & (np.abs(e).max(initial=0, where=np.isfinite(e)) > 1e-9 * size[i])
         white.append(whiteness(e[rows]))
-        independent.append(independence(found.times[rows], e[rows], inputs_at, memory)
-                           if rows.any() else np.full(model.nu, np.nan))
+        independent.append(np.full(model.nu, np.nan) if not rows.any() else independence(
+            found.times[rows], e[rows],
+            lambda t: input_polynomials(record.inputs, model.delay, t)[0], memory))
     return ResidualTests(whiteness=np.array(white),
                          independence=np.array(independent).reshape(model.ny, model.nu))

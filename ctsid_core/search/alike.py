@@ -88,8 +88,7 @@ def _searched(grid: PoleGrid, free: Free, delays: Sequence[Array]) -> list[Fit]:
                 (before.model.poles[::samples.rank], before.model.delay)]
             starts = []
             for poles, delay in options:
-                score, pole = next((score, pole) for score, pole in grid.ranked(poles, delay)
-                                   if (pole.imag == 0.0) == real)
+                score, pole = grid.best(poles, delay, real)
                 starts.append((score, np.append(poles, pole), delay))
             for _, poles, delay in sorted(starts, key=lambda s: s[0])[:_EACH]:
                 with suppress(np.linalg.LinAlgError):

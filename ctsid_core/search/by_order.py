@@ -22,20 +22,25 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from itertools import islice
 
 import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
+from ctsid_core.likelihood.noise_gain import gain_work
 from ctsid_core.likelihood.output_error import (
+    ROUGHLY,
     STEPS,
     Fit,
     Free,
+    Residuals,
     climb,
     climb_roughly,
     fit_at,
 )
 from ctsid_core.likelihood.pole_steps import bounded, canonical, ranks_of
-from ctsid_core.likelihood.residuals import independent, residuals
+from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
@@ -54,23 +59,40 @@ _AKAIKE = 2.0         # price of a parameter
 SEARCH = 0.6          # of a budget that the search may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
-_LATER = 14           # evaluations of all samples that have to be after the search,
-_MODES = 3            # of so many modes,
+_LATER = 20           # evaluations of all samples that have to be after the search,
+_STATES = 6           # of so many states, before it is known of how many,
 _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
+UNEXPLAINED = 0.05    # error that is not noise, over the motion, with which more may be told
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
 
-SubspacePoles = Callable[[int, Array], list[ComplexArray]]
+SubspacePoles = Callable[[int, Array], Iterator[ComplexArray]]
 
 
 @dataclass(frozen=True, eq=False)
 class Tried:
     """The best model of one order."""
 
+    samples: Samples    # that it is of
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
-    independent: Array  # (ny,): number of independent samples of these errors
     parameters: int
+
+    @cached_property
+    def errors(self) -> Residuals:
+        """Measured less simulated outputs."""
+        return residuals(self.samples, self.fit)
+
+    @cached_property
+    def independent(self) -> Array:
+        """Number of independent samples among the errors of each output, (ny,)."""
+        return independent(self.errors)
+
+    @property
+    def unexplained(self) -> float:
+        """Rms of errors that are not noise, over the motion."""
+        coloured = self.fit.power.mean(axis=0) - white_part(self.errors) ** 2
+        return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
 
     @property
     def rms(self) -> float:
@@ -80,9 +102,11 @@ class Tried:
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                   order: int, max_order: int, known_delay: Array,
-                  near: Sequence[Array] = ()) -> dict[int, Tried]:
+                  near: Sequence[Array] = ()) -> tuple[Samples, dict[int, Tried]]:
     """
     Return the best model of each order that was tried: of one order, or any up to `max_order` (0).
+
+    Before them the samples they are of: as many as the budget suffices for.
 
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
     (nu,) [s], is 0 where dead times are free; `near` are dead times to begin with, beside a grid.
@@ -94,7 +118,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     found: dict[int, Tried] = {}
     alike = Alike(grid, free, _delays(free, known_delay)) if samples.rank > 1 else None
     looked: set[int] = set()
-    best = 1
+    best, pointed = 1, False
     while True:
         short = samples.effort.beyond(SEARCH)
         if order in looked or short and found and not order:
@@ -104,6 +128,10 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             order if short else len(looked) + 1
         if not n and alike is not None:
             n = _promised(alike, thin, free, found, looked, max_order)
+        if not n and not pointed and found[best].unexplained > UNEXPLAINED:
+            pointed, n = True, _pointed(alike, (known_delay, found[best].fit.model.delay),
+                                        subspace, grid, free, max_order, found[best])
+            n = 0 if n in looked else n
         if not n:
             break
         looked.add(n)
@@ -116,15 +144,31 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
         if alike is not None and looked == {1} and not order:
-            best = max(best, _pointed(alike, found[1], subspace, grid, free, max_order))
+            best = max(best, _pointed(alike, (fit.model.delay,), subspace, grid, free, max_order))
+    if found and not order:
+        _without_modes(thin, found, free)
     if thin is samples or order not in (0, *found):
-        return found
+        return samples, found
     chosen = order or choose(found)
+    samples = samples.thinned(affordable(samples, found[chosen].fit.model.n))
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
-    return {n: tried(samples, climb(samples, fit_at(
+    return samples, {n: tried(samples, climb(samples, fit_at(
         samples, one.fit.model.poles, one.fit.model.delay, free, one.fit), free,
         steps=STEPS if n == chosen else 1), free) for n, one in found.items()}
+
+
+def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:
+    """Improve smaller orders by what the chosen one is without one of its modes."""
+    chosen = 0
+    while chosen != (chosen := choose(found)) and not samples.effort.beyond(SEARCH):
+        model = found[chosen].fit.model
+        for k in range(len(model.poles) if len(model.poles) > 1 else 0):
+            with suppress(np.linalg.LinAlgError):
+                fit = fit_at(samples, np.delete(model.poles, k), model.delay, free, slopes=False)
+                n = fit.model.n
+                if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free)
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
@@ -147,26 +191,41 @@ def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried
     return 0
 
 
-def _pointed(alike: Alike, first: Tried, subspace: SubspacePoles, grid: PoleGrid, free: Free,
-             max_order: int) -> int:
-    """Return the smallest order, 3 or more, whose start is nearly as good as any."""
-    samples, delay = grid.samples, first.fit.model.delay
+def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePoles,
+             grid: PoleGrid, free: Free, max_order: int, best: Tried | None = None) -> int:
+    """
+    Return the smallest order, 3 or more, whose start is nearly as good as any; halved for.
+
+    1 if even that of most states would not beat the `best` model found, at the price of few.
+    """
+    samples = grid.samples
+
+    @cache
 
     def by_subspace(n: int) -> Fit | None:
-        start = min(_by_subspace(n, subspace, grid, free, delay), key=lambda s: s[0], default=None)
+        start = min((s for d in delays for s in _by_subspace(n, subspace, grid, free, d)),
+                    key=lambda s: s[0], default=None)
         with suppress(np.linalg.LinAlgError):
             return start and fit_at(samples, *start[2:], free, slopes=False)
         return None
 
+    if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
+            tried(samples, most, free), parameters=best.parameters + (MORE + 1) * (
+                samples.nu + samples.ny + len(samples.records))), best)):
+        return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
-    for start in (by_subspace, alike.start):            # the quicker ones first
-        for n in range(3, max_order + 1):
-            if samples.effort.beyond(POINT):
-                break
+    for start in (by_subspace, *([alike.start] if alike else ())):      # the quicker ones first
+        low, high, n = 3, max_order, max_order
+        while low <= high and not samples.effort.beyond(POINT):
             if (fit := start(n)) is not None:
                 cost = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
                 costs[n] = min(cost, costs.get(n, np.inf))
+            if n in costs and costs[n] > min(costs.values()) + near:
+                low = n + 1
+            else:
+                high = n - 1
+            n = (low + high) // 2
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
 
 
@@ -178,28 +237,28 @@ def _by_subspace(n: int, subspace: SubspacePoles, grid: PoleGrid, free: Free,
         yield grid.score(poles, delay), 'subspace', poles, delay
 
 
-def affordable(samples: Samples) -> int:
-    """Return how many samples of a stream the budget suffices for; keep what they need later."""
+def affordable(samples: Samples, n: int = _STATES) -> int:
+    """Return how many samples of a stream a budget suffices for; keep what n states need later."""
     most, effort = max(int(np.max(samples.counts.sum(axis=0))), 1), samples.effort
     if not effort.budget:
         return most
     while most > _FEWEST_SAMPLES and _later(
-            samples.thinned(most), _MODES) > _FOR_LATER * effort.worth(effort.budget):
+            samples.thinned(most), n) > _FOR_LATER * effort.worth(effort.budget):
         most = int(0.8 * most)
-    effort.keep(_later(samples.thinned(most), _MODES))
+    effort.keep(_later(samples.thinned(most), n))
     return most
 
 
-def _later(samples: Samples, modes: int) -> float:
-    """Return the work that a model of so many modes needs after the search."""
+def _later(samples: Samples, n: int) -> float:
+    """Return the work that a model of n states needs after the search."""
     # Of two covariances: which dead times are needless is asked before the end.
-    return _LATER * evaluation_work(samples, modes) + 2.0 * covariance_work(samples, 2 * modes)
+    return _LATER * evaluation_work(samples, (n + 1) // 2) + 2.0 * covariance_work(samples, n) \
+        + gain_work(samples, n)
 
 
 def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(fit, samples.mean(fit.power), independent(residuals(samples, fit)),
-                 parameters(samples, fit, free))
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
@@ -248,8 +307,9 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
     """
     power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
     n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's prior of unit information: numbers as many as samples explain anything.
-    unit = 1.0 / n_eff.sum()
+    # Zellner's prior of unit information: numbers as many as samples explain anything. How many
+    # samples are independent, both models have a say.
+    unit = float((n_eff.sum() * np.maximum(larger.independent, 2.0).sum()) ** -0.5)
     ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
     gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
@@ -365,13 +425,14 @@ def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace
         else:
             continue
         for poles, delay in options:
-            score, pole = next((score, pole) for score, pole in grid.ranked(poles, delay)
-                               if (pole.imag == 0.0) == real)
+            score, pole = grid.best(poles, delay, real)
             yield score, 'real' if real else 'pair', np.append(poles, pole), delay
             # A resonance narrower than the grid HD-PBSID sees, if it has many states.
-            for seen in () if real or n < 3 else subspace(most, delay)[:1]:
+            for seen in () if real or n < 3 else islice(subspace(most, delay), 1):
                 for both in (np.append(poles, pole) for pole in seen[seen.imag > 0.0]):
                     yield grid.score(both, delay), 'pair', both, delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay)
+    if close and abs(n - close) > MORE:
+        yield from _by_subspace(n, subspace, grid, free, known)

@@ -27,7 +27,7 @@ import warnings
 import numpy as np
 from scipy.linalg import logm
 
-from ctsid_core.likelihood.mode_columns import columns_of, least_cost
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -37,16 +37,15 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
     fit_states,
 )
-from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.matrix_functions import exponentials
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
+from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
 from ctsid_core.search.by_order import (
+    LEAST,
     SEARCH,
     SEARCHED,
     Tried,
@@ -56,21 +55,14 @@ from ctsid_core.search.by_order import (
     price,
     tried,
 )
-from ctsid_core.search.needless import without_needless
 from ctsid_core.search.past_regression import Start, regressed
 from ctsid_core.signals.record import Record, Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
-_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
-_HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
-_FINAL = 2                  # orders that are climbed with all samples
-_JITTER = 0.1               # of a sample interval: of stamps
 _FORGETS = 10.0             # times e, that predictors forget their start within the record
-_QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
-_LITTLE = 1e-5              # relative step of a difference
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
 _STABLE = 1e-9              # real part over size of the largest pole that is rounding
 
@@ -79,7 +71,7 @@ _STABLE = 1e-9              # real part over size of the largest pole that is ro
 class PredictionFit:
     """A model by its predictions."""
 
-    matrices: Matrices        # of the plant, outputs in their own units; `tail` is zero
+    matrices: Matrices        # of the plant, outputs in their own units, at rest
     samples: Samples          # with the outputs' own past among the inputs
     found: Tried              # the predictor (1), of these
     free: Free
@@ -100,170 +92,76 @@ class Compared:
 def solve_by_prediction(samples: Samples, free: Free, *, order: int, max_order: int,
                         known_delay: Array, last: Compared) -> PredictionFit | None:
     """Return the model that predicts the samples best, or None; orders are compared on `last`."""
-    samples = _before_inputs(samples)
     joint = with_own_past(samples)
     own = replace(free, feedthrough=False, delays=free.delays + (False,) * samples.ny,
                   limit=-_FORGETS / samples.length)
     starts = regressed(joint, order or max_order, known_delay, own)
     if not starts or order not in (0, *starts):
         return None
-    joint = joint.thinned(affordable(joint))
-    thin = joint.thinned(SEARCHED)
-    begun, regression = _begun(thin, {order: starts[order]} if order else starts, own)
-    found = _orders(thin, begun, own, last)
-    orders = {n: one.found for n, one in found.items()}
-    straight = None if regression is None else _as_it_is(joint, regression, own, last)
-    known = [] if straight is None else [straight]
-    likely = sorted(found.values(), key=lambda one: one.information)[:_FINAL]
-    for one in likely:
-        if known and joint.effort.over:
-            break
-        fit = one.found.fit
-        climbed = one if joint is thin else _nearby(
-            joint, fit_at(joint, fit.model.poles, fit.model.delay, one.free, fit), one.free, last)
-        known += [] if climbed is None else [climbed]
-    if not known:
+    thin = joint.thinned(affordable(joint)).thinned(SEARCHED)
+    found = _orders(thin, {order: starts[order]} if order else starts, own, last)
+    if not found:
         return None
-    # As they are used: the filter starts from the first samples, not from the best states.
-    best = min(known, key=lambda one: _as_used(one, joint))
-    if best is straight:                    # its dead times were compared with none
-        return replace(best, orders={**orders, best.found.fit.model.n: best.found})
-    # One sample ahead any error is small where samples are dense.
-    needed, fewer = without_needless(joint, best.found, best.free, 0.0, each=False)
-    other = replace(best, free=fewer) if needed is best.found else \
-        _judged(joint, needed.fit, fewer, last)
-    # Far ahead a dead time may show that hardly does one sample ahead.
-    if other is not None and _as_used(other, joint) <= _as_used(best, joint):
-        best = other
-    return replace(best, orders=orders)
+    best = min(found.values(), key=lambda one: one.information)
+    fit = best.found.fit
+    if thin is not joint:
+        joint = joint.thinned(affordable(joint, fit.model.n))
+    if joint is not thin and not joint.effort.beyond(SEARCH):
+        best = _nearby(joint, fit.model, best.found.parameters, fit, own, last) or best
+    return replace(best, orders={n: one.found for n, one in found.items()})
 
 
-def _as_used(one: PredictionFit, joint: Samples) -> float:
-    return information(one.errors, joint.counts.sum(axis=0), one.found.parameters)
-
-
-def _begun(joint: Samples, starts: dict[int, Start],
-           free: Free) -> tuple[dict[int, Fit], Start | None]:
-    """Return where climbs begin, of every order, and the likeliest start as it is."""
-    begun: dict[int, Fit] = {}
-    score: dict[int, float] = {}
-    power = np.ones((len(joint.records), joint.ny))
-    for n, start in starts.items():
-        poles, delay = start.model.poles, start.model.delay
-        columns = columns_of(joint, poles, delay, direct=False, slopes=False)
-        with suppress(np.linalg.LinAlgError):
-            begun[n] = fit_at(joint, poles, delay, free, Guess(start.model, power), columns)
-            score[n] = fit_states(joint, start.model, free, columns).cost + price(joint) * (
-                start.parameters + n * len(power))
-    return begun, starts[min(score, key=lambda n: score[n])] if score else None
-
-
-def _as_it_is(joint: Samples, start: Start, free: Free, last: Compared) -> PredictionFit | None:
-    """Return the predictor of the regression as it is, or None."""
-    with suppress(np.linalg.LinAlgError):
-        fit = fit_states(joint, start.model, free)
-        free = replace(free, delays=tuple((start.model.delay > 0.0) & free.delays))
-        weights = fit.model.n * (joint.nu + joint.ny)
-        return _judged(joint, fit, free, last, round(start.parameters) - weights)
-    return None
-
-
-def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
+def _orders(joint: Samples, starts: dict[int, Start], free: Free,
             last: Compared) -> dict[int, PredictionFit]:
     """Return predictors of the orders next to that whose start predicts best."""
-    best = min(begun, key=lambda n: begun[n].cost + price(joint) * parameters(
-        joint, begun[n], free), default=0)
+    score: dict[int, float] = {}
+    numbers: dict[int, int] = {}
+    guesses = {n: Guess(start.model, np.ones((len(joint.records), joint.ny)))
+               for n, start in starts.items()}
+    for n, start in starts.items():
+        with suppress(np.linalg.LinAlgError):
+            fit = fit_at(joint, start.model.poles, start.model.delay, free, guesses[n],
+                         slopes=False)
+            full = parameters(joint, fit, free)
+            numbers[n] = full + round(start.parameters) - n * (joint.nu + joint.ny)
+            score[n] = fit.cost + price(joint) * full
+    best = min(score, key=lambda n: score[n], default=0)
     found: dict[int, PredictionFit] = {}
     looked: set[int] = set()
     while not found or not joint.effort.beyond(SEARCH):
-        n = nearest(begun, looked, best)
+        n = nearest(score, looked, best)
         if not n:
             break
         looked.add(n)
-        one = _climbed(joint, begun[n], free, last)
+        one = _nearby(joint, starts[n].model, numbers[n], guesses[n], free, last)
         if one is not None:
             found[n] = one
             best = min(found, key=lambda n: found[n].information)
     return found
 
 
-def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
-    """Return the best predictor near a start or near a filter of its plant; None: no plant."""
-    # Slower than what the regression sees are filters alone: else states fit what is before the
-    # record, and mislead elsewhere.
-    quick = replace(free, limit=min(free.limit, -_QUICK / held_interval(joint)))
-    best = _nearby(joint, start, quick, last)
-    filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
-    other = _nearby(joint, filtered, free, last) if filtered is not None else None
-    return min((one for one in (best, other) if one is not None),
-               key=lambda one: one.information, default=None)
-
-
-def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
-    """Return the likeliest predictor near a start; the start, if that one is of no plant."""
-    try:
-        top = climb_roughly(joint, start, free)
-    except np.linalg.LinAlgError:
-        top = start
-    return _judged(joint, top, free, last) \
-        or (None if top is start else _judged(joint, start, free, last))
-
-
-def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
+def _nearby(joint: Samples, start: ModalModel, numbers: int, guess: Fit | Guess, free: Free,
+            last: Compared) -> PredictionFit | None:
     """
-    Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
+    Return the likelier one of a predictor as it is, and of that to which a climb from it leads.
 
-    The noise at each input has the same effect on the outputs, over the frequencies looked at.
-    Predictors may be slower than the past of the regression, and climbs end before they are
-    there. With no noise in the plant poles are its own, those that grow mirrored.
+    Climbs look one sample ahead; where they fit a hundred numbers, a regression whose weights have
+    a prior predicts better.
     """
-    m, n = one.matrices, len(one.matrices.A)
-    C = m.C / joint.size[:, np.newaxis]
-    omega = np.geomspace(1.0 / joint.length, 1.0 / held_interval(joint), _NOISES)
-    try:
-        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
-                                        m.B[np.newaxis])
-    except np.linalg.LinAlgError:
-        return None
-    size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
-    moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
-    known: dict[float, tuple[float, ComplexArray]] = {}
-    delay = one.found.fit.model.delay
-
-    def at(noise: float) -> float:
-        if noise not in known:
-            both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
-            poles = np.sort_complex(both)[:n]
-            stable = bool(np.all(poles.real < free.limit))          # not if any is no number
-            known[noise] = least_cost(columns_of(
-                joint, canonical(poles), delay, direct=False, slopes=False), free.trim) \
-                if stable else np.inf, poles
-        return known[noise][0]
-
-    noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
-    step = np.sqrt(noises[1:] / noises[:-1]).mean()
-    best = min((0.0, *noises.tolist()), key=at)
-    for _ in range(_HALVINGS):
-        best = min((best / step, best, best * step), key=at)
-        step = np.sqrt(step)
-    if not np.isfinite(at(best)):
-        return None
+    fits: list[tuple[Fit, int]] = []
     with suppress(np.linalg.LinAlgError):
-        fit = fit_at(joint, known[best][1], delay, free)
-        return fit if fit.cost < one.found.fit.cost else None
-    return None
+        fits.append((fit_states(joint, start, free), numbers))
+        top = climb_roughly(joint, fit_at(joint, start.poles, start.delay, free, guess), free)
+        fits.append((top, parameters(joint, top, free)))
+    known = [one for fit, count in fits
+             if (one := _judged(joint, fit, free, last, count)) is not None]
+    return min(known, key=lambda one: one.information, default=None)
 
 
 def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
-            more: int = 0) -> PredictionFit | None:
-    """
-    Return a predictor and how its plant predicts; None: there is no plant that does.
-
-    So many `more` numbers than are free were determined.
-    """
-    one = tried(joint, fit, free)
-    one = replace(one, parameters=one.parameters + more)
-    delay, nu = fit.model.delay, joint.nu - joint.ny
+            numbers: int) -> PredictionFit | None:
+    """Return a predictor of so many numbers and how its plant predicts; None: none does."""
+    one, nu = replace(tried(joint, fit, free), parameters=numbers), joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
     likely = np.sqrt(fit.power.mean(axis=0))
     known: list[PredictionFit] = []
@@ -272,13 +170,11 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
         if plant is None:
             continue
         joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in last.record.outputs))
-        try:
-            errors = prediction_errors(plant, delay[:nu], last)
-        except np.linalg.LinAlgError:
-            continue
-        if np.max(errors) < _DIVERGED:
-            known.append(PredictionFit(plant, joint, one, free, errors, information(
-                np.vstack((likely, errors[1:])), joint.counts.sum(axis=0), one.parameters), {}))
+        with suppress(np.linalg.LinAlgError):
+            errors = prediction_errors(plant, fit.model.delay[:nu], last)
+            if np.max(errors) < _DIVERGED:
+                known.append(PredictionFit(plant, joint, one, free, errors, information(
+                    np.vstack((likely, errors[1:])), joint.counts.sum(axis=0), numbers), {}))
         if is_stable(plant):
             break
     # Far ahead shows whether a mode really grows.
@@ -294,30 +190,8 @@ def information(errors: Array, counts: Array, parameters: int = 0) -> float:
     of `HORIZONS`, (horizons, ny).
     """
     counts = counts / np.array(HORIZONS[:len(errors)])[:, np.newaxis]
-    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, 1e-12)))) \
+    return float(2.0 * np.sum(counts * np.log(np.maximum(errors, LEAST)))) \
         + float(np.log(counts[0].max())) * parameters
-
-
-def _before_inputs(samples: Samples) -> Samples:
-    """
-    Return the samples, those that closely follow an input put to its instant.
-
-    In closed loop an input is computed from the sample before it and tells its noise. Where
-    stamps jitter it may seem to be the earlier one, and would predict it.
-    """
-    near = _JITTER * samples.interval
-
-    def earlier(times: Array, inputs: tuple[Signal, ...], start: float) -> Array:
-        stamps = np.unique(np.concatenate([s.time for s in inputs]))
-        last = stamps[np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, None)]
-        moved = np.maximum(last, start)
-        # Of two samples as near to it only the first one is put there.
-        apart = moved > np.concatenate(([-np.inf], times[:-1]))
-        return np.where((times >= last) & (times - last < near) & apart, moved, times)
-
-    return replace(samples, records=tuple(replace(r, streams=tuple(
-        replace(s, times=earlier(s.times, r.inputs, r.start)) for s in r.streams))
-        for r in samples.records))
 
 
 def with_own_past(samples: Samples) -> Samples:
@@ -378,7 +252,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
     except np.linalg.LinAlgError:
         return None
     return replace(m, A=A, B=B, D=m.D[:, :nu], K=gain, x_trim=drive @ m.y_trim,
-                   tail=np.zeros_like(m.tail))
+                   start=np.zeros_like(m.start))
 
 
 def in_record(plant: Matrices, fit: Fit, samples: Samples, record: int) -> Matrices:
@@ -420,13 +294,13 @@ def held_interval(joint: Samples) -> float:
     return slowest([s for r in joint.records for s in r.inputs[-len(r.streams):]])
 
 
-def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | None = None,
+def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: bool = False,
                       horizons: Sequence[int] = HORIZONS) -> Array:
     """
     Return rms errors of predictions some samples ahead, over the motion, (horizons, ny).
 
-    The first tenth of the record starts the filter and does not count. Of a simulation its state
-    at the `start` [s] is known: a filter without gain would never learn it. Infinite if the filter
+    The first tenth of the record starts the filter and does not count. Of what `simulates` the
+    state at its start is known: a filter without gain would never learn it. Infinite if the filter
     is not stable. Errors as many samples ahead are alike over as many: horizons beyond half of a
     short record, the last ones, are left out.
     """
@@ -443,18 +317,18 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, start: float | 
     motion = np.std(y[real], axis=0)
     motion[motion == 0.0] = np.inf                 # of an output at rest nothing is asked
     with np.errstate(over='ignore', invalid='ignore'):
-        if start is None:
-            x, u = respond(m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(), t, None)
+        if not simulates:
+            x, u = respond(m.A, m.B, m.x_trim, record.inputs, delay.tolist(), t, None)
         else:
             x, u = (rows[1:] for rows in respond(
-                m.A, m.B, m.x_trim[:, 0], record.inputs, delay.tolist(),
-                np.append(min(start, t[0]), t), m.tail[:, 0]))
-        rest = y - x @ m.C.T - u @ m.D.T - m.y_trim[:, 0]
+                m.A, m.B, m.x_trim, record.inputs, delay.tolist(), np.append(record.start, t),
+                m.start))
+        rest = y - x @ m.C.T - u @ m.D.T - m.y_trim
         F = exponentials(m.A, np.array([step]), 0)[0][0]
         closed = m.A - m.K @ m.C
         M = exponentials(closed, np.array([step]), 1)[1][0] @ m.K
         errors, first = [], len(t) // 10
-        states = predicted_states(F, F @ M, m.C, rest, first if start is None else 0)
+        states = predicted_states(F, F @ M, m.C, rest, 0 if simulates else first)
         for horizon in [h for h in horizons if 2 * h <= len(t)]:
             ahead = np.linalg.matrix_power(F, horizon - 1)
             e = rest[horizon - 1:] - states[:len(rest) - horizon + 1] @ (m.C @ ahead).T
@@ -483,16 +357,24 @@ def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
     """
     m, nu, step = matrices_of(fit.model, samples.size), samples.nu - samples.ny, \
         held_interval(samples)
-    K = m.B[:, nu:] / samples.size
-    found = []
-    for k in range(len(changes.A)):
-        size = max(float(np.max(np.abs(d))) / (float(np.max(np.abs(x))) + 1e-12)
-                   for d, x in ((changes.A[k], m.A), (changes.B[k], m.B), (changes.C[k], m.C)))
-        little = _LITTLE / max(size, 1e-12)
-        sides = [_open_loop(m.A + h * changes.A[k], (m.B + h * changes.B[k])[:, :nu],
-                            K + h * changes.B[k][:, nu:] / samples.size,
-                            m.C + h * changes.C[k], step, True)
-                 for h in (little, -little)]
-        found.append([(a - b) / (2.0 * little) for a, b in zip(*sides, strict=True)])
-    A, B = (np.array([f[i] for f in found]) for i in (0, 1))
-    return Entries(A, B, changes.C, changes.D[:, :, :nu], changes.delay[:, :nu])
+    K, dK = m.B[:, nu:] / samples.size, changes.B[:, :, nu:] / samples.size
+
+    def summed(z: ComplexArray) -> ComplexArray:
+        return step * phi(step * z, 1)[1]
+
+    def slope(z: ComplexArray) -> ComplexArray:
+        _, one, two = phi(step * z, 2)
+        return step ** 2 * (one - two)
+
+    transition, integral = (x[0] for x in exponentials(m.A, np.array([step]), 1))
+    moved = transition + integral @ K @ m.C
+    plant = np.real(_logarithm(moved)) / step
+    of_integral = change_of(m.A, changes.A, summed, slope)
+    of_moved = change_of(m.A, changes.A, lambda z: phi(step * z, 0)[0], lambda z: step * phi(
+        step * z, 0)[0]) + of_integral @ K @ m.C + integral @ (dK @ m.C + K @ changes.C)
+    A = change_of(moved, of_moved, np.log, np.reciprocal) / step
+    own = exponentials(plant, np.array([step]), 1)[1][0]
+    back = np.linalg.solve(own, integral)
+    of_back = np.linalg.solve(own, of_integral - change_of(plant, A, summed, slope) @ back)
+    return Entries(A, of_back @ m.B[:, :nu] + back @ changes.B[:, :, :nu], changes.C,
+                   changes.D[:, :, :nu], changes.delay[:, :nu])

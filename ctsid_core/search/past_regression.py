@@ -37,7 +37,7 @@ from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
 from ctsid_core.likelihood.output_error import Free
 from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.tall_qr import triangle
+from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
 from ctsid_core.search.alike import POINT
 
@@ -49,7 +49,7 @@ _STEPS = 15           # of its fixed point, ...
 _SETTLED = 0.1        # ... and the change of its logarithm that ends it
 _ROWS = 4             # samples for each mode, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
-_WORK = 10.0          # for each weight of an output, cubed: of its likelihood
+_WORK = 5.0           # for each weight of an output, cubed: of its likelihood
 _LEAST = 1e-12        # of a state's size over the largest one's
 
 

@@ -14,11 +14,13 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ctsid_core.effort import Effort
 from ctsid_core.likelihood.mode_columns import columns_of, cost_of, least_cost
 from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
-from ctsid_core.linear.recursion import chain
+from ctsid_core.linear.matrix_functions import chain
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.signals.record import Signal
 
@@ -28,7 +30,7 @@ _DAMPING = (0.02, 0.1, 0.4, 0.8)
 _CELLS = 4000         # of time, at most
 _RIDGE = 1e-9         # of the inner products of a candidate's columns
 _PER_CELL = 150.0     # work: of each pole, input and cell of time
-_LOOK, _PER_POLE = 1e6, 80.0            # work: of any look, and for each pole, input and sample
+_LOOK, _PER_COLUMN = 5e5, 40.0          # work: of any look, and for each column and sample
 
 
 class PoleGrid:
@@ -46,27 +48,25 @@ class PoleGrid:
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
-        self._ranked: dict[tuple[bytes, bytes], list[tuple[float, complex]]] = {}
-        self._cells = [_Cells(r, longest, finest) for r in samples.records]
-        self._kinds = (self.poles.imag == 0.0, self.poles.imag > 0.0)
-        samples.effort.spend(_PER_CELL * len(self.poles) * samples.nu * float(
-            sum(cells.count for cells in self._cells)))
-        self._shapes = [[_Shape(cells, self.poles[kind]) for kind in self._kinds]
-                        for cells in self._cells]
+        self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
+        cells = [_Cells(r, longest, finest) for r in samples.records]
+        self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
+                                      samples.effort) for c in cells] for real in (True, False)}
 
-    def ranked(self, poles: ComplexArray, delay: Array) -> list[tuple[float, complex]]:
+    def best(self, poles: ComplexArray, delay: Array, real: bool) -> tuple[float, complex]:
         """
-        Return every pole of the grid beside given ones, at given dead times, best first.
+        Return the pole of the grid, a real one or one of a pair, that explains most.
 
-        Before it -2 log likelihood of what it would leave, everything linear at its best. Given
-        are the poles (m,) [rad/s] of the model that is to be extended, and delay (nu,) [s].
+        Beside given ones, the poles (m,) [rad/s] of the model that is to be extended, at given
+        dead times (nu,) [s]. Before it -2 log likelihood of what it would leave, everything
+        linear at its best.
         """
-        key = (poles.tobytes(), delay.tobytes())
-        if key not in self._ranked:
-            score = self._scores(poles, delay)
-            self._ranked[key] = [(float(score[i]), complex(self.poles[i]))
-                                 for i in np.argsort(score, kind='stable')]
-        return self._ranked[key]
+        key = (poles.tobytes(), delay.tobytes(), real)
+        if key not in self._best:
+            score = self._scores(poles, delay, real)
+            place = int(np.argmin(score))
+            self._best[key] = float(score[place]), complex(self._shapes[real][0].poles[place])
+        return self._best[key]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""
@@ -74,36 +74,35 @@ class PoleGrid:
                              slopes=False)
         return least_cost(columns, self._trim)
 
-    def _scores(self, poles: ComplexArray, delay: Array) -> Array:
-        self.samples.effort.spend(_LOOK + _PER_POLE * len(self.poles) * (
-            self.samples.nu + 1) * float(np.max(self.samples.counts.sum(axis=0))))
-        squares = np.zeros((len(self.poles), self.samples.ny))
-        columns = columns_of(self.samples, poles, delay, direct=self._feedthrough, turned=False,
+    def _scores(self, poles: ComplexArray, delay: Array, real: bool) -> Array:
+        shapes, samples = self._shapes[real], self.samples
+        count, parts = shapes[0].size
+        samples.effort.spend(_LOOK + _PER_COLUMN * count * parts * (samples.nu + 1) * float(
+            np.max(samples.counts.sum(axis=0))))
+        squares = np.zeros((count, samples.ny))
+        columns = columns_of(samples, poles, delay, direct=self._feedthrough, turned=False,
                              slopes=False)
-        for cells, shapes, own in zip(self._cells, self._shapes, columns.tables, strict=True):
-            for stream, (known, y) in zip(cells.record.streams, own, strict=True):
+        for shape, record, own in zip(shapes, samples.records, columns.tables, strict=True):
+            for stream, (known, y) in zip(record.streams, own, strict=True):
                 known = known if self._trim else known[:, :-1]
                 size = np.linalg.norm(known, axis=0)
                 basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
                 left = y - basis @ (basis.T @ y)
-                squares[:, stream.channels] += np.sum(left ** 2, axis=0) - self._explained(
-                    cells, shapes, stream, delay, basis, left)
-        return cost_of(squares, self.samples.counts.sum(axis=0))
+                squares[:, stream.channels] += np.sum(left ** 2, axis=0) - _explained(
+                    shape.candidates(stream, delay), basis, left)
+        return cost_of(squares, samples.counts.sum(axis=0))
 
-    def _explained(self, cells: _Cells, shapes: list[_Shape], stream: Stream, delay: Array,
-                   basis: Array, left: Array) -> Array:
-        found = np.zeros((len(self.poles), left.shape[1]))
-        for kind, shape in zip(self._kinds, shapes, strict=True):
-            own = cells.candidates(shape, stream, delay)                           # (G, q, N)
-            flat = own.reshape(-1, len(basis))              # one product is quicker than many
-            flat -= (flat @ basis) @ basis.T
-            gram = own @ own.swapaxes(1, 2)
-            scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
-            gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
-                + _RIDGE * np.eye(gram.shape[1])
-            pull = (flat @ left).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
-            found[kind] = np.sum(pull * np.linalg.solve(gram, pull), axis=1)
-        return found
+
+def _explained(own: Array, basis: Array, left: Array) -> Array:
+    """Return the squares that columns, (m, q, N), explain of errors beside a basis."""
+    flat = own.reshape(-1, len(basis))              # one product is quicker than many
+    flat -= (flat @ basis) @ basis.T
+    gram = own @ own.swapaxes(1, 2)
+    scale = np.sqrt(np.einsum('gii->gi', gram)) + 1e-150
+    gram = gram / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) \
+        + _RIDGE * np.eye(gram.shape[1])
+    pull = (flat @ left).reshape(*own.shape[:2], -1) / scale[:, :, np.newaxis]
+    return np.asarray(np.sum(pull * np.linalg.solve(gram, pull), axis=1))
 
 
 class _Cells:
@@ -116,48 +115,54 @@ class _Cells:
         self.count = count
         self._edges = np.linspace(first, record.end, count + 1)
         self._step = float(self._edges[1] - self._edges[0])
-        self._means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
+        self.means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
 
     def responses(self, poles: Array | ComplexArray) -> ComplexArray:
         """Return the responses of poles at the edges, (m, nu, cells + 1); real if they are."""
         turn = poles * self._step
         small = np.abs(turn) < 1e-8
         gain = self._step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
-        return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self._means)
+        return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self.means)
 
-    def candidates(self, shape: _Shape, stream: Stream, delay: Array) -> Array:
-        """Return the columns of each pole: responses to the inputs and free, (m, q, N)."""
-        times = stream.times
-        found = np.empty((*shape.size, len(delay) + 1, len(times)))
-        for d in np.unique(delay):
-            at = np.clip((times - d - self._edges[0]) / self._step, 0.0,
-                         len(self._edges) - 1.001)
-            place = at.astype(int)
-            part = (at - place)[:, np.newaxis]
-            for j in np.flatnonzero(delay == d):
-                read = shape.driven[j][place]
-                read += part * (shape.driven[j][place + 1] - read)
-                found[:, :, j] = read.T.reshape(*shape.size, -1)
-        found[:, :, -1] = shape.free(stream, self.record.start)
-        return found.reshape(len(found), -1, len(times))
+    def places(self, times: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the edges before times (N,), and how far it is to the next ones, (N, 1)."""
+        at = np.clip((times - self._edges[0]) / self._step, 0.0, len(self._edges) - 1.001)
+        place = at.astype(int)
+        return place, (at - place)[:, np.newaxis]
 
 
 class _Shape:
     """The responses of poles of one kind, all real or all of pairs, to the inputs over cells."""
 
-    def __init__(self, cells: _Cells, poles: ComplexArray) -> None:
-        self._poles = poles if len(poles) and poles[0].imag > 0.0 else poles.real
+    def __init__(self, cells: _Cells, poles: ComplexArray, effort: Effort) -> None:
+        self.poles, self._cells = poles if poles[0].imag > 0.0 else poles.real, cells
         self._free: dict[int, Array] = {}
-        driven = _parts(cells.responses(self._poles))
-        self.size = driven.shape[:2]
+        self.size = len(poles), 1 + int(poles[0].imag > 0.0)
         # (nu, cells + 1, m parts): all at one instant are neighbours, for they are read together.
-        self.driven = driven.transpose(2, 3, 0, 1).reshape(*driven.shape[2:], -1).copy()
+        driven = np.empty((len(cells.means), cells.count + 1, *self.size))
+        for some in np.split(np.arange(len(poles)), len(poles) // _PAIRS):
+            effort.spend(_PER_CELL * len(some) * len(cells.means) * cells.count)
+            driven[:, :, some] = _parts(cells.responses(self.poles[some])).transpose(2, 3, 0, 1)
+        self.driven = driven.reshape(*driven.shape[:2], -1)
+
+    def candidates(self, stream: Stream, delay: Array) -> Array:
+        """Return the columns of each pole: responses to the inputs and free, (m, q, N)."""
+        times, cells = stream.times, self._cells
+        found = np.empty((*self.size, len(delay) + 1, len(times)))
+        for d in np.unique(delay):
+            place, part = cells.places(times - d)
+            for j in np.flatnonzero(delay == d):
+                read = self.driven[j][place]
+                read += part * (self.driven[j][place + 1] - read)
+                found[:, :, j] = read.T.reshape(*self.size, -1)
+        found[:, :, -1] = self.free(stream, cells.record.start)
+        return found.reshape(len(found), -1, len(times))
 
     def free(self, stream: Stream, start: float) -> Array:
         """Return the free responses, (m, parts, N); kept, for dead times do not matter."""
         if stream.channels.start not in self._free:
             self._free[stream.channels.start] = _parts(
-                np.exp(self._poles[:, np.newaxis] * (stream.times - start)))
+                np.exp(self.poles[:, np.newaxis] * (stream.times - start)))
         return self._free[stream.channels.start]
 
 

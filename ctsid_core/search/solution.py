@@ -12,8 +12,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.samples import Samples
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.settings import Settings
 

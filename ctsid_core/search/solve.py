@@ -3,267 +3,153 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from functools import lru_cache
 
 import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.noise_gain import with_noise
-from ctsid_core.likelihood.output_error import (
-    Fit,
-    Free,
-    climb,
-    climb_roughly,
-    fit_at,
-    fit_states,
-)
-from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_costs, residuals, white_part
-from ctsid_core.likelihood.samples import Samples, samples_of
-from ctsid_core.likelihood.state_space import matrices_of, modal_of
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array, ComplexArray, Mask
-from ctsid_core.model.estimate import Choice, OrderTried
+from ctsid_core.likelihood.output_error import Free, climb, climb_roughly, fit_at
+from ctsid_core.likelihood.residuals import coloured_costs
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.by_order import (
     LEAST,
-    MORE,
     SEARCH,
     SEARCHED,
+    UNEXPLAINED,
     Tried,
     advantage,
-    affordable,
-    beats,
     choose,
-    criterion,
     explains,
     price,
     search_orders,
     tried,
 )
-from ctsid_core.search.by_prediction import (
-    AHEAD,
-    Compared,
-    PredictionFit,
-    held_interval,
-    in_record,
-    information,
-    plant_of,
-    prediction_errors,
-    solve_by_prediction,
+from ctsid_core.search.corrupt import hide_outliers
+from ctsid_core.search.optional import centred, with_direct, without_needless
+from ctsid_core.search.predicted import (
+    GROWS,
+    disturbed,
+    growth,
+    lasts,
+    likelier,
+    near,
+    predicted,
 )
-from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
-from ctsid_core.search.needless import without_needless
-from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
-from ctsid_core.settings import LONGEST_DELAY, Settings
-from ctsid_core.subspace.hd_pbsid import Subspaces
-from ctsid_core.subspace.pbsid_equations import realise
+from ctsid_core.search.problem import Problem, at_bound, free_of
+from ctsid_core.search.solution import Solution
+from ctsid_core.settings import Settings
+from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
-LONGEST = 0.25        # of the window: the longest dead time that is looked for
-_NEARLY = 0.95        # of it: states may stand in for more
-_NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
-                      # and nearer ones leave too few digits between a mode and the trim
-_STEADY = 0.05        # times e within the record: less does not tell a mode that decays
-_FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
-_UNEXPLAINED = 0.05   # error that is not noise, over the motion, with which the outputs' own past
-                      # may tell more of a plant in open loop, ...
-_FAILS = 0.5          # ... and with which no simulation tells it, and it may grow
-_GROWS = 1.0          # times e within the record: less does not tell a plant that grows
-_GROWN = 2.0          # times e, as far as a plant that grows has to predict
-_AT_ONCE = 0.4        # of the fastest pole that is looked for: a pole beyond it may stand for D
-_MARGIN = 1.2         # times a dead time, for which outputs are left out while D is looked for
-_AROUND = np.linspace(-1.0, 1.0, 21)        # sample intervals, of which the mean is taken
+_FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
+                      # plant in open loop, and it may grow
 _FEWEST = 3           # states: fewer are found by a grid of poles
 _NEGLIGIBLE = 0.01    # share of the Akaike weights
 
-_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 1.5e7      # work of HD-PBSID
+_PROJECTION, _PER_SAMPLE, _REGRESSION = 1e7, 2e4, 3e6       # work of HD-PBSID
 
 Other = tuple[float, Tried]              # advantage over the choice, and the model
-Seen = Callable[..., Samples]           # the samples, outputs left out for so long after the start
 
 
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """Return the model of records, or None if they are too short for any."""
-    own = own_delays(part, settings)
-    corrupt = corrupt_rows(part)
-    records = [p.record for p in part.parts]
-    most = affordable(samples_of(records, corrupt, effort=effort))
-
-    def seen(ahead: float = 0.0) -> Samples:
-        return samples_of(records, corrupt, ahead, effort).thinned(most)
-
-    samples = seen()
+    given = Problem.of(part, settings, effort)
+    own, samples = given.own, given.seen()
     free = replace(free_of(samples, own), feedthrough=False)
-    given = np.array(own.delays(samples.nu))
-    predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
-    # A plant that grows predictions tell at once: of closed loops many states simulate the record.
-    if predicted is not None and _growth(predicted, samples) > _GROWS and (
-            solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
+    one = None if own.feedthrough else predicted(given, samples, free)
+    # A plant that grows predictions tell at once.
+    grows = one is not None and growth(one, samples) > GROWS
+    if one is not None and grows and (
+            solved := likelier(given, samples, near(samples, free, one), free, one)):
         return solved
     subspace = _Subspace(part, own, effort)
-    found = search_orders(samples, free, subspace.poles, order=settings.order,
-                          max_order=settings.max_order, known_delay=given)
+    samples, found = search_orders(
+        samples, free, subspace.poles, order=settings.order, max_order=settings.max_order,
+        known_delay=given.known_delay)
+    given = replace(given, most=min(given.most, int(np.max(samples.counts.sum(axis=0)))))
     if not found or settings.order not in (0, *found):
         return None
-    samples, found = _where_known(seen, samples, found, free, settings)
+    samples, found = _where_known(given, samples, found, free)
     counted = settings.order or choose(found)
-    order = settings.order or _neighbour(samples, found, counted)
+    order = settings.order or _neighbour(found, counted)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
-    notes = _left_out(found, order, settings, effort)
+    notes = given.left_out(found, order)
     best = found[order]
-    # So do modes that last where its past tells of none: of the set point, or of disturbances.
-    if predicted is not None and _growth(predicted, samples) < -_GROWS and np.any(
-            np.abs(best.fit.model.poles.real) * samples.length < _GROWS) and (
-            solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
-        return solved
     if own.feedthrough:
-        with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
+        with_D, free = with_direct(given, samples, found, best, free, subspace.poles, counted)
         others, best = _with(others, best, with_D), with_D
-    samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
-    disturbed, grows = None, False
-    if own.feedthrough and not effort.beyond(SEARCH) and (
-            left := _unexplained(samples, best.fit)) > _UNEXPLAINED:
-        predicted = _predicted(part, settings, corrupt, samples, free)
-        grows = predicted is not None and _growth(predicted, samples) > _GROWS
+    if hidden := hide_outliers(part, given.corrupt, samples, best.fit):
+        samples = given.seen()
+        best = _climbed(samples, best, free)
+    left = best.unexplained
+    if one is not None:
+        # So do modes that last where its past tells of none: of a set point, or of disturbances.
+        imitates = growth(one, samples) < -GROWS and lasts(best, samples)
+        rival = near(samples, free, one) if imitates else best
+        if (imitates or left > UNEXPLAINED) and (
+                solved := likelier(given, samples, rival, free, one)):
+            return replace(solved, hidden=hidden)
+    if own.feedthrough and left > UNEXPLAINED and not effort.beyond(SEARCH):
+        one = predicted(given, samples, free)
+        grows = one is not None and growth(one, samples) > GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
-        if not grows or min(left, *(_unexplained(samples, one.fit) for one in found.values())
-                            ) < _FAILS:
-            predicted, disturbed = None, None if grows else predicted
-    if predicted is not None and (solved := _likelier(
-            part, settings, corrupt, seen, samples, best, free, predicted)):
-        return replace(solved, hidden=hidden)
+        if one is not None and grows and min(
+                left, *(other.unexplained for other in found.values())) >= _FAILS and (
+                solved := likelier(given, samples, best, free, one)):
+            return replace(solved, hidden=hidden)
     climbed = _climbed(samples, best, free)
-    best, free = without_needless(samples, climbed, free, LEAST)
-    if disturbed is not None and not settings.order and (solved := _disturbed(
-            part, settings, seen, samples, best, disturbed, free, found, hidden)):
-        return solved
+    best, free = without_needless(samples, climbed, free)
+    if own.feedthrough and one is not None and not grows and not settings.order and (
+            solved := disturbed(given, samples, best, free, one)):
+        best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
+        return replace(solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
+                       smaller=_smaller(solved.samples, found, best, free))
     others = _with(others, climbed, best)
     late = float(np.max(best.fit.model.delay, initial=0.0))
     if late > 0.0:
-        samples = seen(late)
+        samples = given.seen(late)
     if late > 0.0 or best is not climbed:
         best = _climbed(samples, best, free)
-    best = _centred(samples, best, free)
-    smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
+    best = centred(samples, best, free)
+    smaller = _smaller(samples, found, best, free)
     found[best.fit.model.n] = best
     values, condition = subspace.shown(best.fit.model.n)
-    return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
-                    best.fit, free, best.independent, _table(settings, found, best),
-                    _choices(part, settings, best, free,
-                             (order - counted) * (best.fit.model.n == order)),
-                    (*notes, *_at_bound(best, free)),
-                    doubt=_late(part, best, free)
-                    or _doubt(best.fit.model.poles, samples, free, own, grows),
+    return Solution(given.used(best.fit.model.n, best.fit.model.delay), part, samples,
+                    best.fit, free, best.independent, given.table(found, best),
+                    given.choices(best, free, (order - counted) * (best.fit.model.n == order)),
+                    (*notes, *at_bound(best, free)),
+                    doubt=given.doubt(best, best.fit.model.poles, samples, free, grows),
                     hidden=hidden, smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
-def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
-               found: PredictionFit, free: Free, orders: dict[int, Tried],
-               hidden: int) -> Solution | None:
-    """
-    Return the plant that predictions found, as it simulates, if likelier in errors of any colour.
-
-    What disturbs a plant for longer than it remembers is like an input that is not known. Output
-    error then trusts most the frequencies that are disturbed most; predictions trust those that
-    are known best. K is not paid, for it is no number of the likelihood that is compared.
-    """
-    plant, matters = _plant_of(part, samples, found, free), best.power > LEAST ** 2
-    if plant is None or _misses(plant, best) or _in_colour(
-            samples, plant.simulated, matters) >= _in_colour(samples, best, matters):
-        return None
-    solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
-    best = _climbed(solved.samples, best, free) if solved.samples is not samples else best
-    return replace(
-        solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
-        smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
-
-
-class _Plant(NamedTuple):
-    """A plant that predictions found, and how it simulates."""
-
-    matrices: Matrices
-    simulated: Tried
-    free: Free
-
-
-def _misses(plant: _Plant, best: Tried) -> bool:
-    """
-    Return whether a plant that predictions found misses what the best simulation explains.
-
-    That one may explain more by what disturbances make of its numbers: as much as these are worth
-    in open loop, where disturbances do not move the inputs.
-    """
-    one, other = (replace(t, power=np.maximum(t.power, LEAST ** 2))
-                  for t in (plant.simulated, best))
-    return criterion(replace(one, parameters=0), other) > 0.0
-
-
-def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -> _Plant | None:
-    """Return the plant that predictions found, none of its modes growing, or None."""
-    fit, nu = found.found.fit, samples.nu
-    free = replace(free, feedthrough=False, delays=found.free.delays[:nu])
-    m = plant_of(fit, found.samples, part.last, False)
-    plant = None if m is None else modal_of(m, samples, fit.model.delay[:nu])
-    with suppress(np.linalg.LinAlgError):
-        if m is not None and plant is not None:
-            one, gains = tried(samples, fit_states(samples, plant, free), free), m.K.size
-            share = found.found.parameters / (one.parameters + gains)       # 1, if it has climbed
-            return _Plant(m, replace(one, parameters=round(share * one.parameters)), free)
-    return None
-
-
-def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Free,
-                 settings: Settings) -> tuple[Samples, dict[int, Tried]]:
+def _where_known(given: Problem, samples: Samples, found: dict[int, Tried],
+                 free: Free) -> tuple[Samples, dict[int, Tried]]:
     """
     Return the samples, and the models of each order, that the order is chosen by.
 
     Before a delayed input is known, what it was before acts, which further states imitate. Where
     a smaller order is enough for the rest, the rest is what counts.
     """
-    chosen = settings.order or choose(found)
+    chosen = given.settings.order or choose(found)
     late = float(np.max(found[chosen].fit.model.delay, initial=0.0))
     up_to = {n: one for n, one in found.items() if n <= chosen}
     if late > 0.0 and len(up_to) > 1 and not samples.effort.beyond(SEARCH):
-        known = seen(late)
+        known = given.seen(late)
         if np.min(known.counts.sum(axis=0)) > found[chosen].parameters:
-            thin, rest = known.thinned(SEARCHED), {}
-            for n, one in up_to.items():
-                start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-                rest[n] = tried(thin, climb_roughly(thin, start, free), free)
+            thin = known.thinned(SEARCHED)
+            rest = {n: _climbed(thin, one, free, roughly=True) for n, one in up_to.items()}
             if choose(rest) < chosen:
                 return known, {n: _climbed(known, one, free) for n, one in rest.items()}
     return samples, found
 
 
-def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Samples,
-                     found: PredictionFit, plant: _Plant,
-                     delay: Array | float = 0.0) -> Solution:
-    """Return a plant that predictions found, to be judged by its simulation."""
-    one, fit = plant.simulated, plant.simulated.fit
-    late = float(np.max(np.maximum(fit.model.delay, delay), initial=0.0))
-    if late > 0.0:
-        samples = seen(late)
-        one = tried(samples, fit_states(samples, fit.model, plant.free), plant.free)
-    domain = 'disturbed' if _unexplained(samples, one.fit) > _UNEXPLAINED else 'simulation'
-    return Solution(
-        _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
-        one.independent, (),                    # orders were compared by predictions
-        (Choice('domain', domain, "predictions from the outputs' own past found the plant, and "
-                'are likelier than those of the one that simulates best; judged as others'),),
-        (*_left_out(found.orders, fit.model.n, settings, samples.effort),
-         *_at_bound(one, plant.free)), plant=plant.matrices,
-        doubt=_late(part, one, plant.free)
-        or _doubt(fit.model.poles, samples, plant.free, settings),
-        predictor=(found.samples, found.found.fit, found.free))
-
-
-def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
+def _neighbour(found: dict[int, Tried], chosen: int) -> int:
     """
     Return the chosen order, or the one beside it that is likelier in noise of any colour.
 
@@ -271,20 +157,17 @@ def _neighbour(samples: Samples, found: dict[int, Tried], chosen: int) -> int:
     but its own past tells most of it; and a state too few, for which a dead time stands in, shows
     in what is new before it shows in the fit.
     """
-    matters = found[chosen].power > LEAST ** 2
-    if not matters.any():
-        return chosen
-    own = found[chosen]
+    own, matters = found[chosen], found[chosen].power > LEAST ** 2
+
+    def in_colour(n: int) -> float:
+        """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
+        costs = coloured_costs(found[n].errors)
+        return float(np.sum(costs[matters])) + price(own.samples) * found[n].parameters
+
     return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
         n <= chosen or explains(own, found[n]) or bool(np.any(
             found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
-               key=lambda n: _in_colour(samples, found[n], matters))
-
-
-def _in_colour(samples: Samples, one: Tried, matters: Mask | bool = True) -> float:
-    """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
-    costs = np.where(matters, coloured_costs(residuals(samples, one.fit)), 0.0)
-    return float(costs.sum()) + price(samples) * one.parameters
+               key=in_colour) if matters.any() else chosen
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
@@ -307,7 +190,7 @@ def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
 def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
              free: Free) -> tuple[tuple[ModalModel, Free], ...]:
     """Return the models of smaller orders, the dead times that are not free those of the best."""
-    models = []
+    models, free = [], replace(free, feedthrough=False)
     for model in (one.fit.model for n, one in found.items() if n < best.fit.model.n):
         delay = np.where(free.delays, model.delay, best.fit.model.delay)
         if (delay != model.delay).any():
@@ -318,275 +201,10 @@ def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
     return tuple(models)
 
 
-def _climbed(samples: Samples, one: Tried, free: Free) -> Tried:
+def _climbed(samples: Samples, one: Tried, free: Free, roughly: bool = False) -> Tried:
     """Return a model at the maximum of the likelihood of other samples."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    return tried(samples, climb(samples, start, free), free)
-
-
-def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
-    """Return that a pole is about as fast as any that is looked for, in words."""
-    fast = float(np.max(np.abs(best.fit.model.poles), initial=0.0))
-    return () if fast < _NEARLY * free.fastest else (
-        f'the pole of {fast:.3g} rad/s is about the fastest that is looked for ({_FASTEST:g} of '
-        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound',)
-
-
-def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
-    """Return that a dead time is about as long as any that is looked for, and its setting."""
-    return next(((f'the dead time of input {name} is near the longest that is looked for, '
-                  f'{free.longest:.3g} s, and states may stand in for more', 'delay')
-                 for name, late, delay in zip(
-                     _names(part), free.delays, best.fit.model.delay, strict=True)
-                 if late and delay > _NEARLY * free.longest), None)
-
-
-def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
-           grows: bool = False) -> Doubt | None:
-    """Return what a model looks like if the setting of D is not right, and that setting."""
-    near = poles.real * samples.length >= -_STEADY
-    steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
-    if own.feedthrough and (grows or steady > 1):
-        what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
-        return (f'{what}, as when a controller keeps an unstable plant in place',
-                'feedthrough: false')
-    if not own.feedthrough and np.max(np.abs(poles), initial=0.0) > _AT_ONCE * free.fastest:
-        return ('a mode is nearly as fast as any that is looked for, as when outputs follow '
-                'inputs at once, and no controller acts', 'feedthrough: true')
-    return None
-
-
-def _left_out(found: Container[int], order: int, settings: Settings,
-              effort: Effort) -> tuple[str, ...]:
-    """Return what the budget has left out, in words."""
-    near = range(max(order - MORE, 1), min(order + MORE, settings.max_order) + 1)
-    if settings.order or not effort.beyond(SEARCH) or all(n in found for n in near):
-        return ()
-    return (f'the budget of {settings.budget:.3g} s ended the search at order {order}; raise '
-            '`budget`, or set `order`',)
-
-
-def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
-                      seen: Seen) -> tuple[Samples, Tried, int]:
-    """Return samples and model without what stands out in its errors, and how many do."""
-    hidden = hide_outliers(part, corrupt, samples, best.fit)
-    if hidden:
-        samples = seen()
-        best = _climbed(samples, best, free)
-    return samples, best, hidden
-
-
-def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
-            free: Free, subspace: _Subspace, settings: Settings,
-            counted: int) -> tuple[Tried, Free]:
-    """Return the model with D, if that explains more than it costs."""
-    model, direct = best.fit.model, replace(free, feedthrough=True)
-    known = seen(_MARGIN * float(np.max(model.delay, initial=0.0)))
-    if samples.effort.beyond(SEARCH) or np.min(known.counts.sum(axis=0)) <= best.parameters:
-        return best, free
-    # Worth a search if it is worth its price at the poles that are known, or if one of these is
-    # beyond what samples can show, and may stand for D.
-    stands = bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
-    # A state that the colour of the errors has added, D takes back only if it stands for D.
-    fewest = 1 if stands or model.n <= counted else model.n
-    if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
-                              for n, one in found.items() if fewest <= n <= model.n):
-        return best, free
-    without = _fitted(known, model, free, best.fit)
-    orders = search_orders(known, direct, subspace.poles, order=settings.order,
-                           max_order=model.n, near=_behind_lags(found, free),
-                           known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
-    orders = {n: one for n, one in orders.items() if n >= fewest}
-    if not orders or settings.order not in (0, *orders):
-        return best, free
-    with_D = orders[settings.order or choose(orders)]
-    if not beats(with_D, without):
-        return best, free
-    return _centred(samples, _fitted(samples, with_D.fit.model, direct, with_D.fit),
-                    direct), direct
-
-
-def _centred(samples: Samples, one: Tried, free: Free) -> Tried:
-    """
-    Return a model with D at the mean of the dead times that the samples allow.
-
-    In the dead time of D the likelihood is flat but where a jump of the input passes a sample: any
-    point of what is flat is a maximum, and on other data the middle errs least.
-    """
-    fit = one.fit
-    late = np.array(free.delays) & (fit.model.delay > 0.0)
-    for j in np.flatnonzero(late & fit.model.D.any(axis=0)).tolist():
-        poles, delays = fit.model.poles, np.tile(fit.model.delay, (len(_AROUND), 1))
-        delays[:, j] = np.clip(delays[:, j] + samples.interval * _AROUND, 0.0, free.longest)
-        with suppress(np.linalg.LinAlgError):
-            costs = [fit_at(samples, poles, d, free, fit, slopes=False).cost for d in delays]
-            mean = np.average(delays, axis=0, weights=np.exp(0.5 * (min(costs) - np.array(costs))))
-            middle = fit_at(samples, poles, mean, free, fit)
-            fit = middle if middle.cost < fit.cost + 1.0 else fit
-    return one if fit is one.fit else tried(samples, fit, free)
-
-
-def _behind_lags(found: dict[int, Tried], free: Free) -> list[Array]:
-    """Return the dead times of models that have none of the poles beyond what samples show."""
-    late, delays = np.array(free.delays), []
-    for model in (one.fit.model for one in found.values()):
-        fast = model.poles[np.abs(model.poles) > _AT_ONCE * free.fastest]
-        lag = -np.sum((1.0 + (fast.imag > 0.0)) / fast).real
-        delays.append(np.where(late, np.minimum(model.delay + lag, free.longest), model.delay))
-    return delays
-
-
-def _fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
-    """Return the best model of other samples, or with D, at a model's poles and dead times."""
-    return tried(samples, fit_at(samples, model.poles, model.delay, free, near), free)
-
-
-def _used(part: Joint, settings: Settings, order: int, delay: Array) -> Settings:
-    """Return the settings with what was found; dead times as one number if given so and alike."""
-    delays = np.array(settings.delays(part.parts[0].whole.nu))
-    delays[list(part.parts[0].u)] = delay
-    alike = not isinstance(settings.delay, tuple) and bool(np.all(delays == delays[0]))
-    return settings.replace(order=order,
-                            delay=float(delays[0]) if alike else tuple(delays.tolist()))
-
-
-def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[OrderTried, ...]:
-    """Return the orders among which was chosen; none if it was given."""
-    return () if settings.order else tuple(
-        order_row(one, chosen, n) for n, one in sorted(found.items()))
-
-
-def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
-             beside: int) -> tuple[Choice, ...]:
-    """Return what was chosen, and why."""
-    why = f', and one {"more" if beside > 0 else "less"}: likelier once it is allowed for that ' \
-        'errors last from sample to sample'
-    found = [] if settings.order else [Choice(
-        'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
-        'samples' + (why if beside else ''))]
-    found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
-                     f'of input {name}: the most likely, with the poles')
-              for k, name in enumerate(_names(part)) if free.delays[k]]
-    return tuple(found)
-
-
-def _unexplained(samples: Samples, fit: Fit) -> float:
-    """Return the rms of errors that are not noise, which the outputs' past may tell."""
-    coloured = fit.power.mean(axis=0) - white_part(residuals(samples, fit)) ** 2
-    return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
-
-
-def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
-               free: Free) -> PredictionFit | None:
-    """Return the model that predicts best."""
-    own = own_delays(part, settings)
-    return solve_by_prediction(
-        samples, replace(free, delays=own.unknown_delays(samples.nu)), order=settings.order,
-        max_order=settings.max_order, known_delay=np.array(own.delays(samples.nu)),
-        last=_compared(part, corrupt, part.last))
-
-
-def _compared(part: Joint, corrupt: Corrupt, place: int) -> Compared:
-    return Compared(place, part.parts[place].record, tuple(corrupt[place]))
-
-
-def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
-               free: Free, found: PredictionFit) -> Solution | None:
-    """Return the plant that predictions found, if likelier than the best simulation near it."""
-    poles = bounded(np.linalg.eigvals(found.matrices.A).astype(complex), free.limit, np.inf)
-    thin, near = samples.thinned(SEARCHED), None
-    with suppress(np.linalg.LinAlgError):
-        start = fit_at(thin, poles, found.found.fit.model.delay[:samples.nu], free)
-        top = climb_roughly(thin, start, free)
-        near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
-    return None if near is None else _likelier(
-        part, settings, corrupt, seen, samples, near, free, found)
-
-
-def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
-              samples: Samples, best: Tried, free: Free,
-              found: PredictionFit) -> Solution | None:
-    """
-    Return the plant that predictions found where they are likelier than a simulation's.
-
-    If it simulates, that is what it is judged by, else by predictions.
-    """
-    if not _predicts_better(part, corrupt, samples, best, found):
-        return None
-    # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
-    plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
-    if plant is not None and _unexplained(samples, plant.simulated.fit) < DISTURBED:
-        return _as_it_simulates(part, settings, seen, samples, found, plant)
-    return Solution(
-        _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),
-        part, found.samples, found.found.fit, found.free, found.found.independent,
-        _table(settings, found.orders, found.found),
-        (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
-                'than those of the best model that simulates'),),
-        _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
-        doubt=_doubt(np.linalg.eigvals(found.matrices.A), samples, free, settings),
-        plant=found.matrices, errors_ahead=found.errors, simulating=None if plant is None else (
-            samples, plant.simulated.fit, plant.free))
-
-
-def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried,
-                     found: PredictionFit) -> bool:
-    """
-    Return whether the plant that predictions found predicts better than a simulation's.
-
-    Where a simulation explains all but noise, a plant that grows must not predict worse where it
-    has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
-    not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
-    Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
-    """
-    fit = found.found.fit
-    noisy, _ = with_noise(samples, best.fit, residuals(samples, best.fit), part.last)
-    numbers = best.parameters + int(np.count_nonzero(noisy.K))
-    growth, gain, far = _growth(found, samples), 0.0, 0.0
-    doubted = growth > _GROWS and _unexplained(samples, best.fit) < _UNEXPLAINED
-    poles = best.fit.model.poles
-    asked = growth <= _GROWS and not np.any(
-        (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
-    for place, counts in enumerate(samples.counts):
-        record, last = samples.records[place], _compared(part, corrupt, place)
-        rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)
-        plant = found.matrices if place == part.last else in_record(
-            found.matrices, fit, found.samples, place)
-        simulated = partial(prediction_errors, rival, best.fit.model.delay, last, record.start)
-        predicted = partial(prediction_errors, plant, fit.model.delay[:samples.nu], last)
-        errors = found.errors if place == part.last else predicted()
-        rivals = simulated()
-        gain += information(rivals, counts) - information(errors, counts)
-        if asked and AHEAD < min(len(errors), len(rivals)):
-            far += float(counts @ np.log(np.maximum(errors[AHEAD], 1e-12)
-                                         / np.maximum(rivals[AHEAD], 1e-12)))
-        if doubted:
-            length = record.end - record.start
-            ahead = min(_GROWN / growth * samples.length, 0.4 * length)
-            horizons = (max(int(ahead / held_interval(found.samples)), 1),)
-            own, other = (np.maximum(f(horizons=horizons), 1e-12) for f in (predicted, simulated))
-            # Errors so far ahead are alike for as long.
-            far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
-    # Fewer numbers are no reason to give up a simulation.
-    return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
-        and far <= 0.0
-
-
-def _growth(found: PredictionFit, samples: Samples) -> float:
-    """Return how many times e a plant that predictions found grows within a record."""
-    return float(np.max(np.linalg.eigvals(found.matrices.A).real)) * samples.length
-
-
-def _names(part: Joint) -> list[str]:
-    names = part.parts[0].whole.input_names
-    return [names[j] for j in part.parts[0].u]
-
-
-def free_of(samples: Samples, own: Settings) -> Free:
-    """Return what is free, and within which bounds."""
-    return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
-                min(LONGEST * samples.length, LONGEST_DELAY), -_NEAREST / samples.length,
-                _FASTEST * np.pi / samples.finest)
+    return tried(samples, (climb_roughly if roughly else climb)(samples, start, free), free)
 
 
 class _Subspace:
@@ -595,7 +213,7 @@ class _Subspace:
     def __init__(self, part: Joint, own: Settings, effort: Effort) -> None:
         self._part, self._own, self._effort = part, own, effort
         self._made: dict[bool, Subspaces | None] = {}
-        self._poles: dict[tuple[int, Subspaces], list[ComplexArray]] = {}
+        self._realised = lru_cache(maxsize=None)(self._realise)
 
     def shown(self, n: int) -> tuple[Array, float]:
         """Return singular values and condition of the middle one of the tunings for order n."""
@@ -607,29 +225,23 @@ class _Subspace:
         found = made.of(tunings[len(tunings) // 2])
         return found.singular_values, found.condition
 
-    def poles(self, n: int, delay: Array) -> list[ComplexArray]:
-        """Return the poles of models of order n, with given dead times."""
-        if n < _FEWEST:
-            return []
-        subspaces = self._projected(delay)
-        if subspaces is None:
-            return []
-        if (n, subspaces) not in self._poles:
-            self._poles[n, subspaces] = self._realised(n, subspaces)
-        return self._poles[n, subspaces]
+    def poles(self, n: int, delay: Array) -> Iterator[ComplexArray]:
+        """Yield the poles of models of order n, with given dead times, for every tuning."""
+        if n >= _FEWEST and (subspaces := self._projected(delay)) is not None:
+            for tuning in subspaces.some_tunings(n):
+                yield from self._realised(n, tuning, subspaces)
 
-    def _realised(self, n: int, subspaces: Subspaces) -> list[ComplexArray]:
-        found = []
+    def _realise(self, n: int, tuning: Tuning, subspaces: Subspaces) -> list[ComplexArray]:
         self._effort.spend(_REGRESSION)
-        for tuning in subspaces.some_tunings(n):
-            self._effort.check()
-            subspace = subspaces.of(tuning)
-            if n < len(subspace.singular_values):
-                m = realise(subspace, n)
-                if np.isfinite(m.A).all():
-                    p = np.linalg.eigvals(m.A).astype(complex)
-                    found.append(np.where(p.real > 0.0, -p.conj(), p))
-        return [p[p.imag >= 0.0] for p in found]
+        subspace = subspaces.of(tuning)
+        if n >= len(subspace.singular_values):
+            return []
+        A = realise(subspace, n).A
+        if not np.isfinite(A).all():
+            return []
+        p = np.linalg.eigvals(A).astype(complex)
+        p = np.where(p.real > 0.0, -p.conj(), p)
+        return [p[p.imag >= 0.0]]
 
     def _projected(self, delay: Array) -> Subspaces | None:
         """
@@ -647,11 +259,3 @@ class _Subspace:
             self._made[given] = Subspaces(self._part.project(own, self._effort.check), own)
         return self._made[given]
 
-
-def order_row(one: Tried, chosen: Tried, n: int) -> OrderTried:
-    """Return a row of the table of orders: all by the independent samples of the chosen one."""
-    n_eff = max(float(np.min(chosen.independent)), 2.0)
-    power = one.power / np.maximum(chosen.power, 1e-300)
-    price = (one.parameters - chosen.parameters) * float(np.log(n_eff))
-    return OrderTried(n, n_eff * float(np.sum(np.log(np.maximum(power, 1e-300)))) + price,
-                      100.0 * (1.0 - float(np.sqrt(np.max(one.power)))))

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ctsid_core.bases.preparation import without_corrupt
 from ctsid_core.identify import identify
-from ctsid_core.judge.rules import in_sequence, rejected_over_change, short_of_delays
+from ctsid_core.judge.rules import in_sequence, rejected_over_change
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
@@ -65,7 +65,6 @@ class _Past:
     reference: StateSpace | None = None
     model: StateSpace | None = None
     orders: tuple[int, ...] = ()    # of the model, and of the last GOOD one
-    delay: float = 0.0              # of that one, the longest that was looked for [s]
     pole_std: Array = field(default_factory=lambda: np.empty(0))
     end_ns: int = 0
     rows: Rows = field(default_factory=Rows)
@@ -77,12 +76,8 @@ class Tracker:
     Identify windows one after the other, and keep states and rows through them.
 
     What `take` returns depends on the records and settings given so far and on nothing else. A
-    window without an accepted model leaves everything as it was for the next one.
-
-    Parameters
-    ----------
-    settings : Settings, optional
-        The attribute of that name may be replaced between windows.
+    window without an accepted model leaves everything as it was for the next one. The attribute
+    `settings` may be replaced between windows.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -94,20 +89,8 @@ class Tracker:
         """
         Identify a window.
 
-        Parameters
-        ----------
-        record : Record
-        cancelled : callable, optional
-            As of `identify`; a window that is broken off leaves no trace.
-
-        Raises
-        ------
-        SettingsError
-            If `settings.delay` does not fit the number of inputs.
-        DataError
-            If the record has other channels than those before; call `reset` first.
-        Cancelled
-            If `cancelled` said so.
+        Raises `DataError` if the record has other channels than those before (call `reset` first),
+        and like `identify`; a window that is broken off because of `cancelled` leaves no trace.
         """
         past, settings = self._past, self.settings
         estimate = identify(record, settings, cancelled=cancelled)
@@ -126,7 +109,6 @@ class Tracker:
     def _joined(self, past: _Past, settings: Settings, record: Record,
                 estimate: Estimate) -> Tracked:
         test = _fresh(past, record, settings)
-        estimate = short_of_delays(estimate, past.delay, record.duration)
         if not record.faults:  # else the samples changed, not the plant
             estimate = self._reject_straddling(estimate)
         known = past.model is not None and not settings.order
@@ -137,9 +119,6 @@ class Tracker:
             return Tracked(estimate, past.realisation, fresh_fit=test.fit,
                            fresh_start_ns=test.start_ns, fresh_end_ns=test.end_ns)
         estimate, now = _following(past, estimate, model, 2 * np.pi / record.duration)
-        if estimate.good:
-            found = np.array(model.delay)[list(settings.unknown_delays(record.nu))]
-            now = replace(now, delay=float(np.max(found, initial=0.0)))
         if self._past is past:  # else somebody has called reset() in the meantime
             self._past = now
         rows = now.rows

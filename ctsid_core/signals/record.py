@@ -80,6 +80,12 @@ class Signal:
         return slice(int(np.searchsorted(self.time, start, side='left')),
                      int(np.searchsorted(self.time, end, side='right')))
 
+    def columns(self, which: Sequence[int]) -> Signal:
+        """Return some of the channels."""
+        names, units = (tuple(words[j] for j in which) if words else ()
+                        for words in (self.names, self.units))
+        return replace(self, values=self.values[:, list(which)], names=names, units=units)
+
     def between(self, start: float, end: float, context: int = 3) -> Signal:
         """
         Return the samples in [start, end] and up to `context` more on each side.
@@ -152,10 +158,7 @@ class Record:
         """
         Join signals over the longest interval on which every one of them is known.
 
-        Raises
-        ------
-        DataError
-            If there is no such interval, or there is no output.
+        Raises `DataError` if there is no such interval, or there is no output.
         """
         if not outputs:
             raise DataError('a record needs at least one output signal; `outputs` is empty')
@@ -201,17 +204,8 @@ class Record:
         """
         Return the part of the record in [start, end], with some samples of context.
 
-        Parameters
-        ----------
-        start, end : float
-            Relative time [s]; cut to the record's own interval.
-        lead : float
-            Keep inputs from this much earlier as well (for dead time) [s].
-
-        Raises
-        ------
-        DataError
-            If nothing of the record lies between.
+        Times are relative [s]; inputs are kept from `lead` earlier as well (for dead time) [s].
+        Raises `DataError` if nothing of the record lies between.
         """
         start, end = max(start, self.start), min(end, self.end)
         if not start < end:

@@ -129,6 +129,12 @@ class Samples:
         self.first: int | None = None
         self.newest = STAMP_MAX  # so that the first sample is not taken for an ordinary one
 
+    def begin(self) -> None:
+        """Take all samples so far for history, and count anew."""
+        self.first, self.newest = None, STAMP_MAX
+        self.discarded, self.dropped = -len(self.stamps), dict.fromkeys(self.dropped, 0)
+        self.forget_worst()
+
     def in_order(self, rows: Rows) -> bool:
         """Whether all rows are whole and finite, and each is newer than all before it."""
         return bool(self.newest < rows.stamps[0] and (rows.stamps[1:] > rows.stamps[:-1]).all()
@@ -184,15 +190,18 @@ class Samples:
         index = bisect_left(self.stamps, at_ns)
         return self.stamps[index] if index < len(self.stamps) else None
 
-    def cut(self, epoch_ns: int, lead_ns: int, end_ns: int, grace_ns: int) -> Signal:
+    def cut(self, epoch_ns: int, lead_ns: int, since_ns: int, end_ns: int, grace_ns: int
+            ) -> Signal:
         """
         Return the samples of a window with their context, relative to its start.
 
-        An input has `lead_ns` of history before it, and samples to `grace_ns` after it are
-        context.
+        An input has `lead_ns` of history before it, if that is after `since_ns`; samples to
+        `grace_ns` after its end are context.
         """
-        history = lead_ns if self.group.role == 'input' else 0
-        low = max(bisect_left(self.stamps, epoch_ns - history) - BEFORE, 0)
+        low = max(bisect_left(self.stamps, epoch_ns) - BEFORE, 0)
+        if self.group.role == 'input':
+            low = min(low, max(bisect_left(self.stamps, epoch_ns - lead_ns) - BEFORE,
+                               bisect_left(self.stamps, since_ns)))
         inside = bisect_right(self.stamps, end_ns)
         high = min(inside + self.after, bisect_right(self.stamps, end_ns + grace_ns))
         # Subtract while they are integers: a double keeps an absolute stamp to 256 ns only.

@@ -8,8 +8,8 @@ often `SlidingWindow.due` is called:
 - The *watermark* is the largest stamp seen over all groups minus `max_delay`. What is older has
   its final order; a sample that arrives older than it is *late*: dropped and counted. It is
   common to all groups, so that a silent group cannot stall the others.
-- The first window starts where every group has had its first sample, and every input `lead`
-  seconds of history; the others follow by `stride`.
+- The first window starts where every group has had its first sample; the others follow by
+  `stride`. Inputs have the `lead` seconds before it, too, if they are known: they act in it.
 - A window is due when the watermark has passed its end and every interpolated group has the
   samples after it that its interpolation wants; or, for a group that stopped, a tenth of the
   length later. It is handed out with what there is. A window without any sample is skipped and
@@ -68,7 +68,7 @@ class SlidingWindow:
     max_delay : float
         How much older than the newest sample one may arrive and still be put in order [s].
     lead : float
-        History of the inputs wanted before a window: the longest dead time [s].
+        History of the inputs kept before a window: the longest dead time [s].
 
     Raises
     ------
@@ -109,6 +109,12 @@ class SlidingWindow:
         """Let the counts tell of samples far out of place only if they come from now on."""
         for track in self._tracks.values():
             track.forget_worst()
+
+    def begin(self) -> None:
+        """Let the first window begin after what came so far: that is history of the inputs."""
+        for track in self._tracks.values():
+            track.begin()
+        self._resets = 0
 
     @property
     def newest_ns(self) -> int:
@@ -332,8 +338,7 @@ class SlidingWindow:
 
     def _first(self) -> int | None:
         """Return from when on all groups are known [ns]; None while one has had no sample."""
-        starts = [track.first + (self._lead if track.group.role == 'input' else 0)
-                  for track in self._tracks.values() if track.first is not None]
+        starts = [track.first for track in self._tracks.values() if track.first is not None]
         return max(starts) if len(starts) == len(self._tracks) else None
 
     def _take(self, passed: int, *, final: bool = False) -> Record | None:
@@ -377,7 +382,8 @@ class SlidingWindow:
 
     def _record(self, start: int, end: int) -> Record:
         """Return the record of the samples in [start, end] [ns]."""
-        inputs, outputs = (tuple(track.cut(start, self._lead, end, self._grace)
+        since = start - max(self._lead, self._length)   # what is older may lie beyond a gap
+        inputs, outputs = (tuple(track.cut(start, self._lead, since, end, self._grace)
                                  for track in self._tracks.values() if track.group.role == role)
                            for role in ('input', 'output'))
         return Record(inputs, outputs, 0.0, (end - start) / 1e9, start)

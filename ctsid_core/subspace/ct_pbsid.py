@@ -26,7 +26,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from math import factorial
 
 import numpy as np
 from scipy.special import eval_laguerre
@@ -34,14 +33,13 @@ from scipy.special import eval_laguerre
 from ctsid_core.bases.bandwidth import output_band
 from ctsid_core.bases.records import Joint
 from ctsid_core.bases.takenaka_malmquist import chain, respond
-from ctsid_core.linear.matrices import Matrices, plain_matrices
-from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array
-from ctsid_core.model.simulation import input_polynomials, knots_between
+from ctsid_core.linear.least_squares import triangle
+from ctsid_core.linear.types import Array, Matrices, plain_matrices
+from ctsid_core.model.simulation import input_polynomials, knots_between, shifted
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
+from ctsid_core.subspace.hd_pbsid import Levels, Tuning, realise, regress
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
-from ctsid_core.subspace.pbsid_equations import Levels, Tuning, realise, regress
 
 _PASTS = (4, 6, 10, 15)   # values of p tried; [HD] has 10
 _POLES = 6                # values of the Laguerre pole tried
@@ -133,11 +131,10 @@ def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float]
     """
     knots = knots_between(signals, delays, np.unique(np.concatenate((span, at))))
     ahead = input_polynomials(signals, delays, knots)[:, :-1]
-    h = np.diff(knots)[:, np.newaxis]
     # The derivatives at the ends of intervals, where they begin in reversed time
-    ends = [(-1) ** j * sum(v * h ** i / factorial(i) for i, v in enumerate(ahead[j:]))
-            for j in range(len(ahead))]
-    seen = respond(chain([a] * count), np.array(ends)[:, ::-1], -knots[::-1])
+    ends = shifted(ahead, np.diff(knots)[:, np.newaxis])
+    ends[1::2] *= -1.0
+    seen = respond(chain([a] * count), ends[:, ::-1], -knots[::-1])
     return seen[::-1][np.searchsorted(knots, at)].transpose(1, 2, 0)
 
 

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ctsid_core.bases.records import Joint
-from ctsid_core.linear.matrices import Matrices
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.settings import Settings
 
 SLOWEST = 10.0      # least pole to look for, times the length of the record

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ctsid_ros.batch.bags import vehicle
-from ctsid_ros.batch.outliers import FAR, FEWEST, Poles, outliers
+from ctsid_ros.batch.outliers import FAR, FEWEST, Numbers, outliers
 from ctsid_ros.batch.rows import UNREAD, Rows, made_of, read_rows
 from ctsid_ros.replay.along import CHANGED, PARTLY
 from ctsid_ros.report.document import Bullets, Figure, Headline, Section
@@ -120,11 +120,14 @@ def _grades(rows: Rows) -> dict[str, int]:
 
 
 def odd_ones(flights: Sequence[Flight]) -> dict[str, str]:
-    """Return the bags with other poles than most of the same vehicle, or of all if it has few."""
+    """Return bags with other numbers than most of their vehicle, or of all if it has few."""
     same = copies(flights)
     flights = [f for f in flights if f.bag not in same]
-    own = {f.bag: Poles(np.array([complex(p['re'] or 0.0, p['im'] or 0.0) for p in f.poles]),
-                        np.array([_known(p['std']) for p in f.poles]))
+    own = {f.bag: Numbers(np.array([complex(p['re'] or 0.0, p['im'] or 0.0) for p in f.poles]),
+                          np.array([_known(p['std']) for p in f.poles]),
+                          {f'{word.replace("_", " ")} of {g["input"]} to {g["output"]}':
+                           (_known(g[word]), _known(g[f'{word}_std']))
+                           for g in f.best.get('gains') or [] for word in ('gain', 'rate_gain')})
            for f in flights if f.poles}
     found: dict[str, str] = {}
     rest: list[str] = []
@@ -184,7 +187,7 @@ def sections(flights: Sequence[Flight], odd: Mapping[str, str]) -> list[Section]
     return [
         Section('Bags to look at', _bullets([_why(f, shown) for f in _doubtful(flights)])),
         _counts(flights), _vehicles(flights),
-        Section('Bags with other poles than most', _bullets(
+        Section('Bags with other poles or gains than most', _bullets(
             [f'{shown[bag]}: {why}' for bag, why in odd.items()])),
         *_copies(flights, shown), *_figures(flights, shown), _bags(flights, shown)]
 
@@ -218,7 +221,7 @@ def batch_headline(flights: Sequence[Flight], odd: Mapping[str, str], params: st
     ----------
     flights : sequence of Flight
     odd : mapping of str to str
-        Bags with other poles than most.
+        Bags with other poles or gains than most.
     params : str
         The parameter file.
     many : sequence of str
@@ -418,7 +421,8 @@ def words(flights: Sequence[Flight]) -> list[dict[str, Any]]:
 
 def explained() -> Section:
     """Return how outliers are found."""
-    return Section('', (f'A bag has other poles than most if one is more than {FAR:g} standard '
-                        'deviations (of the bags, robust, and its own, together) from the median; '
+    return Section('', ('A bag has other poles or gains than most if one is more than '
+                        f'{FAR:g} standard deviations (of the bags, robust, and its own, '
+                        'together) from the median; '
                         'bags of the same vehicle are compared, if at least '
                         f'{FEWEST} have a model, else all.',), brief=False)

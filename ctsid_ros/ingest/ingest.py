@@ -125,7 +125,8 @@ class Ingest:
         nu = sum(channel.width for channel in config.inputs)
         self._window = SlidingWindow(
             [_group(name, run) for name, run in groups.items()], settings.window_length,
-            settings.window_stride, settings.window_max_delay, max(settings.delays(nu)))
+            settings.window_stride, settings.window_max_delay,
+            settings.longest_delay(nu, settings.window_length))
         self._push = self._window.push
         self._turns: dict[str, list[_Turns]] = {'input': [], 'output': []}
         for run in runs:
@@ -250,6 +251,14 @@ class Ingest:
                 if not waiting[number] or self._topics[block.columns[number].topic].settled:
                     del waiting[number]
         return len(block)
+
+    def begin(self) -> None:
+        """Let the first window begin after what came so far: that is history of the inputs."""
+        self._window.begin()
+        for topic in self._topics.values():
+            topic.held.clear()
+            for counts in (topic.absent, topic.non_finite):
+                counts.update(dict.fromkeys(counts, 0))
 
     def due(self) -> Iterator[Record]:
         """Hand out the windows that the stamps have passed, oldest first."""

@@ -16,7 +16,7 @@ import shlex
 
 import numpy as np
 
-from ctsid_core.settings import DELAYS_LONG, Settings
+from ctsid_core.settings import Settings
 from ctsid_core.signals.wrapped import jumps_in_words
 from ctsid_ros.config.channels import RESERVED, Channel, Config, Role
 from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
@@ -44,6 +44,7 @@ _FEW_LEVELS = 12  # of a command that steps; a measurement that repeats itself h
 _AT_ONCE = re.compile('accel|acc_?[xyz]?$', re.IGNORECASE)
 _CLEARLY = 0.1  # of the score: a pair that is better by less is no other story
 _AS_WELL = 0.5  # of what is explained of an output: another one of the same plant
+_DELAYS = 6.0  # so many a window is long: of five the first one, without history, may miss it
 _FEEBLE = 0.05  # of the energy of an input: a stretch with less adds more noise than knowledge
 # Packages whose messages are in SI units, by their definition; accelerations have other fields.
 # A JointState does not tell whether its joints turn or slide.
@@ -398,7 +399,7 @@ def _settings(survey: Survey, outputs: Sequence[Candidate], unit: float) -> Sett
 
 def spanning(settings: Settings, late: float, duration: float) -> Settings:
     """Return settings whose windows span a dead time [s] often enough, as far as a bag lasts."""
-    length = min(DELAYS_LONG * late, duration / 2.0)
+    length = min(_DELAYS * late, duration / 2.0)
     return _windows(settings, length) if length > settings.window_length else settings
 
 

@@ -103,8 +103,9 @@ class Recorded(Played):
 
     def samples(self, channel: Channel) -> int:
         """Return how many samples of a channel are in the record."""
-        return next(len(s.time) for s in (*self.record.inputs, *self.record.outputs)
-                    if channel.scalar_names[0] in s.names)
+        signal = next(s for s in (*self.record.inputs, *self.record.outputs)
+                      if channel.scalar_names[0] in s.names)
+        return len(signal.time[signal.rows(self.record.start, self.record.end)])
 
 
 def fit_config(bag: Bag, config: Config) -> Config:
@@ -174,7 +175,9 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     split_ns = math.inf if split is None else bag.start_ns + split * 1e9
     mark = 0
     spans: Spans = {}
-    for log_ns in play(bag, ingest, interval, advance, spans, split_ns):
+    length = min(interval.duration, (bag.end_ns - bag.start_ns) * 1e-9 - interval.start)
+    lead = config.settings.longest_delay(sum(c.width for c in config.inputs), length)
+    for log_ns in play(bag, ingest, interval, advance, spans, split_ns, lead):
         if not mark and log_ns >= split_ns:
             mark = ingest.newest_ns
     record = ingest.whole()
@@ -202,7 +205,8 @@ def _seconds(bag: Bag, record: Record) -> str:
 
 
 def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None = None,
-         spans: Spans | None = None, pause_ns: float = math.inf) -> Iterator[int]:
+         spans: Spans | None = None, pause_ns: float = math.inf, lead: float = 0.0
+         ) -> Iterator[int]:
     """
     Push the messages of an interval, block by block; yield the last log time of each [ns].
 
@@ -217,6 +221,8 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         Filled with first and last log time of each topic [ns].
     pause_ns : float, optional
         The first message with this log time or a later one ends a block [ns].
+    lead : float, optional
+        History of the inputs before the interval [s].
 
     Raises
     ------
@@ -224,7 +230,14 @@ def play(bag: Bag, ingest: Ingest, interval: Interval, advance: Advance | None =
         If topics or fields are not in the bag, or it cannot be read on.
     """
     first_ns, last_ns = interval.span_ns(bag)
-    for block in _paused(bag.blocks(ingest.fields), first_ns, last_ns, pause_ns):
+    begin_ns = first_ns - round(lead * 1e9)
+    for both in _paused(bag.blocks(ingest.fields), begin_ns, last_ns, pause_ns):
+        before, block = both.split(int(np.searchsorted(both.log_ns, first_ns)))
+        if len(before):
+            ingest.push_block(before)
+            ingest.begin()
+        if not len(block):
+            continue
         ingest.push_block(block)
         now_ns = int(block.log_ns[-1])
         if spans is not None:

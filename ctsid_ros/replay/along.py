@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.cross_check import DEVIATIONS, agreement
 from ctsid_core.judge.rules import KNOWN
+from ctsid_core.judge.slopes import NOTED
 from ctsid_core.linear.types import Array
-from ctsid_core.model.cross_check_result import Agreement
 from ctsid_core.model.estimate import Estimate, Status
+from ctsid_core.model.verdict import Agreement
 from ctsid_ros.replay.clock import by_bag_clock
 
 if TYPE_CHECKING:

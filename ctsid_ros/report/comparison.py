@@ -15,10 +15,10 @@ import numpy as np
 from ctsid_core.judge.cross_check import DEVIATIONS, EFFICIENT, RELATIVE
 from ctsid_core.judge.rules import KNOWN
 from ctsid_core.linear.types import Array
-from ctsid_core.model.cross_check_result import UNKNOWN, Agreement
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import prediction, simulation
+from ctsid_core.model.verdict import UNKNOWN, Agreement
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import GLOSSARY, Bullets, Explorer, Figure, Gallery, Section

@@ -11,9 +11,8 @@ import numpy as np
 
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
-from ctsid_core.model.gains import gains
+from ctsid_core.model.gains import gains, step_response
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.step_response import step_response
 from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
 from ctsid_ros.report.headline import by_predictions

@@ -230,7 +230,7 @@ def gaps_of(signal: Signal) -> list[tuple[float, float]]:
 def sampling_figures(record: Record, offset: float) -> list[Figure]:
     """Draw the intervals between the samples of each signal: jitter, gaps, losses."""
     figures, done = [], set()
-    for signal in (*record.inputs, *record.outputs):
+    for signal in (s.between(record.start, record.end) for s in (*record.inputs, *record.outputs)):
         key = (len(signal.time), float(signal.time[0]), float(signal.time[-1]))
         if len(signal.time) < 2 or key in done:      # channels of one message
             continue

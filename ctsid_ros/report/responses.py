@@ -11,8 +11,8 @@ import numpy as np
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance, response_deviation
 from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.gains import horizon, step_response
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.step_response import horizon, step_response
 from ctsid_ros.report.document import Figure
 from ctsid_ros.report.drawing import Axes, Curve, Drawing, Span
 from ctsid_ros.report.spectra import Spectra

@@ -12,15 +12,13 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from ctsid_core.bases.takenaka_malmquist import Chain
-from ctsid_core.linear.least_squares import solve
-from ctsid_core.linear.matrices import Matrices, plain_matrices
-from ctsid_core.linear.tall_qr import triangle
-from ctsid_core.linear.types import Array
-from ctsid_core.subspace.gobf_equations import Filtered, dynamics, observe
+from ctsid_core.linear.least_squares import solve, triangle
+from ctsid_core.linear.types import Array, Matrices, plain_matrices
+from ctsid_core.subspace.gobf import Filtered, dynamics, observe
 
 
 def realised(filtered: Filtered, n: int, *, feedthrough: bool, rank_tolerance: float) -> Matrices:
-    """Return a model of order n < N ny ([TM] eq. 10 to 15, as corrected in `gobf_equations`)."""
+    """Return a model of order n < N ny ([TM] eq. 10 to 15, as corrected in `gobf`)."""
     left, size = observe(filtered, rank_tolerance).left, filtered.scale[:, np.newaxis]
     A, C = dynamics(filtered.chain, left[:, :n])
     B, D = _input_matrices(filtered, left, n, feedthrough, rank_tolerance)

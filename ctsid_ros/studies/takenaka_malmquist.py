@@ -25,7 +25,7 @@ from ctsid_core.model.simulation import Pieces, input_polynomials
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
-from ctsid_core.subspace.gobf_equations import KINKS, filter_records
+from ctsid_core.subspace.gobf import KINKS, filter_records
 from ctsid_ros.report.drawing import Axes, Curve
 from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table

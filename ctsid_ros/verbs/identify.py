@@ -120,20 +120,19 @@ class Source:
     def learnt(self) -> Record:
         """The part that the model is identified from."""
         record, split = self.data.record, self.data.split
-        return record if math.isnan(split) else record.between(record.start, split)
+        return record if math.isnan(split) else self._part(record.start, split)
 
     @property
     def tested(self) -> Record | None:
         """The part that it is tested on."""
         record, split = self.data.record, self.data.split
-        if math.isnan(split):
-            return None
-        from ctsid_core.search.solve import LONGEST
+        return None if math.isnan(split) else self._part(split, record.end)
 
-        settings = self.data.config.settings
-        lead = max(LONGEST * (split - record.start) * any(settings.unknown_delays(record.nu)),
-                   *settings.delays(record.nu))
-        return record.between(split, record.end, lead=lead)
+    def _part(self, start: float, end: float) -> Record:
+        """Return a part of the record, and what acts in it of the inputs before."""
+        record, split = self.data.record, self.data.split
+        return record.between(start, end, lead=self.data.config.settings.longest_delay(
+            record.nu, split - record.start))
 
     @property
     def span(self) -> tuple[float, float]:
