@@ -40,10 +40,14 @@ class PoleSteps:
         less often pass each other, for their residues are different ones.
         """
         poles = canonical(poles, rank)
-        part = ranks_of(poles)[1]
-        first = np.flatnonzero(part == 0)
-        poles, ranks = poles[first], np.diff(np.append(first, len(part)))
-        p = poles.tolist()
+        p, ranks = list[complex](), list[int]()
+        for pole in poles.tolist():
+            if p and pole == p[-1]:
+                ranks[-1] += 1
+            else:
+                p.append(pole)
+                ranks.append(1)
+        poles = np.array(p, dtype=complex)
         scale = [max(abs(x), slowest) for x in p]
         real = sorted((k for k, x in enumerate(p) if x.imag == 0.0), key=lambda k: p[k].real)
         factors, i = [(k, -1) for k, x in enumerate(p) if x.imag > 0.0], 0
@@ -54,7 +58,7 @@ class PoleSteps:
                 i + 1 < len(gaps) and gaps[i + 1] < gaps[i])
             factors.append((real[i], real[i + 1] if joins else -1))
             i += 2 if joins else 1
-        return cls(poles, tuple(ranks.tolist()), tuple(factors), np.array(scale))
+        return cls(poles, tuple(ranks), tuple(factors), np.array(scale))
 
     def _each(self) -> Iterator[tuple[int, int, int, complex | None, float]]:
         """Yield first coordinate and places of each factor, its second root if any, and scale."""
@@ -153,6 +157,10 @@ def _place(pole: complex) -> tuple[bool, float, float]:
 
 def ranks_of(poles: ComplexArray) -> tuple[Places, Places]:
     """Return which pole each mode has, equal ones counted once, and which of its ranks it is."""
-    new = np.append(np.ones(min(len(poles), 1), dtype=bool), poles[1:] != poles[:-1])
-    group = np.cumsum(new) - 1
-    return group, np.arange(len(poles)) - np.flatnonzero(new)[group]
+    group, part = list[int](), list[int]()
+    values = poles.tolist()
+    for k, p in enumerate(values):
+        same = k > 0 and p == values[k - 1]
+        group.append(group[-1] + (not same) if k else 0)
+        part.append(part[-1] + 1 if same else 0)
+    return np.array(group, dtype=np.intp), np.array(part, dtype=np.intp)

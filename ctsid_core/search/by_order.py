@@ -391,10 +391,11 @@ def _climbed(samples: Samples, start: Fit, free: Free, rival: float) -> Iterator
     """Yield where a start leads, and where if its equal poles part."""
     reached = climb_roughly(samples, start, free, rival)
     yield reached
-    apart = canonical(start.model.poles)
-    if not np.array_equal(apart, start.model.poles):
-        yield climb_roughly(samples, fit_at(samples, apart, start.model.delay, free, start),
-                            free, min(rival, reached.cost))
+    poles = canonical(start.model.poles)
+    if not np.array_equal(poles, start.model.poles):
+        apart = fit_at(samples, poles, start.model.delay, free, start)
+        more = parameters(samples, apart, free) - parameters(samples, reached, free)
+        yield climb_roughly(samples, apart, free, min(rival, reached.cost) - _AKAIKE * more)
 
 
 def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
