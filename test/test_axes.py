@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ctsid_core import Grade, Record, identify
-from ctsid_core.likelihood.free_residues import climb_free, free_fit
-from ctsid_core.likelihood.output_error import Free
+from ctsid_core.likelihood.output_error import Free, _normal, climb_roughly, fit_at, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.search.by_order import parameters
 from ctsid_ros.studies.robots.experiment import stamps
 from ctsid_ros.studies.robots.inputs import drive
 from ctsid_ros.studies.robots.linear import Held, Linear
@@ -53,35 +53,52 @@ def test_every_axis_is_found_and_the_model_is_good(roots, kind, seed):
     assert np.all(off < 0.1 * np.linalg.norm(truth, axis=(1, 2)))
 
 
-def test_few_poles_with_free_residues_tell_all_axes():
+def test_one_pole_of_several_ranks_tells_all_axes():
     plant = axes(SERVO)
     samples = samples_of([flown(plant, 'prbs', np.random.default_rng(5), 0.03)], [[None]])
     free = Free(False, True, (True,) * 3, 1.0, -1e-6, 100.0)
-    start = free_fit(samples, np.array([5.0j - 3.0]), np.full(3, 0.02), free)
-    found = climb_free(samples, start, free)
-    assert len(found.poles) == 1
-    assert abs(found.poles[0] - SERVO[0]) < 0.02 * 8.0
-    np.testing.assert_allclose(found.delay, LATE, atol=0.01)
+    start = fit_at(samples, np.repeat([5.0j - 3.0], 3), np.full(3, 0.02), free)
+    found = climb_roughly(samples, start, free)
+    assert len(set(found.model.poles.tolist())) == 1
+    assert abs(found.model.poles[0] - SERVO[0]) < 0.02 * 8.0
+    np.testing.assert_allclose(found.model.delay, LATE, atol=0.01)
     np.testing.assert_allclose(np.sqrt(found.power), 0.03, rtol=0.1)
 
 
 @pytest.mark.parametrize('feedthrough', [False, True])
-def test_slopes_are_those_of_the_cost(feedthrough):
+@pytest.mark.parametrize('ranks', [(2, 2), (1, 2), (2, 1)])
+def test_slopes_are_those_of_the_cost(feedthrough, ranks):
+    """Of poles that are there twice and once: a step moves all of a pole."""
     plant = axes(SERVO, 2)
     samples = samples_of([flown(plant, 'multisine', np.random.default_rng(6), 0.1)], [[None]])
     free = Free(feedthrough, True, (True, True), 1.0, -1e-6, 100.0)
-    fit = free_fit(samples, np.array([-2.0, 6.0j - 4.0]), np.array([0.031, 0.052]), free)
-    steps, small = PoleSteps.of(fit.poles, 1.0 / samples.length), 1e-4
-    slopes = []
+    poles, delay = np.repeat([-2.0, 6.0j - 4.0], ranks), np.array([0.031, 0.052])
+
+    def best(moved, late):
+        fit = fit_at(samples, moved, late, free)
+        for _ in range(40):                      # b and c, one after the other
+            fit = fit_at(samples, moved, late, free, fit)
+        return fit
+    steps, small, slopes = PoleSteps.of(poles, 1.0 / samples.length, 2), 1e-4, []
+    gradient = _normal(samples, best(poles, delay), free, steps)[0]
     for k in range(3):
-        ahead, behind = (free_fit(samples, steps.moved(
-            s * np.eye(3)[k], free.limit, free.fastest), fit.delay, free).cost
-            for s in (small, -small))
+        ahead, behind = (best(steps.moved(s * np.eye(3)[k], free.limit, free.fastest), delay).cost
+                         for s in (small, -small))
         slopes.append((ahead - behind) / (2.0 * small))
-    np.testing.assert_allclose(slopes, -2.0 * fit.gradient[:3], rtol=1e-3)
+    np.testing.assert_allclose(slopes, -2.0 * gradient[:3], rtol=1e-3)
     if not feedthrough:                 # D jumps where an input does
         for k in range(2):
-            ahead, behind = (free_fit(samples, fit.poles, fit.delay + s * np.eye(2)[k], free).cost
-                             for s in (small, -small))
+            ahead, behind = (best(poles, delay + s * np.eye(2)[k]).cost for s in (small, -small))
             assert (ahead - behind) / (2.0 * small) == pytest.approx(
-                -2.0 * fit.gradient[3 + k], rel=0.02)
+                -2.0 * gradient[3 + k], rel=0.02)
+
+
+@pytest.mark.parametrize('ranks', [(1, 1), (2, 1), (1, 2), (3, 2)])
+def test_a_model_has_as_many_numbers_as_directions_that_change_it(ranks):
+    plant = axes(SERVO)
+    samples = samples_of([flown(plant, 'prbs', np.random.default_rng(7), 0.1)], [[None]])
+    free = Free(False, True, (True,) * 3, 1.0, -1e-6, 100.0)
+    fit = fit_at(samples, np.repeat([-2.0, 7.0j - 4.0], ranks), np.full(3, 0.05), free)
+    rows, _, _ = jacobian(samples, fit, free)
+    s = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
+    assert np.sum(s > 1e-9 * s[0]) == parameters(samples, fit, free)

@@ -292,6 +292,10 @@ def test_poles_that_coincide_or_are_not_known_have_deviations():
     both = scatter_of_poles(same, 0.1 * np.eye(2))
     assert np.sqrt(np.mean(both ** 2)) == pytest.approx(0.1)
     assert not np.isfinite(scatter_of_poles(same, np.full((1, 2), np.inf))).any()
+    # A pole that is there three times moves as a whole, beside one that moves by itself.
+    tied = np.array([[0.1, 0.1, 0.1, 0.0], [0.0, 0.0, 0.0, 0.3]])
+    found = scatter_of_poles(np.array([-3.0 + 0j, -3.0, -3.0, -8.0]), tied)
+    np.testing.assert_allclose(found, [0.1, 0.1, 0.1, 0.3], rtol=0.02)
 
 
 def coverage(name: str, runs: int, *, order: bool = True) -> dict[str, tuple[int, int]]:

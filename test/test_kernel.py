@@ -92,7 +92,7 @@ def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, p
     one, other = (fit_at(s, p, delay, free) for s in (compiled, plain))
     np.testing.assert_allclose(one.power, other.power, rtol=1e-8)
     assert one.cost == pytest.approx(other.cost, rel=1e-8, abs=1e-6)
-    around = PoleSteps.of(p, 1.0 / samples.length, samples.several)
+    around = PoleSteps.of(p, 1.0 / samples.length, samples.rank)
     a, b = (_normal(s, one, free, around) for s in (compiled, plain))
     assert a[2] == b[2]
     np.testing.assert_allclose(a[0], b[0], rtol=1e-7, atol=1e-9 * np.linalg.norm(b[0]) + 1e-9)
@@ -125,7 +125,7 @@ def test_outputs_without_noise_are_fitted_alike():
     for s in both_ways(samples):
         fit = fit_at(s, poles, delay, free)
         assert np.max(fit.power) < 1e-24
-        gradient, curvature, _ = _normal(s, fit, free, PoleSteps.of(poles, 0.1, False))
+        gradient, curvature, _ = _normal(s, fit, free, PoleSteps.of(poles, 0.1))
         assert np.isfinite(gradient).all()
         assert np.isfinite(curvature).all()
 

@@ -248,7 +248,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
         try:
             same = fit_states(side, model, free)
             starts = [fit_at(side, model.poles, model.delay, free, near)
-                      for near in ((same, None) if samples.several else (None,))]
+                      for near in ((same, None) if samples.rank > 1 else (None,))]
             other = climb(side, min(starts, key=lambda fit: fit.cost), free,
                           steps=_STEPS, least=ROUGHLY)
         except np.linalg.LinAlgError:

@@ -640,7 +640,7 @@ static int solve_c(const Table *tables, Model *m, const double *power) {
             const Table *t = tables + k;
             int channel = i - t->stream->first;
             if (channel < 0 || channel >= t->stream->channels) continue;
-            double weight = 1.0 / sqrt(power[t->stream->record * s->ny + i]);
+            double weight = 1.0 / sqrt(fmax(power[t->stream->record * s->ny + i], ROUNDING));
             for (int q = 0; q < columns; q++)
                 for (int row = 0; row < t->rows; row++)
                     own[(size_t)q * ld + used + row] = weight * matrix[(size_t)q * ld + at + row];
@@ -675,7 +675,7 @@ static int solve_b(const Table *tables, Model *m, const double *power) {
         int r = t->stream->record;
         for (int q = 0; q < t->stream->channels; q++, at += t->rows) {
             int i = t->stream->first + q;
-            double weight = 1.0 / sqrt(power[r * ny + i]), *to = matrix + at;
+            double weight = 1.0 / sqrt(fmax(power[r * ny + i], ROUNDING)), *to = matrix + at;
             for (int l = 0; l < modes; l++) {
                 cplx c = weight * ((cplx *)m->c)[i * modes + l];
                 for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {

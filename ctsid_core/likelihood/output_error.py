@@ -17,6 +17,7 @@ Denmark (damping).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ from scipy.linalg.lapack import dgesv
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
-from ctsid_core.likelihood.pole_steps import PoleSteps, canonical
+from ctsid_core.likelihood.pole_steps import PoleSteps, canonical, ranks_of
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import least_norm
 from ctsid_core.linear.types import Array, ComplexArray, Mask
@@ -83,11 +84,12 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     """
     Return the best model with given poles (m,) [rad/s] and dead times (nu,) [s].
 
-    `near` is of nearly the same poles, in the same order: its b and initial states are the start
-    where there are several inputs and outputs. `columns` are those of these poles and dead times,
+    A pole is there as often as its residue has ranks: equal ones move together. `near` is of
+    nearly the same poles, in the same order: its b and initial states are the start where there
+    are several inputs and outputs. `columns` are those of these poles and dead times,
     if they are known. Without `slopes` derivatives are left out, until a climb needs them.
     """
-    poles = canonical(poles)
+    poles = canonical(poles, samples.rank)
     columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough, slopes=slopes)
     power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
     kept = near is not None and len(near.model.poles) == len(poles) and \
@@ -96,7 +98,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
         m = near.model
         start = ModalModel(poles, m.b, m.c, m.x0, m.D, m.y0, delay)
     else:
-        start = _start(samples, poles, delay, columns, free, power)
+        start = free_start(samples, poles, delay, columns, free)
     return _solved(samples, start, columns, free, power)
 
 
@@ -111,7 +113,7 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     """
     best, damping, gain = _with_slopes(samples, start, free), _DAMPING, np.inf
     for taken in range(steps):
-        around = PoleSteps.of(best.model.poles, 1.0 / samples.length, samples.several)
+        around = steps_around(samples, best.model)
         gradient, curvature, scale, places = _slopes(samples, best, free, around)
         promise = float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
         moved = None
@@ -139,6 +141,11 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
 def climb_roughly(samples: Samples, start: Fit, free: Free, rival: float = np.inf) -> Fit:
     """Take a model near the maximum of the likelihood, as far as it takes to compare it."""
     return climb(samples, start, free, steps=_FEWER, least=ROUGHLY, rival=rival)
+
+
+def steps_around(samples: Samples, model: ModalModel) -> PoleSteps:
+    """Return how the poles of a model move."""
+    return PoleSteps.of(model.poles, 1.0 / samples.length, samples.rank)
 
 
 def _with_slopes(samples: Samples, fit: Fit, free: Free) -> Fit:
@@ -204,8 +211,8 @@ def _held(model: ModalModel, free: Free, gradient: Array, places: Places,
     found = [places.poles + k for k, (g, d) in enumerate(
         zip(ahead.tolist(), delay.tolist(), strict=True))
         if (d <= 0.0 if g < 0.0 else d >= free.longest)]
-    slow = [p.real >= free.limit for p in model.poles.tolist()]
-    fast = [abs(p) >= free.fastest * _AT_BOUND for p in model.poles.tolist()]
+    slow = [p.real >= free.limit for p in around.poles.tolist()]
+    fast = [abs(p) >= free.fastest * _AT_BOUND for p in around.poles.tolist()]
     if any(slow) or any(fast):
         found += [k for k, one in around.single() if (slow if gradient[k] > 0.0 else fast)[one]]
     return found
@@ -225,7 +232,7 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
     delay[late] = np.clip(delay[late] + fraction * step[n:n + places.delays], 0.0, free.longest)
     if not np.isfinite(poles).all():
         return None
-    near = Guess(_with_linear(model, fraction * step, places) if samples.several else model,
+    near = Guess(_with_linear(model, fraction * step, places, free) if samples.rank > 1 else model,
                  fit.power)
     try:
         return fit_at(samples, poles, delay, free, near)
@@ -249,12 +256,28 @@ class Places:
 
     def of_states(self, ny: int, records: int, trim: bool) -> Mask:
         """Return which columns are of initial states and trims."""
-        shared = self.poles + self.delays + self.b
-        found = np.zeros(shared + records * self.x0 + ny * self.own, dtype=bool)
-        found[shared:shared + records * self.x0] = True
+        found, own = self._apart(ny, records)
+        found[self.poles + self.delays + self.b:len(found) - own.size] = True
         if trim:
-            found[len(found) - ny * self.own:].reshape(ny, self.own)[:, -records:] = True
+            own[:, -records:] = True
         return found
+
+    def of_c(self, ny: int, records: int) -> Mask:
+        """Return which columns are of c."""
+        found, own = self._apart(ny, records)
+        own[:, :self.x0] = True
+        return found
+
+    def of_outputs(self, ny: int, records: int) -> Mask:
+        """Return which columns are of single outputs."""
+        found, own = self._apart(ny, records)
+        own[:] = True
+        return found
+
+    def _apart(self, ny: int, records: int) -> tuple[Mask, Mask]:
+        """Return a mask of no column, and its part of single outputs, (ny, own)."""
+        found = np.zeros(self.count(ny, records), dtype=bool)
+        return found, found[len(found) - ny * self.own:].reshape(ny, self.own)
 
 
 def _driving(model: ModalModel, record: int) -> ComplexArray:
@@ -295,37 +318,42 @@ def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray
     return found
 
 
-def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Places]:
-    """Return derivatives of the simulation over the noise, the errors over it, and places."""
-    fit = _with_slopes(samples, fit, free)
+def jacobian(samples: Samples, fit: Fit, free: Free, *,
+             moving: bool = True) -> tuple[Array, Array, Places]:
+    """
+    Return derivatives of the simulation over the noise, the errors over it, and places.
+
+    Unless poles and dead times are `moving`, those by what is linear alone.
+    """
+    fit = _with_slopes(samples, fit, free) if moving else fit
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
-    dp, late, places = _coordinates(samples, model, free, PoleSteps.of(
-        poles, 1.0 / samples.length, samples.several))
-    own = places.own
-    shared = places.poles + places.delays + places.b + records * places.x0
+    dp, late, places = _coordinates(samples, model, free, steps_around(samples, model))
+    if not moving:
+        places = replace(places, poles=0, delays=0)
+    count, own = places.count(ny, records), places.own
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
     for r, triangles in enumerate(fit.columns.triangles):
         driving = _driving(model, r)
         for t in triangles:
             driven = np.sum(t.z * driving, axis=2)
-            slopes, of_c = np.sum(t.dz * driving, axis=2), _real(driven, poles)
-            error, direct = t.y - _simulated(t, model, r, driven), own_columns(t, free, r, records)
+            of_c, direct = _real(driven, poles), _direct(t, free, r, records)
+            error = t.y - _simulated(t, model, r, driven)
+            slopes = np.sum(t.dz * driving, axis=2) if moving else driven[:0]
             for k, i in enumerate(t.channels):
                 samples.effort.check()
                 c = model.c[i]
                 turned = t.z * c[:, np.newaxis]
-                J = np.zeros((len(t.one), shared + own * ny))
-                J[:, :places.poles] = ((slopes * c) @ dp.T).real
-                at = places.poles
-                J[:, at:at + len(late)] = by_delay(
-                    t, poles, model.b * c[:, np.newaxis], model.D[i], fit.columns.first[r], late)
-                at += len(late)
+                J = np.zeros((len(t.one), count))
+                at = places.poles + places.delays
+                if moving:
+                    J[:, :places.poles] = ((slopes * c) @ dp.T).real
+                    J[:, places.poles:at] = _by_delay(t, model, i, fit.columns.first[r], late)
                 J[:, at:at + places.b] = _real(turned[:, :, :nu], poles)
                 at += places.b + r * places.x0
                 J[:, at:at + places.x0] = _real(turned[:, :, nu:], poles)
-                at = shared + own * int(i)
+                at = count - own * (ny - int(i))
                 J[:, at:at + n] = of_c
                 J[:, at + n:at + own] = direct
                 blocks.append(J / size[r, i])
@@ -333,41 +361,53 @@ def jacobian(samples: Samples, fit: Fit, free: Free) -> tuple[Array, Array, Plac
     return np.vstack(blocks), np.concatenate(errors), places
 
 
-def by_delay(t: Triangle, poles: ComplexArray, residues: ComplexArray, D: Array, first: Array,
-             late: NDArray[np.intp]) -> Array:
+def _direct(t: Triangle, free: Free, record: int, records: int) -> Array:
+    """Return the columns of an output's own D and trims, as far as they are free."""
+    trims = np.zeros((len(t.one), records * free.trim))
+    if free.trim:
+        trims[:, record] = t.one
+    return np.hstack((t.u, trims)) if free.feedthrough else trims
+
+
+def _by_delay(t: Triangle, model: ModalModel, i: int, first: Array,
+              late: NDArray[np.intp]) -> Array:
     """Return the derivatives by dead times: dz/dd = -(p z + b u) + b u(start) e^(p t), -D u'."""
-    own = residues[:, late]                                                 # of an output, (m, k)
+    own = model.b[:, late] * model.c[i][:, np.newaxis]                      # (m, k)
     found: Array = (np.sum(t.z[:, :, -1:] * (own * first[late]), axis=1)
-                    - np.sum(t.z[:, :, late] * (own * poles[:, np.newaxis]), axis=1)).real
-    found -= t.u[:, late] * own.sum(axis=0).real + t.rates[:, late] * D[late]
+                    - np.sum(t.z[:, :, late] * (own * model.poles[:, np.newaxis]), axis=1)).real
+    found -= t.u[:, late] * own.sum(axis=0).real + t.rates[:, late] * model.D[i, late]
     return found
 
 
-def _with_linear(model: ModalModel, step: Array, places: Places) -> ModalModel:
-    """Return the model with b and initial states moved."""
-    at = places.poles + places.delays
-    b = _complex(step[at:at + places.b].reshape(-1, model.b.shape[1]), model.poles)
-    at += places.b
-    x0 = _complex(step[at:at + len(model.x0) * places.x0].reshape(-1, places.x0).T, model.poles)
-    return replace(model, b=model.b + b, x0=model.x0 + x0.T)
+def _with_linear(model: ModalModel, step: Array, places: Places, free: Free) -> ModalModel:
+    """Return the model with all that is linear moved."""
+    ny, nu, records, n = len(model.c), model.b.shape[1], len(model.x0), model.n
+    b, x0, own = np.split(step[places.poles + places.delays:], np.cumsum((
+        places.b, records * places.x0)))
+    c, D, y0 = np.split(own.reshape(ny, -1), np.cumsum((n, nu * free.feedthrough)), axis=1)
+    return replace(model, b=model.b + _complex(b.reshape(-1, nu), model.poles),
+                   x0=model.x0 + _complex(x0.reshape(records, -1).T, model.poles).T,
+                   c=model.c + _complex(c.T, model.poles).T,
+                   D=model.D + D if D.size else model.D,
+                   y0=model.y0 + y0.T if y0.size else model.y0)
 
 
-def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns,
-           free: Free, power: Array) -> ModalModel:
-    """Return residues of rank one that are nearest to the best free ones."""
+def free_start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns,
+           free: Free) -> ModalModel:
+    """Return the model whose residues are nearest to the best free ones, strongest ranks first."""
     m, nu, ny, records = len(poles), samples.nu, samples.ny, len(samples.records)
-    c = np.ones((ny, m), dtype=complex)
-    b, x0 = np.ones((m, nu), dtype=complex), np.zeros((records, m), dtype=complex)
-    start = ModalModel(poles, b, c, x0, np.zeros((ny, nu)), np.zeros((records, ny)), delay)
+    start = ModalModel(poles, np.ones((m, nu), dtype=complex), np.ones((ny, m), dtype=complex),
+                       np.zeros((records, m), dtype=complex), np.zeros((ny, nu)),
+                       np.zeros((records, ny)), delay)
     if ny == 1:
         return start
-    residues, starts = _free_residues(samples, poles, columns, free, power)
+    group, part = ranks_of(poles)
     reach = reach_of(columns)
-    left, s, right = np.linalg.svd(residues.transpose(1, 0, 2) * reach[:, np.newaxis],
-                                   full_matrices=False)
-    c = left[:, :, 0].T.copy()
-    b = s[:, :1] * right[:, 0] / reach
-    x0 = np.einsum('im,irm->rm', c.conj(), starts)
+    residues, starts = _free_residues(samples, poles, columns, free)
+    left, s, right = np.linalg.svd(residues * reach[part == 0, np.newaxis], full_matrices=False)
+    c = left[group, :, part].T
+    b = s[group, part, np.newaxis] * right[group, part] / reach
+    x0 = np.einsum('im,rmi->rm', c.conj(), starts[:, group])
     real = poles.imag == 0.0
     c[:, real], b[real] = c[:, real].real, b[real].real
     x0[:, real] = x0[:, real].real
@@ -375,53 +415,24 @@ def _start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns
 
 
 def _free_residues(samples: Samples, poles: ComplexArray, columns: Columns,
-                   free: Free, power: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return residues (ny, m, nu) and free responses (ny, records, m), of any rank."""
-    m, nu, ny, records = len(poles), samples.nu, samples.ny, len(samples.records)
-    residues = np.zeros((ny, m, nu), dtype=complex)
-    starts = np.zeros((ny, records, m), dtype=complex)
-    designs = [[np.hstack((*driven_columns(t.z, poles, r, records),
-                           own_columns(t, free, r, records)))
-                for t in own] for r, own in enumerate(columns.triangles)]
-    for i in range(ny):
-        residues[i], starts[i] = b_and_x0(
-            _explaining(designs, _measured(columns), columns, power, i), poles, nu, records)
-    return residues, starts
-
-
-def _measured(columns: Columns) -> list[list[Array]]:
-    return [[t.y for t in own] for own in columns.triangles]
-
-
-def _explaining(designs: list[list[Array]], wanted: list[list[Array]], columns: Columns,
-                power: Array, i: int) -> Array:
-    """Return the coefficients of designs of all streams that explain best what output i wants."""
-    rows, targets = [], []
-    for r, own in enumerate(columns.triangles):
-        for t, design, values in zip(own, designs[r], wanted[r], strict=True):
-            for k in np.flatnonzero(t.channels == i):
-                rows.append(design / np.sqrt(power[r, i]))
-                targets.append(values[:, k] / np.sqrt(power[r, i]))
-    return _least_squares(np.vstack(rows), np.concatenate(targets))
-
-
-def driven_columns(turned: ComplexArray, poles: ComplexArray, record: int,
-                   records: int) -> tuple[Array, Array]:
-    """Return the columns of b, and those of the initial states of all records."""
-    own = _real(turned[:, :, -1:], poles)
-    n = own.shape[1]
-    apart = np.zeros((len(own), records * n))
-    apart[:, record * n:(record + 1) * n] = own
-    return _real(turned[:, :, :-1], poles), apart
-
-
-def b_and_x0(theta: Array, poles: ComplexArray, nu: int,
-             records: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return b and initial states from the coefficients of the columns of `driven_columns`."""
+                   free: Free) -> tuple[ComplexArray, ComplexArray]:
+    """Return residues (k, ny, nu) and free responses (records, k, ny) of any rank, poles once."""
+    once = ranks_of(poles)[1] == 0
+    poles, nu, ny, records = poles[once], samples.nu, samples.ny, len(samples.records)
     n = len(poles) + int(np.sum(poles.imag > 0.0))
-    states = theta[n * nu:n * (nu + records)].reshape(records, n)
-    return (_complex(theta[:n * nu].reshape(n, nu), poles),
-            np.ascontiguousarray(_complex(states.T, poles).T))
+    residues = np.zeros((len(poles), ny, nu), dtype=complex)
+    starts = np.zeros((records, len(poles), ny), dtype=complex)
+    for streams in zip(*columns.triangles, strict=True):
+        design = np.vstack([np.hstack((
+            _real(t.z[:, once, :nu], poles),
+            np.kron(np.arange(records) == r, _real(t.z[:, once, nu:], poles)),
+            _direct(t, free, r, records))) for r, t in enumerate(streams)])
+        found = least_norm(design.T, np.vstack([t.y for t in streams]).T, _RANK)
+        for i, theta in zip(streams[0].channels, found, strict=True):
+            b, x0 = np.split(theta[:n * (nu + records)], (n * nu,))
+            residues[:, i] = _complex(b.reshape(n, nu), poles)
+            starts[:, :, i] = _complex(x0.reshape(records, n).T, poles).T
+    return residues, starts
 
 
 def reach_of(columns: Columns) -> Array:
@@ -430,9 +441,12 @@ def reach_of(columns: Columns) -> Array:
     return np.sqrt(np.asarray(total)) + 1e-300
 
 
-def _least_squares(rows: Array, target: Array) -> Array:
-    found: Array = least_norm(rows.T, target[np.newaxis], _RANK)[0]
-    return found
+def _solve(samples: Samples, fit: Fit, free: Free, wanted: Callable[[Places], Mask]) -> ModalModel:
+    """Return the model with some of what is linear at its best, the rest held."""
+    rows, error, places = jacobian(samples, fit, free, moving=False)
+    step, own = np.zeros(rows.shape[1]), wanted(places)
+    step[own] = least_norm(rows[:, own].T, error[np.newaxis], _RANK)[0]
+    return _with_linear(fit.model, step, places, free)
 
 
 def _solved(samples: Samples, model: ModalModel, columns: Columns, free: Free,
@@ -442,10 +456,13 @@ def _solved(samples: Samples, model: ModalModel, columns: Columns, free: Free,
         model, power = samples.kernel.solve(columns.layout, free.trim, columns.values, model,
                                             power)
         return Fit(model, columns, power, _cost(samples, power))
+    ny, records = power.shape[::-1]
     for _ in range(2):                  # the noise of outputs and records is known after one
-        if samples.ny > 1:
-            model = _solve_c(samples, model, columns, free, power)
-        model = _solve_b(samples, model, columns, free, power)
+        if ny > 1:
+            model = _solve(samples, Fit(model, columns, power, np.inf), free,
+                           lambda places: places.of_outputs(ny, records))
+        model = _solve(samples, Fit(model, columns, power, np.inf), free,
+                       lambda places: ~places.of_c(ny, records))
         old, power = power, _powers(samples, model, columns)
         if power.size == 1 or np.all(np.abs(np.log(power / old)) < 0.1):
             break
@@ -486,47 +503,6 @@ def errors_of(samples: Samples, model: ModalModel, columns: Columns) -> Residual
     return tuple(found)
 
 
-def _solve_c(samples: Samples, model: ModalModel, columns: Columns, free: Free,
-             power: Array) -> ModalModel:
-    n, nd, records = model.n, samples.nu * free.feedthrough, len(samples.records)
-    c, D, y0 = model.c.copy(), model.D.copy(), model.y0.copy()
-    designs = [[np.hstack((_real(np.sum(t.z * _driving(model, r), axis=2), model.poles),
-                           own_columns(t, free, r, records))) for t in own]
-               for r, own in enumerate(columns.triangles)]
-    for i in range(samples.ny):
-        theta = _explaining(designs, _measured(columns), columns, power, i)
-        c[i] = _complex(theta[:n], model.poles)
-        D[i] = theta[n:n + nd] if nd else D[i]
-        if free.trim:
-            y0[:, i] = theta[n + nd:]
-    return replace(model, c=c, D=D, y0=y0)
-
-
-def _solve_b(samples: Samples, model: ModalModel, columns: Columns, free: Free,
-             power: Array) -> ModalModel:
-    poles, nu, ny, records = model.poles, samples.nu, samples.ny, len(samples.records)
-    nd, driven = nu * free.feedthrough, model.n * (nu + records)
-    own_of_output = nd + records * free.trim
-    rows, targets = [], []
-    for r, own in enumerate(columns.triangles):
-        for t in own:
-            direct = own_columns(t, free, r, records)
-            for k, i in enumerate(t.channels):
-                block = np.zeros((len(t.one), driven + ny * own_of_output))
-                block[:, :driven] = np.hstack(driven_columns(
-                    t.z * model.c[i][:, np.newaxis], poles, r, records))
-                at = driven + int(i) * own_of_output
-                block[:, at:at + own_of_output] = direct
-                rows.append(block / np.sqrt(power[r, i]))
-                targets.append(t.y[:, k] / np.sqrt(power[r, i]))
-    theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-    b, x0 = b_and_x0(theta, poles, nu, records)
-    of_outputs = theta[driven:].reshape(ny, own_of_output)
-    D = of_outputs[:, :nd] if nd else np.zeros_like(model.D)
-    y0 = of_outputs[:, nd:].T if free.trim else np.zeros_like(model.y0)
-    return replace(model, b=b, x0=x0, D=D, y0=y0)
-
-
 def _normalised(model: ModalModel) -> ModalModel:
     """Return the same with b of size 1 (c of size 1 for one output)."""
     if len(model.c) == 1:
@@ -546,34 +522,12 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     """
     columns = columns or columns_of(samples, model.poles, model.delay, direct=free.feedthrough,
                                     slopes=False)
-    power = np.ones((len(samples.records), samples.ny))
-    if len(model.x0) != len(samples.records):
-        model = replace(model, x0=np.zeros((len(power), len(model.poles)), dtype=complex),
-                        y0=np.zeros_like(power))
+    records, ny = len(samples.records), samples.ny
+    power = np.ones((records, ny))
+    model = replace(model, x0=np.zeros((records, len(model.poles)), dtype=complex),
+                    y0=np.zeros_like(power))
     for _ in range(2):
-        model = _solve_states(samples, model, columns, free, power)
+        model = _solve(samples, Fit(model, columns, power, np.inf), free,
+                       lambda places: places.of_states(ny, records, free.trim))
         power = _powers(samples, model, columns)
     return Fit(model, columns, power, _cost(samples, power))
-
-
-def _solve_states(samples: Samples, model: ModalModel, columns: Columns, free: Free,
-                  power: Array) -> ModalModel:
-    poles, ny, n = model.poles, samples.ny, model.n
-    x0, y0 = np.zeros_like(model.x0), np.zeros_like(model.y0)
-    errors = errors_of(samples, replace(model, x0=x0, y0=y0), columns)
-    for r, own in enumerate(columns.triangles):
-        rows, targets = [], []
-        for t, error in zip(own, errors[r], strict=True):
-            for k, i in enumerate(t.channels):
-                block = np.zeros((len(t.one), n + ny * free.trim))
-                block[:, :n] = _real(t.z[:, :, -1] * model.c[i], poles)
-                if free.trim:
-                    block[:, n + i] = t.one
-                size = np.sqrt(power[r, i])
-                rows.append(block / size)
-                targets.append(error[:, k] / size)
-        theta = _least_squares(np.vstack(rows), np.concatenate(targets))
-        x0[r] = _complex(theta[:n], poles)
-        if free.trim:
-            y0[r] = theta[n:]
-    return replace(model, x0=x0, y0=y0)

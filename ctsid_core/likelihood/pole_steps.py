@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.linear.types import Array, ComplexArray, Places
 
 _APART = 1e-4         # relative distance at which two equal poles are kept
 _NEAR = 4.0           # ratio of two real poles up to which they share a factor
@@ -25,31 +25,40 @@ _NEAR = 4.0           # ratio of two real poles up to which they share a factor
 class PoleSteps:
     """How poles move."""
 
-    poles: ComplexArray  # (m,): real ones and one of each pair; those of a factor are neighbours
+    poles: ComplexArray  # (k,): real ones and one of each pair, each once
+    ranks: tuple[int, ...]  # how often each is there
     # Places of the poles of each factor, the second one -1 if it is a pair or a single pole
     factors: tuple[tuple[int, int], ...]
-    scale: Array         # (m,): of the step of each pole [rad/s]
+    scale: Array         # (k,): of the step of each pole [rad/s]
 
     @classmethod
-    def of(cls, poles: ComplexArray, slowest: float, several: bool = False) -> PoleSteps:
+    def of(cls, poles: ComplexArray, slowest: float, rank: int = 1) -> PoleSteps:
         """
         Group poles; steps are relative to their size, or to the slowest that is seen.
 
-        With several inputs and several outputs equal poles are of different residues, and pass
-        each other.
+        Equal ones move together. `rank` is the largest of a residue: real poles that are there
+        less often pass each other, for their residues are different ones.
         """
-        poles = canonical(poles)
-        p = poles.tolist()
+        poles = canonical(poles, rank)
+        p, ranks = list[complex](), list[int]()
+        for pole in poles.tolist():
+            if p and pole == p[-1]:
+                ranks[-1] += 1
+            else:
+                p.append(pole)
+                ranks.append(1)
+        poles = np.array(p, dtype=complex)
         scale = [max(abs(x), slowest) for x in p]
         real = sorted((k for k, x in enumerate(p) if x.imag == 0.0), key=lambda k: p[k].real)
         factors, i = [(k, -1) for k, x in enumerate(p) if x.imag > 0.0], 0
-        gaps = [abs(p[b].real - p[a].real) / min(scale[a], scale[b]) for a, b in pairwise(real)]
+        gaps = [abs(p[b].real - p[a].real) / min(scale[a], scale[b])
+                if min(ranks[a], ranks[b]) == rank else np.inf for a, b in pairwise(real)]
         while i < len(real):
-            joins = not several and i < len(gaps) and gaps[i] < _NEAR and not (
+            joins = i < len(gaps) and gaps[i] < _NEAR and not (
                 i + 1 < len(gaps) and gaps[i + 1] < gaps[i])
             factors.append((real[i], real[i + 1] if joins else -1))
             i += 2 if joins else 1
-        return cls(poles, tuple(factors), np.array(scale))
+        return cls(poles, tuple(ranks), tuple(factors), np.array(scale))
 
     def _each(self) -> Iterator[tuple[int, int, int, complex | None, float]]:
         """Yield first coordinate and places of each factor, its second root if any, and scale."""
@@ -69,7 +78,7 @@ class PoleSteps:
         return [(at, one) for at, one, _, root, _ in self._each() if root is None]
 
     def derivatives(self) -> ComplexArray:
-        """Return d poles / d coordinates, (n, m)."""
+        """Return d poles / d coordinates, (n, m), of poles as often as they are there."""
         poles = self.poles.tolist()
         found = np.zeros((len(poles) + sum(p.imag > 0.0 for p in poles), len(poles)),
                          dtype=complex)
@@ -82,26 +91,27 @@ class PoleSteps:
                 found[place, one] = -(p * of_a + of_b) / (p - q)
                 if other >= 0:
                     found[place, other] = -(q * of_a + of_b) / (q - p)
-        return found
+        return np.repeat(found, self.ranks, axis=1)
 
     def moved(self, step: Array, limit: float, fastest: float) -> ComplexArray:
         """Return the poles after a step (n,), with bounds as of `bounded`."""
-        found, poles, by = [], self.poles.tolist(), step.tolist()
+        found, poles, by = list[tuple[complex, int]](), self.poles.tolist(), step.tolist()
         for at, one, _, q, size in self._each():
-            p = poles[one]
+            p, rank = poles[one], self.ranks[one]
             if q is None:
-                found.append(p + size * by[at])
+                found.append((p + size * by[at], rank))
                 continue
             a = -(p + q).real + size * by[at]
             b = (p * q).real + size * size * by[at + 1]
             middle, turn = -0.5 * a, 0.25 * a * a - b
             if turn < 0.0:
-                found.append(complex(middle, math.sqrt(-turn)))
+                found.append((complex(middle, math.sqrt(-turn)), rank))
             else:
                 far = middle + math.copysign(math.sqrt(turn), middle)
-                found += [complex(far), complex(b / far if far else -far)]
-        poles = np.array(found)
-        return canonical(bounded(poles, limit, fastest))
+                found += [(complex(far), rank), (complex(b / far if far else -far), rank)]
+        bound = bounded(np.array([p for p, _ in found]), limit, fastest)
+        order = sorted(range(len(found)), key=lambda k: _place(complex(bound[k])))
+        return np.repeat(canonical(bound), [found[k][1] for k in order])
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""
@@ -110,8 +120,8 @@ class PoleSteps:
         def sizes(p: ComplexArray) -> list[float]:
             return sorted(math.log(max(abs(x), least)) for x in p.tolist()
                           for _ in range(1 + (x.imag > 0.0)))
-        return max((abs(a - b) for a, b in zip(sizes(poles), sizes(self.poles), strict=True)),
-                   default=0.0)
+        before = sizes(np.repeat(self.poles, self.ranks))
+        return max((abs(a - b) for a, b in zip(sizes(poles), before, strict=True)), default=0.0)
 
 
 def bounded(poles: ComplexArray, limit: float, fastest: float) -> ComplexArray:
@@ -123,16 +133,34 @@ def bounded(poles: ComplexArray, limit: float, fastest: float) -> ComplexArray:
     return np.array(found, dtype=complex)
 
 
-def canonical(poles: ComplexArray) -> ComplexArray:
-    """Return real poles and one of each pair, kept apart where they are equal."""
+def canonical(poles: ComplexArray, rank: int = 1) -> ComplexArray:
+    """Return real poles and one of each pair; more equal ones than `rank` are kept apart."""
     found = sorted((p for p in np.asarray(poles, dtype=complex).tolist() if p.imag >= 0.0),
-                   key=lambda p: (p.imag > 0.0, abs(p), p.real))
+                   key=_place)
     for i, p in enumerate(found):
         if 0.0 < p.imag < _APART * abs(p):
             found[i] = complex(p.real, _APART * abs(p))
         for other in found[:i]:
+            if found[i] == other and found[:i].count(other) < rank:
+                continue
             # A pair stays one, beside whatever real pole.
             if abs(found[i] - other) < _APART * abs(found[i]) and (p.imag > 0.0) == (
                     other.imag > 0.0):
                 found[i] = other - _APART * max(abs(other), 1e-300)
     return np.array(found, dtype=complex)
+
+
+def _place(pole: complex) -> tuple[bool, float, float]:
+    """Return what poles are sorted by."""
+    return pole.imag > 0.0, abs(pole), pole.real
+
+
+def ranks_of(poles: ComplexArray) -> tuple[Places, Places]:
+    """Return which pole each mode has, equal ones counted once, and which of its ranks it is."""
+    group, part = list[int](), list[int]()
+    values = poles.tolist()
+    for k, p in enumerate(values):
+        same = k > 0 and p == values[k - 1]
+        group.append(group[-1] + (not same) if k else 0)
+        part.append(part[-1] + 1 if same else 0)
+    return np.array(group, dtype=np.intp), np.array(part, dtype=np.intp)

@@ -61,9 +61,9 @@ class Samples:
     effort: Effort  # that looking at them is part of
 
     @property
-    def several(self) -> bool:
-        """Whether there are several inputs and several outputs."""
-        return min(self.nu, self.ny) > 1
+    def rank(self) -> int:
+        """Largest rank of a residue."""
+        return min(self.nu, self.ny)
 
     @cached_property
     def counts(self) -> Array:

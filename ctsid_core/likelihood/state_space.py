@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, fit_at, jacobian
+from ctsid_core.likelihood.output_error import Fit, Free, fit_at, jacobian, steps_around
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import orthonormal
@@ -82,7 +82,9 @@ def _mended(model: ModalModel) -> Array:
         w = poles[i].imag
         if w < _MET * abs(poles[i]):
             T[m + k, m + k] = w if single else 1.0 / w
-    for one, other in PoleSteps.of(poles, 0.0, min(len(model.c), model.b.shape[1]) > 1).factors:
+    if min(len(model.c), model.b.shape[1]) > 1:     # of different residues: these stay apart
+        return T
+    for one, other in PoleSteps.of(poles, 0.0).factors:
         if other < 0 or abs(poles[one] - poles[other]) > _MET * abs(poles[one]):
             continue
         gap = (poles[one] - poles[other]).real
@@ -132,7 +134,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
         alike[:, places.poles:places.poles + places.delays] = np.diag(
             _read_alike(samples, fit)[list(free.delays)] / np.sqrt(6.0))    # anywhere in both
         root = np.vstack((root, alike))
-    steps = PoleSteps.of(model.poles, 1.0 / samples.length, samples.several).derivatives()
+    steps = steps_around(samples, model).derivatives()
     m, nu, ny, pairs = *model.b.shape, samples.ny, np.flatnonzero(model.poles.imag > 0.0)
     n, r = model.n, len(root)
     dp = root[:, :places.poles] @ steps

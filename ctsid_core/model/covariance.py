@@ -37,6 +37,7 @@ from ctsid_core.model import realisation
 from ctsid_core.model.statespace import StateSpace
 
 _KNOWN = 1e-10        # of the largest singular value of the scaled root: below it is rounding
+_EQUAL = 1e-6         # of the largest pole, and of its largest change: more is a difference
 
 
 class Entries(NamedTuple):
@@ -233,11 +234,18 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     Given are the poles' changes d to first order along independent directions, (r, n). Where poles
     meet derivatives are infinite, and the poles move less: to those of diag(p) + 1 d', whose
     characteristic polynomial moves as it does to first order. One deviation to either side along
-    the principal directions of all changes.
+    the principal directions of all changes. Equal poles of equal changes are one, that moves as a
+    whole.
     """
     n = len(poles)
     if n < 2 or not len(changes) or not np.isfinite(changes).all():
         return _deviation(changes)
+    rows = np.concatenate((poles[np.newaxis], changes)).T
+    alike = np.abs(rows[:, np.newaxis] - rows) <= _EQUAL * np.max(np.abs(rows), axis=0)
+    first, place = np.unique(np.argmax(np.all(alike, axis=2), axis=1),
+                             return_inverse=True)
+    if len(first) < n:
+        return scatter_of_poles(poles[first], changes[:, first])[place]
     _, sizes, axes = np.linalg.svd(np.hstack((changes.real, changes.imag)), full_matrices=False)
     main = sizes[:, np.newaxis] * axes
     ahead = main[:, :n] + 1j * main[:, n:]

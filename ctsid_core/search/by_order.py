@@ -40,7 +40,7 @@ from ctsid_core.likelihood.output_error import (
     climb_roughly,
     fit_at,
 )
-from ctsid_core.likelihood.pole_steps import bounded
+from ctsid_core.likelihood.pole_steps import bounded, canonical, ranks_of
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
@@ -120,7 +120,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
                     fastest=free.fastest, finest=samples.finest)
     found: dict[int, Tried] = {}
-    alike = Alike(grid, free, _delays(free, known_delay)) if samples.several else None
+    alike = Alike(grid, free, _delays(free, known_delay)) if samples.rank > 1 else None
     looked: set[int] = set()
     best, far = 1, 0
     while True:
@@ -140,7 +140,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             break
         looked.add(n)
         fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay, near, alike,
-                       np.inf if order or not found else _rival(found, thin, n))
+                       np.inf if order or not found else _rival(found, thin, free, n))
         if fit is None:
             continue
         found[n] = tried(thin, fit, free, n == far)
@@ -273,10 +273,17 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tri
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
-    """Return how many numbers a model has, its gauge apart."""
-    n, records = fit.model.n, len(samples.records)
-    return (n * (samples.nu + samples.ny) + n * records + samples.ny * samples.nu
-            * free.feedthrough + samples.ny * records * free.trim + sum(free.delays))
+    """
+    Return how many numbers a model has, its gauge apart.
+
+    A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
+    """
+    poles, records, both = fit.model.poles, len(samples.records), samples.nu + samples.ny
+    group, _ = ranks_of(poles)
+    of_modes = sum(int(np.sum(1 + (own.imag > 0.0))) * (both - len(own)) + 1 + (own[0].imag > 0.0)
+                   for own in np.split(poles, np.flatnonzero(np.diff(group)) + 1) if len(own))
+    return int(of_modes + fit.model.n * records + samples.ny * samples.nu * free.feedthrough
+               + samples.ny * records * free.trim + sum(free.delays))
 
 
 def price(samples: Samples) -> float:
@@ -336,15 +343,15 @@ def advantage(one: Tried, other: Tried) -> float:
     return -criterion(other, one, _AKAIKE)
 
 
-def _rival(found: dict[int, Tried], samples: Samples, n: int) -> float:
+def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> float:
     """
-    Return the cost that order n must reach at least to beat the best of those tried.
+    Return what order n must reach at least, its price with it, to beat the best of those tried.
 
     A smaller one may have any: how many samples are independent, its errors tell.
     """
     best = found[choose(found)].fit
-    more = (n - best.model.n) * (samples.nu + samples.ny + len(samples.records))
-    return best.cost - more * float(np.log(np.max(samples.counts))) if more > 0 else np.inf
+    return best.cost + price(samples) * parameters(samples, best, free) \
+        if n > best.model.n else np.inf
 
 
 def _delays(free: Free, known: Array) -> list[Array]:
@@ -377,15 +384,29 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
     if alike is not None and not samples.effort.beyond(POINT) and (
             start := alike.start(n)) is not None:
         fits.append(('alike', _again(samples, start, free)))
-    best: Fit | None = None
+
+    def akaike(fit: Fit) -> float:
+        return fit.cost + _AKAIKE * parameters(samples, fit, free)
+    reached: list[Fit] = []
     for start in _different(fits, each):
-        reached = climb_roughly(samples, start, free,
-                                needed if best is None else min(best.cost, needed))
-        if best is None or reached.cost < best.cost:
-            best = reached
+        own = parameters(samples, start, free)
+        best = min(map(akaike, reached), default=np.inf)
+        reached += _climbed(samples, start, free, min(needed - price(samples) * own,
+                                                      best - _AKAIKE * own))
         if samples.effort.beyond(SEARCH):
             break
-    return best
+    return min(reached, key=akaike, default=None)
+
+
+def _climbed(samples: Samples, start: Fit, free: Free, rival: float) -> Iterator[Fit]:
+    """Yield where a start leads, and where if its equal poles part."""
+    reached = climb_roughly(samples, start, free, rival)
+    yield reached
+    poles = canonical(start.model.poles)
+    if not np.array_equal(poles, start.model.poles):
+        apart = fit_at(samples, poles, start.model.delay, free, start)
+        more = parameters(samples, apart, free) - parameters(samples, reached, free)
+        yield climb_roughly(samples, apart, free, min(rival, reached.cost) - _AKAIKE * more)
 
 
 def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
