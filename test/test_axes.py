@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Grade, Record, identify
-from ctsid_core.likelihood.output_error import Free, _normal, climb_roughly, fit_at, jacobian
+from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.by_order import parameters
@@ -80,7 +80,8 @@ def test_slopes_are_those_of_the_cost(feedthrough, ranks):
             fit = fit_at(samples, moved, late, free, fit)
         return fit
     steps, small, slopes = PoleSteps.of(poles, 1.0 / samples.length, 2), 1e-4, []
-    gradient = _normal(samples, best(poles, delay), free, steps)[0]
+    rows, error, _ = jacobian(samples, best(poles, delay), free)
+    gradient = rows.T @ error
     for k in range(3):
         ahead, behind = (best(steps.moved(s * np.eye(3)[k], free.limit, free.fastest), delay).cost
                          for s in (small, -small))

@@ -5,7 +5,7 @@
  *     ctsid_columns  `mode_columns.py:columns_of`     records, poles, dead times -> triangles
  *     ctsid_solve    `output_error.py:_solved`        triangles -> all that is linear
  *     ctsid_errors   `output_error.py:errors_of`      columns -> measured less simulated outputs
- *     ctsid_slopes   `output_error.py:_normal`        triangles -> gradient and curvature
+ *     ctsid_jacobian `output_error.py:jacobian`       columns -> derivatives of the simulation
  *
  * Names and formulas are those of the twins, which explain them. A table is one stream's columns
  * beside its outputs, column after column (Fortran's order), turned to a triangle or not. Nothing
@@ -77,11 +77,8 @@ static Model model_of(const Samples *s, const Shape *shape, double *numbers) {
 typedef void Geqrf(int *, int *, double *, int *, double *, double *, int *, int *);
 typedef void Gelsy(int *, int *, int *, double *, int *, double *, int *, int *, double *, int *,
                    double *, int *, int *);
-typedef void Syrk(char *, char *, int *, int *, double *, double *, int *, double *, double *,
-                  int *);
 static Geqrf *geqrf;
 static Gelsy *gelsy;
-static Syrk *syrk;
 
 enum { PANEL = 32, ROWS = 1024, DEGREES = 8, FEW = 32 };
 static const double ROUNDING = 1e-24, RANK = 1e-13;
@@ -91,10 +88,9 @@ static const double ROUNDING = 1e-24, RANK = 1e-13;
 #endif
 unsigned ctsid_edition(void) { return EDITION; }
 
-void ctsid_lapack(void *qr, void *least_squares, void *product) {
+void ctsid_lapack(void *qr, void *least_squares) {
     geqrf = (Geqrf *)qr;
     gelsy = (Gelsy *)least_squares;
-    syrk = (Syrk *)product;
 }
 
 static int least(int a, int b) { return a < b ? a : b; }
@@ -791,104 +787,71 @@ int ctsid_errors(const Samples *s, const Shape *shape, const int *rows, const do
     return 0;
 }
 
-/* ---- Gauss-Newton ------------------------------------------------------------------------- */
+/* ---- derivatives ---------------------------------------------------------------------------- */
 
 /*
  * numbers: a model with the power of its errors, then the derivatives of modes by the coordinates
  * of the poles, (coordinates, modes), then the inputs whose dead times are free. first: the inputs
- * at the start. found: the gradient, then the curvature; zero on entry.
+ * at the start. found: the derivatives over the noise, (height, columns), then the errors over it,
+ * of each output of each stream in turn; zero on entry.
  */
-int ctsid_slopes(const Samples *s, const Shape *shape, const int *rows, const double *values,
-                 const double *first, double *numbers, int coordinates, int delays, int count,
-                 double *found) {
+int ctsid_jacobian(const Samples *s, const Shape *shape, const int *rows, const double *values,
+                   const double *first, double *numbers, int coordinates, int delays, int height,
+                   double *found) {
     Model given = model_of(s, shape, numbers), *m = &given;
-    double *gradient = found, *curvature = found + count;
-    const double *power = given.power, *dp = given.end;
+    const double *dp = given.end;
     const double *late = dp + 2 * (size_t)coordinates * (shape->real + shape->pairs);
     int modes = shape->real + shape->pairs, n = states_of(shape), nu = s->nu, ny = s->ny;
-    int nd = nu * shape->direct, own = n + nd + s->records * shape->trim, longest = 1;
-    int shared = coordinates + delays + n * nu, active = shared + n + n + nd + shape->trim;
+    int nd = nu * shape->direct, own = n + nd + s->records * shape->trim;
+    size_t shared = coordinates + delays + n * nu, ld = height;
+    size_t last = shared + (size_t)s->records * n + (size_t)own * ny;
     const cplx *p = (const cplx *)m->poles, *b = (cplx *)m->b, *turn = (const cplx *)dp;
-    for (int k = 0; k < s->streams; k++) longest = most(longest, rows[k]);
     Table *tables = malloc(sizeof(Table) * (s->streams + 1));
-    int *places = malloc(sizeof(int) * active);
-    double *J = malloc(sizeof(double) * ((size_t)longest * (active + 1) + (size_t)active * active));
-    int failed = !tables || !places || !J;
-    if (!failed) tables_of(s, shape, rows, values, tables);
-    for (int k = 0; k < s->streams && !failed; k++) {
+    if (!tables) return 1;
+    tables_of(s, shape, rows, values, tables);
+    for (int k = 0; k < s->streams; k++) {
         const Table *t = tables + k;
-        int r = t->stream->record, ld = t->rows;
-        double *error = J + (size_t)longest * active, *product = error + longest;
-        if (ld < 1 || active < 1) continue;
-        for (int channel = 0; channel < t->stream->channels; channel++) {
-            int i = t->stream->first + channel, at = 0;
+        int r = t->stream->record;
+        for (int channel = 0; channel < t->stream->channels; channel++, found += t->rows) {
+            int i = t->stream->first + channel;
             const cplx *c = (cplx *)m->c + i * modes;
-            double weight = 1.0 / sqrt(fmax(power[r * ny + i], ROUNDING));
-            memset(J, 0, sizeof(double) * (size_t)ld * active);
-            for (int q = 0; q < coordinates; q++, at++) {
-                places[at] = q;
+            double weight = 1.0 / sqrt(fmax(m->power[r * ny + i], ROUNDING)), *J = found;
+            for (int q = 0; q < coordinates; q++, J += ld)
                 for (int l = 0; l < modes; l++)
                     if (turn[q * modes + l] != 0.0)
-                        add_driven(t, m, 1, l, weight * c[l] * turn[q * modes + l], 0,
-                                   J + (size_t)at * ld);
-            }
-            for (int q = 0; q < delays; q++, at++) {
+                        add_driven(t, m, 1, l, weight * c[l] * turn[q * modes + l], 0, J);
+            for (int q = 0; q < delays; q++, J += ld) {
                 int j = (int)late[q];
                 cplx direct = 0.0;
-                places[at] = at;
                 for (int l = 0; l < modes; l++) {
                     cplx moved = weight * c[l] * b[l * nu + j];
                     direct += moved;
-                    add_response(t, 0, l, nu, moved * first[r * nu + j], 0, J + (size_t)at * ld);
-                    add_response(t, 0, l, j, -moved * p[l], 0, J + (size_t)at * ld);
+                    add_response(t, 0, l, nu, moved * first[r * nu + j], 0, J);
+                    add_response(t, 0, l, j, -moved * p[l], 0, J);
                 }
-                add(t, input_place(t) + j, -creal(direct), J + (size_t)at * ld);
+                add(t, input_place(t) + j, -creal(direct), J);
                 if (shape->direct)
-                    add(t, input_place(t) + nu + j, -weight * m->D[i * nu + j],
-                        J + (size_t)at * ld);
+                    add(t, input_place(t) + nu + j, -weight * m->D[i * nu + j], J);
             }
             for (int imag = 0; imag < 2; imag++)
                 for (int l = imag ? shape->real : 0; l < modes; l++)
-                    for (int j = 0; j < nu; j++, at++) {
-                        places[at] = at;
-                        add_response(t, 0, l, j, weight * c[l], imag, J + (size_t)at * ld);
-                    }
-            for (int imag = 0, q = 0; imag < 2; imag++)
-                for (int l = imag ? shape->real : 0; l < modes; l++, at++, q++) {
-                    places[at] = shared + r * n + q;
-                    add_response(t, 0, l, nu, weight * c[l], imag, J + (size_t)at * ld);
-                }
-            int mine = shared + s->records * n + own * i;
-            for (int imag = 0, q = 0; imag < 2; imag++)
-                for (int l = imag ? shape->real : 0; l < modes; l++, at++, q++) {
-                    places[at] = mine + q;
-                    add_driven(t, m, 0, l, weight, imag, J + (size_t)at * ld);
-                }
-            for (int j = 0; j < nd; j++, at++) {
-                places[at] = mine + n + j;
-                add(t, input_place(t) + j, weight, J + (size_t)at * ld);
-            }
-            if (shape->trim) {
-                places[at] = mine + n + nd + r;
-                add(t, one_place(t), weight, J + (size_t)at++ * ld);
-            }
-            error_of(t, m, channel, error);
-            double one = 1.0, none = 0.0;
-            syrk("U", "T", &at, &ld, &one, J, &ld, &none, product, &at);
-            for (int x = 0; x < at; x++) {
-                double sum = 0.0, *column = J + (size_t)x * ld;
-                for (int row = 0; row < ld; row++) sum += column[row] * error[row];
-                gradient[places[x]] += weight * sum;
-                for (int y = 0; y <= x; y++) {
-                    double entry = product[(size_t)x * at + y];
-                    curvature[(size_t)places[x] * count + places[y]] += entry;
-                    if (x != y) curvature[(size_t)places[y] * count + places[x]] += entry;
-                }
-            }
+                    for (int j = 0; j < nu; j++, J += ld)
+                        add_response(t, 0, l, j, weight * c[l], imag, J);
+            J = found + (shared + (size_t)r * n) * ld;
+            for (int imag = 0; imag < 2; imag++)
+                for (int l = imag ? shape->real : 0; l < modes; l++, J += ld)
+                    add_response(t, 0, l, nu, weight * c[l], imag, J);
+            J = found + (last - (size_t)own * (ny - i)) * ld;
+            for (int imag = 0; imag < 2; imag++)
+                for (int l = imag ? shape->real : 0; l < modes; l++, J += ld)
+                    add_driven(t, m, 0, l, weight, imag, J);
+            for (int j = 0; j < nd; j++, J += ld) add(t, input_place(t) + j, weight, J);
+            if (shape->trim) add(t, one_place(t), weight, J + (size_t)r * ld);
+            J = found + last * ld;
+            error_of(t, m, channel, J);
+            for (int row = 0; row < t->rows; row++) J[row] *= weight;
         }
     }
     free(tables);
-    free(places);
-    free(J);
-    return failed;
+    return 0;
 }

@@ -93,12 +93,12 @@ def _library() -> CDLL | None:
     spec = find_spec('ctsid_core.likelihood._kernel')
     if os.environ.get(VARIABLE, '') == '0' or spec is None or not spec.origin:
         return None
-    from scipy.linalg import cython_blas, cython_lapack
+    from scipy.linalg import cython_lapack
 
     try:
         found = CDLL(spec.origin)
         places = [_place(module, name) for module, name in (
-            (cython_lapack, 'dgeqrf'), (cython_lapack, 'dgelsy'), (cython_blas, 'dsyrk'))]
+            (cython_lapack, 'dgeqrf'), (cython_lapack, 'dgelsy'))]
         found.ctsid_edition.restype = c_uint
         edition = int(found.ctsid_edition())
     except (OSError, KeyError, AttributeError):
@@ -116,7 +116,7 @@ def _library() -> CDLL | None:
     found.ctsid_columns.argtypes = [p, p, p, p, p]
     found.ctsid_solve.argtypes = [p, p, p, p, p]
     found.ctsid_errors.argtypes = [p, p, p, p, p, p]
-    found.ctsid_slopes.argtypes = [p, p, p, p, p, p, c_int, c_int, c_int, p]
+    found.ctsid_jacobian.argtypes = [p, p, p, p, p, p, c_int, c_int, c_int, p]
     return found
 
 
@@ -217,17 +217,18 @@ class Kernel:
             _at(found)))
         return found
 
-    def slopes(self, layout: Layout, trim: bool, values: Array, model: ModalModel, power: Array,
-               dp: ComplexArray, late: NDArray[np.intp], count: int) -> tuple[Array, Array]:
-        """Return gradient and curvature of so many numbers; arguments: see kernel.c."""
-        found = np.zeros(count + count ** 2)
+    def jacobian(self, layout: Layout, trim: bool, values: Array, model: ModalModel, power: Array,
+                 dp: ComplexArray, late: NDArray[np.intp], count: int) -> tuple[Array, Array]:
+        """Return derivatives by so many numbers, and errors; arguments: see kernel.c."""
+        height = int(layout.rows @ self._channels)
+        found = np.zeros((count + 1, height))
         numbers = _packed(model, power, dp.ravel().view(float), late.astype(float))
         place = _at(values)
-        self._done(self._library.ctsid_slopes(
+        self._done(self._library.ctsid_jacobian(
             self._place, self._shape(layout, trim), layout.place, place,
-            place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), count,
+            place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), height,
             _at(found)))
-        return found[:count], found[count:].reshape(count, count)
+        return found[:-1].T, found[-1]
 
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""

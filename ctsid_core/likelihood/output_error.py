@@ -17,13 +17,13 @@ Denmark (damping).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgesv
+from scipy.linalg.lapack import dgeqp3, dgesv, dormqr
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
@@ -38,7 +38,7 @@ ROUGHLY = 0.3         # the same where models are only compared
 _LONGEST = 1.0        # largest change of the logarithm of a pole in one step
 STEPS = 25            # of a climb, at most ...
 _FEWER = 20           # ... and of a climb of a search
-_DAMPING = 1e-4       # of the first step
+_DAMPING = 1e-2       # of the first step
 _LEAST_DAMPING = 1e-9
 _AT_BOUND = 1.0 - 1e-9
 
@@ -114,16 +114,16 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     best, damping, gain = _with_slopes(samples, start, free), _DAMPING, np.inf
     for taken in range(steps):
         around = steps_around(samples, best.model)
-        gradient, curvature, scale, places = _slopes(samples, best, free, around)
-        promise = float(gradient @ _damped(gradient, curvature, _LEAST_DAMPING))
+        slopes = _slopes(samples, best, free, around)
+        promise = slopes.promise(slopes.step(_LEAST_DAMPING))
         moved = None
         hope = max(_at_most(promise, samples), gain if taken else 0.0)
         if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
             break
         for _ in range(6):
-            step = _damped(gradient, curvature, damping)
-            hoped = float(step @ (2.0 * gradient - curvature @ step))
-            trial = _moved(samples, best, step / scale, places, free, around)
+            step = slopes.step(damping)
+            hoped = slopes.promise(step)
+            trial = _moved(samples, best, step / slopes.scale, slopes.places, free, around)
             if trial is not None and trial.cost < best.cost:
                 moved = trial
                 break
@@ -160,38 +160,81 @@ def _at_most(promise: float, samples: Samples) -> float:
     return -count * float(np.log(max(1.0 - promise / count, ROUNDING)))
 
 
-def _damped(gradient: Array, curvature: Array, damping: float) -> Array:
-    """Return the Gauss-Newton step, damped."""
-    matrix = curvature.copy()
-    matrix.ravel()[::len(gradient) + 1] += damping
-    _, _, found, failed = dgesv(matrix.T, gradient, overwrite_a=1)
-    if failed:
-        raise np.linalg.LinAlgError('no step of Gauss-Newton: the curvature is singular')
-    return np.asarray(found)
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Where to move, all that is linear following at its best (variable projection)."""
+
+    gradient: Array    # of what moves, over `scale`
+    curvature: Array
+    scale: Array       # size of each direction, infinite where it is that of something linear
+    linear: float      # -2 log likelihood that is to be gained by what is linear alone
+    places: Places
+
+    def step(self, damping: float) -> Array:
+        """Return the Gauss-Newton step over the inverse of `scale`, damped."""
+        matrix = self.curvature.copy()
+        matrix.ravel()[::len(matrix) + 1] += damping
+        _, _, found, failed = dgesv(matrix.T, self.gradient, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError('no step of Gauss-Newton: the curvature is singular')
+        return np.asarray(found)
+
+    def promise(self, step: Array) -> float:
+        """Return the -2 log likelihood that a step gains, as far as slopes tell."""
+        return float(step @ (2.0 * self.gradient - self.curvature @ step)) + self.linear
 
 
-def _slopes(samples: Samples, fit: Fit, free: Free,
-            around: PoleSteps) -> tuple[Array, Array, Array, Places]:
-    """Return gradient and curvature over the size of each direction, the sizes, and places."""
-    gradient, curvature, places = _normal(samples, fit, free, around)
+def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slopes:
+    """
+    Return where poles, dead times and, of several outputs, b and initial states should move.
+
+    What is linear is eliminated by a QR factorisation, not in the normal equations: beside a pole
+    near zero an offset, the free response and that to the mean of an input are alike to rounding
+    there, and damping would hold them, and with them the pole.
+    """
+    rows, error, places = jacobian(samples, fit, free, around)
+    several, width = samples.ny > 1, rows.shape[1]
+    n = places.poles + places.delays + (
+        places.b + len(samples.records) * places.x0 if several else 0)
+    moving, left, linear = np.column_stack((rows[:, :n], error)), [], 0.0
+    for i, of_output in enumerate(_rows_of_outputs(samples, fit.columns)):
+        at = n + i * places.own
+        own = rows[of_output, at:at + places.own if several else width]
+        factors, _, tau, _, _ = dgeqp3(_scaled(own), overwrite_a=1)
+        size = np.abs(factors.diagonal())
+        rank = int(np.count_nonzero(size > _RANK * size[:1]))
+        turned = moving[of_output]
+        if rank:
+            turned = dormqr('L', 'T', factors[:, :rank], tau[:rank], turned, turned.size)[0]
+        linear += float(turned[:rank, n] @ turned[:rank, n])
+        left.append(turned[rank:])
+    rest = np.concatenate(left)
+    slopes = rest[:, :n]
+    gradient, curvature = slopes.T @ rest[:, n], slopes.T @ slopes
     held = _held(fit.model, free, gradient, places, around)
-    if held:
-        gradient[held] = curvature[held] = curvature[:, held] = 0.0
     scale = np.sqrt(curvature.diagonal())
-    scale[~(scale > 1e-150)] = 1.0
-    return gradient / scale, curvature / scale / scale[:, np.newaxis], scale, places
+    scale[~(scale > _RANK * np.sqrt(np.sum(moving[:, :n] ** 2, axis=0)))] = np.inf
+    scale[held] = np.inf
+    return _Slopes(gradient / scale, curvature / scale / scale[:, np.newaxis], scale, linear,
+                   places)
 
 
-def _normal(samples: Samples, fit: Fit, free: Free,
-            around: PoleSteps) -> tuple[Array, Array, Places]:
-    """Return gradient and curvature: what is left of a Jacobian in the normal equations."""
-    if samples.kernel is None:
-        rows, error, places = jacobian(samples, fit, free)
-        return rows.T @ error, rows.T @ rows, places
-    dp, late, places = _coordinates(samples, fit.model, free, around)
-    return *samples.kernel.slopes(
-        fit.columns.layout, free.trim, fit.columns.values, fit.model, fit.power, dp, late,
-        places.count(samples.ny, len(samples.records))), places
+def _rows_of_outputs(samples: Samples, columns: Columns) -> Sequence[slice | NDArray[np.intp]]:
+    """Return which rows of a Jacobian are of each output."""
+    if samples.ny == 1:
+        return (slice(None),)
+    channels = [range(s.channels.start, s.channels.stop) for r in samples.records
+                for s in r.streams]
+    output = np.repeat(np.concatenate(channels), np.repeat(
+        columns.layout.rows, [len(own) for own in channels]))
+    return [np.flatnonzero(output == i) for i in range(samples.ny)]
+
+
+def _scaled(columns: Array) -> Array:
+    """Return columns of size 1, in Fortran's order."""
+    size = np.linalg.norm(columns, axis=0)
+    size[~(size > 0.0)] = 1.0
+    return np.asfortranarray(columns / size)
 
 
 def _coordinates(samples: Samples, model: ModalModel, free: Free,
@@ -232,8 +275,11 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
     delay[late] = np.clip(delay[late] + fraction * step[n:n + places.delays], 0.0, free.longest)
     if not np.isfinite(poles).all():
         return None
-    near = Guess(_with_linear(model, fraction * step, places, free) if samples.rank > 1 else model,
-                 fit.power)
+    if samples.rank > 1:
+        whole = np.zeros(places.count(samples.ny, len(samples.records)))
+        whole[:len(step)] = fraction * step
+        model = _with_linear(model, whole, places, free)
+    near = Guess(model, fit.power)
     try:
         return fit_at(samples, poles, delay, free, near)
     except np.linalg.LinAlgError:
@@ -318,19 +364,24 @@ def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray
     return found
 
 
-def jacobian(samples: Samples, fit: Fit, free: Free, *,
+def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = None, *,
              moving: bool = True) -> tuple[Array, Array, Places]:
     """
     Return derivatives of the simulation over the noise, the errors over it, and places.
 
-    Unless poles and dead times are `moving`, those by what is linear alone.
+    Unless poles and dead times are `moving`, those by what is linear alone. `around`: how poles
+    move, if that is known.
     """
     fit = _with_slopes(samples, fit, free) if moving else fit
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
-    dp, late, places = _coordinates(samples, model, free, steps_around(samples, model))
+    dp, late, places = _coordinates(samples, model, free, around or steps_around(samples, model))
     if not moving:
         places = replace(places, poles=0, delays=0)
+    elif samples.kernel is not None:
+        return *samples.kernel.jacobian(
+            fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late,
+            places.count(ny, records)), places
     count, own = places.count(ny, records), places.own
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []

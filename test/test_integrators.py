@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Integrators whose input has a mean: a ramp, an offset and a free response that are alike."""
+
+import numpy as np
+import pytest
+
+from ctsid_core import Record, Settings, identify
+from ctsid_core.likelihood.output_error import Free, climb, fit_at
+from ctsid_core.likelihood.samples import samples_of
+
+LAG, RATE, STEP = 2.5, 4.0, 0.002
+
+
+def travelled(seed, mean, several=1, duration=60.0):
+    """A car's speed: throttle through a lag of 0.4 s, integrated; 1 % of noise."""
+    rng = np.random.default_rng(seed)
+    count = int(duration / STEP)
+    t = np.arange(count) * STEP
+    u = mean + 0.3 * rng.choice([-1.0, 1.0], (count // 250 + 1, several))[np.arange(count) // 250]
+    kept, pushed, speed = np.exp(-LAG * STEP), np.zeros(several), np.zeros(several)
+    y = np.empty((count, several))
+    for k in range(count):
+        y[k] = speed
+        lag = (1.0 - kept) * (pushed - u[k])                    # over all of a step
+        speed = speed + RATE * (u[k] * STEP + lag / LAG)
+        pushed = u[k] + (pushed - u[k]) * kept
+    y, u = y[::25] @ mixing(several), u[::25]
+    return Record.from_arrays(t[::25], u, t[::25], y + 0.03 * rng.standard_normal(y.shape),
+                              input_hold='zoh')
+
+
+def mixing(several):
+    return np.eye(several) + 0.3 * np.eye(several, k=1)
+
+
+@pytest.mark.parametrize('start', [-1e-2, -1e-3, -1e-4, -1e-6])
+@pytest.mark.parametrize('several', [1, 2])
+def test_a_climb_does_not_stall_beside_zero(several, start):
+    samples = samples_of([travelled(5, 0.1, several)], [[None]])
+    free = Free(False, True, (False,) * several, 0.1, 1.0, 100.0)
+    poles = np.repeat([start, -2.0], several)
+    found = climb(samples, fit_at(samples, poles, np.zeros(several), free), free)
+    best = climb(samples, fit_at(samples, np.repeat([-1e-7, -LAG], several), np.zeros(several),
+                                 free), free)
+    assert found.cost < best.cost + 1.0
+
+
+@pytest.mark.parametrize(('mean', 'seed'), [(0.0, 11), (0.1, 12), (0.1, 13), (1.0, 14)])
+@pytest.mark.parametrize('several', [1, 2])
+def test_an_integrator_is_one_whatever_the_mean_of_its_input(several, mean, seed):
+    estimate = identify(travelled(seed, mean, several), Settings(feedthrough=False))
+    model = estimate.model
+    assert model.n == 2 * several
+    poles = np.sort(model.poles.real)[::-1]
+    assert np.max(np.abs(poles[:several])) < 1e-3            # 6 % of the record's
+    np.testing.assert_allclose(poles[several:], -LAG, rtol=0.05)
+    rate = model.frequency_response(np.array([1e-2]))[0] * 1e-2j
+    np.testing.assert_allclose(rate, RATE * mixing(several).T, atol=0.1 * RATE)
