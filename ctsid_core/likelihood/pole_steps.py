@@ -110,8 +110,7 @@ class PoleSteps:
                 far = middle + math.copysign(math.sqrt(turn), middle)
                 found += [(complex(far), rank), (complex(b / far if far else -far), rank)]
         bound = bounded(np.array([p for p, _ in found]), limit, fastest)
-        order = sorted(range(len(found)), key=lambda k: _place(complex(bound[k])))
-        return np.repeat(canonical(bound), [found[k][1] for k in order])
+        return np.repeat(canonical(bound), [found[k][1] for k in in_order(bound)])
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""
@@ -148,6 +147,12 @@ def canonical(poles: ComplexArray, rank: int = 1) -> ComplexArray:
                     other.imag > 0.0):
                 found[i] = other - _APART * max(abs(other), 1e-300)
     return np.array(found, dtype=complex)
+
+
+def in_order(poles: ComplexArray) -> list[int]:
+    """Return the places of poles in the order of `canonical`."""
+    values = poles.tolist()
+    return sorted(range(len(values)), key=lambda k: _place(values[k]))
 
 
 def _place(pole: complex) -> tuple[bool, float, float]:

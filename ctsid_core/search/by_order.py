@@ -40,7 +40,8 @@ from ctsid_core.likelihood.output_error import (
     climb_roughly,
     fit_at,
 )
-from ctsid_core.likelihood.pole_steps import bounded, canonical, ranks_of
+from ctsid_core.likelihood.parting import parted
+from ctsid_core.likelihood.pole_steps import bounded, ranks_of
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
@@ -389,24 +390,23 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
         return fit.cost + _AKAIKE * parameters(samples, fit, free)
     reached: list[Fit] = []
     for start in _different(fits, each):
-        own = parameters(samples, start, free)
         best = min(map(akaike, reached), default=np.inf)
-        reached += _climbed(samples, start, free, min(needed - price(samples) * own,
-                                                      best - _AKAIKE * own))
+        reached.append(_climbed(samples, start, free, needed, best))
         if samples.effort.beyond(SEARCH):
             break
     return min(reached, key=akaike, default=None)
 
 
-def _climbed(samples: Samples, start: Fit, free: Free, rival: float) -> Iterator[Fit]:
-    """Yield where a start leads, and where if its equal poles part."""
-    reached = climb_roughly(samples, start, free, rival)
-    yield reached
-    poles = canonical(start.model.poles)
-    if not np.array_equal(poles, start.model.poles):
-        apart = fit_at(samples, poles, start.model.delay, free, start)
-        more = parameters(samples, apart, free) - parameters(samples, reached, free)
-        yield climb_roughly(samples, apart, free, min(rival, reached.cost) - _AKAIKE * more)
+def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: float) -> Fit:
+    """Return where a start leads; equal poles part where that promises more than its price."""
+    def climb_on(fit: Fit) -> Fit:
+        own = parameters(samples, fit, free)
+        return climb_roughly(samples, fit, free, min(needed - price(samples) * own,
+                                                     best - _AKAIKE * own))
+    if (apart := parted(samples, start, free, _AKAIKE)) is None:
+        start = climb_on(start)
+        apart = parted(samples, start, free, _AKAIKE)
+    return start if apart is None else climb_on(apart)
 
 
 def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
