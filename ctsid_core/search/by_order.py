@@ -20,6 +20,7 @@ HD-PBSID points at, both models' errors say how many these are.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -41,7 +42,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
 )
 from ctsid_core.likelihood.parting import parted
-from ctsid_core.likelihood.pole_steps import bounded, ranks_of
+from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
@@ -279,10 +280,9 @@ def parameters(samples: Samples, fit: Fit, free: Free) -> int:
 
     A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
     """
-    poles, records, both = fit.model.poles, len(samples.records), samples.nu + samples.ny
-    group, _ = ranks_of(poles)
-    of_modes = sum(int(np.sum(1 + (own.imag > 0.0))) * (both - len(own)) + 1 + (own[0].imag > 0.0)
-                   for own in np.split(poles, np.flatnonzero(np.diff(group)) + 1) if len(own))
+    records, both = len(samples.records), samples.nu + samples.ny
+    of_modes = sum((1 + (p.imag > 0.0)) * (rank * (both - rank) + 1)
+                   for p, rank in Counter(fit.model.poles.tolist()).items())
     return int(of_modes + fit.model.n * records + samples.ny * samples.nu * free.feedthrough
                + samples.ny * records * free.trim + sum(free.delays))
 
