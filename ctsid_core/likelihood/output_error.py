@@ -35,7 +35,7 @@ from ctsid_core.linear.types import Array, ComplexArray, Mask
 _RANK = 1e-13         # relative singular value below which a linear direction is not determined
 _LEAST_GAIN = 1e-4    # -2 log likelihood: a hundredth of a standard deviation
 ROUGHLY = 0.3         # the same where models are only compared
-_LONGEST = 1.0        # largest change of the logarithm of a pole in one step
+LONGEST = 1.0         # largest change of the logarithm of a pole in one step
 STEPS = 25            # of a climb, at most ...
 _FEWER = 20           # ... and of a climb of a search
 _DAMPING = 1e-2       # of the first step
@@ -268,7 +268,7 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
     fraction = 1.0
     for _ in range(10):
         poles = around.moved(fraction * step[:n], free.limit, free.fastest)
-        if around.size_of(poles) <= _LONGEST:
+        if around.size_of(poles) <= LONGEST:
             break
         fraction *= 0.5
     delay = model.delay.copy()
@@ -365,23 +365,25 @@ def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray
 
 
 def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = None, *,
-             moving: bool = True) -> tuple[Array, Array, Places]:
+             moving: bool = True,
+             moves: ComplexArray | None = None) -> tuple[Array, Array, Places]:
     """
     Return derivatives of the simulation over the noise, the errors over it, and places.
 
     Unless poles and dead times are `moving`, those by what is linear alone. `around`: how poles
-    move, if that is known.
+    move, if that is known; instead `moves`, (k, m, m), may say how the matrix A of all modes does.
     """
     fit = _with_slopes(samples, fit, free) if moving else fit
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
     dp, late, places = _coordinates(samples, model, free, around or steps_around(samples, model))
-    if not moving:
-        places = replace(places, poles=0, delays=0)
-    elif samples.kernel is not None:
+    if moving and moves is None and samples.kernel is not None:
         return *samples.kernel.jacobian(
             fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late,
             places.count(ny, records)), places
+    if moves is None:
+        moves = dp[:, :, np.newaxis] * np.eye(len(poles))
+    places = replace(places, poles=len(moves)) if moving else replace(places, poles=0, delays=0)
     count, own = places.count(ny, records), places.own
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []
@@ -399,7 +401,7 @@ def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = 
                 J = np.zeros((len(t.one), count))
                 at = places.poles + places.delays
                 if moving:
-                    J[:, :places.poles] = ((slopes * c) @ dp.T).real
+                    J[:, :places.poles] = (slopes @ (c @ moves).T).real
                     J[:, places.poles:at] = _by_delay(t, model, i, fit.columns.first[r], late)
                 J[:, at:at + places.b] = _real(turned[:, :, :nu], poles)
                 at += places.b + r * places.x0

@@ -39,15 +39,9 @@ class PoleSteps:
         Equal ones move together. `rank` is the largest of a residue: real poles that are there
         less often pass each other, for their residues are different ones.
         """
-        poles = canonical(poles, rank)
-        p, ranks = list[complex](), list[int]()
-        for pole in poles.tolist():
-            if p and pole == p[-1]:
-                ranks[-1] += 1
-            else:
-                p.append(pole)
-                ranks.append(1)
-        poles = np.array(p, dtype=complex)
+        every = canonical(poles, rank).tolist()
+        p = list(dict.fromkeys(every))
+        ranks = tuple(every.count(x) for x in p)
         scale = [max(abs(x), slowest) for x in p]
         real = sorted((k for k, x in enumerate(p) if x.imag == 0.0), key=lambda k: p[k].real)
         factors, i = [(k, -1) for k, x in enumerate(p) if x.imag > 0.0], 0
@@ -58,7 +52,7 @@ class PoleSteps:
                 i + 1 < len(gaps) and gaps[i + 1] < gaps[i])
             factors.append((real[i], real[i + 1] if joins else -1))
             i += 2 if joins else 1
-        return cls(poles, tuple(ranks), tuple(factors), np.array(scale))
+        return cls(np.array(p, dtype=complex), ranks, tuple(factors), np.array(scale))
 
     def _each(self) -> Iterator[tuple[int, int, int, complex | None, float]]:
         """Yield first coordinate and places of each factor, its second root if any, and scale."""
@@ -110,8 +104,7 @@ class PoleSteps:
                 far = middle + math.copysign(math.sqrt(turn), middle)
                 found += [(complex(far), rank), (complex(b / far if far else -far), rank)]
         bound = bounded(np.array([p for p, _ in found]), limit, fastest)
-        order = sorted(range(len(found)), key=lambda k: _place(complex(bound[k])))
-        return np.repeat(canonical(bound), [found[k][1] for k in order])
+        return np.repeat(canonical(bound), [found[k][1] for k in in_order(bound)])
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""
@@ -150,6 +143,12 @@ def canonical(poles: ComplexArray, rank: int = 1) -> ComplexArray:
     return np.array(found, dtype=complex)
 
 
+def in_order(poles: ComplexArray) -> list[int]:
+    """Return the places of poles in the order of `canonical`."""
+    values = poles.tolist()
+    return sorted(range(len(values)), key=lambda k: _place(values[k]))
+
+
 def _place(pole: complex) -> tuple[bool, float, float]:
     """Return what poles are sorted by."""
     return pole.imag > 0.0, abs(pole), pole.real
@@ -157,10 +156,7 @@ def _place(pole: complex) -> tuple[bool, float, float]:
 
 def ranks_of(poles: ComplexArray) -> tuple[Places, Places]:
     """Return which pole each mode has, equal ones counted once, and which of its ranks it is."""
-    group, part = list[int](), list[int]()
     values = poles.tolist()
-    for k, p in enumerate(values):
-        same = k > 0 and p == values[k - 1]
-        group.append(group[-1] + (not same) if k else 0)
-        part.append(part[-1] + 1 if same else 0)
-    return np.array(group, dtype=np.intp), np.array(part, dtype=np.intp)
+    once = list(dict.fromkeys(values))
+    return (np.array([once.index(p) for p in values], dtype=np.intp),
+            np.array([values[:k].count(p) for k, p in enumerate(values)], dtype=np.intp))

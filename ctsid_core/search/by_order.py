@@ -20,6 +20,7 @@ HD-PBSID points at, both models' errors say how many these are.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -40,7 +41,8 @@ from ctsid_core.likelihood.output_error import (
     climb_roughly,
     fit_at,
 )
-from ctsid_core.likelihood.pole_steps import bounded, canonical, ranks_of
+from ctsid_core.likelihood.parting import parted
+from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
@@ -278,10 +280,9 @@ def parameters(samples: Samples, fit: Fit, free: Free) -> int:
 
     A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
     """
-    poles, records, both = fit.model.poles, len(samples.records), samples.nu + samples.ny
-    group, _ = ranks_of(poles)
-    of_modes = sum(int(np.sum(1 + (own.imag > 0.0))) * (both - len(own)) + 1 + (own[0].imag > 0.0)
-                   for own in np.split(poles, np.flatnonzero(np.diff(group)) + 1) if len(own))
+    records, both = len(samples.records), samples.nu + samples.ny
+    of_modes = sum((1 + (p.imag > 0.0)) * (rank * (both - rank) + 1)
+                   for p, rank in Counter(fit.model.poles.tolist()).items())
     return int(of_modes + fit.model.n * records + samples.ny * samples.nu * free.feedthrough
                + samples.ny * records * free.trim + sum(free.delays))
 
@@ -389,24 +390,23 @@ def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid:
         return fit.cost + _AKAIKE * parameters(samples, fit, free)
     reached: list[Fit] = []
     for start in _different(fits, each):
-        own = parameters(samples, start, free)
         best = min(map(akaike, reached), default=np.inf)
-        reached += _climbed(samples, start, free, min(needed - price(samples) * own,
-                                                      best - _AKAIKE * own))
+        reached.append(_climbed(samples, start, free, needed, best))
         if samples.effort.beyond(SEARCH):
             break
     return min(reached, key=akaike, default=None)
 
 
-def _climbed(samples: Samples, start: Fit, free: Free, rival: float) -> Iterator[Fit]:
-    """Yield where a start leads, and where if its equal poles part."""
-    reached = climb_roughly(samples, start, free, rival)
-    yield reached
-    poles = canonical(start.model.poles)
-    if not np.array_equal(poles, start.model.poles):
-        apart = fit_at(samples, poles, start.model.delay, free, start)
-        more = parameters(samples, apart, free) - parameters(samples, reached, free)
-        yield climb_roughly(samples, apart, free, min(rival, reached.cost) - _AKAIKE * more)
+def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: float) -> Fit:
+    """Return where a start leads; equal poles part where that promises more than its price."""
+    def climb_on(fit: Fit) -> Fit:
+        own = parameters(samples, fit, free)
+        return climb_roughly(samples, fit, free, min(needed - price(samples) * own,
+                                                     best - _AKAIKE * own))
+    if (apart := parted(samples, start, free, _AKAIKE)) is None:
+        start = climb_on(start)
+        apart = parted(samples, start, free, _AKAIKE)
+    return start if apart is None else climb_on(apart)
 
 
 def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
