@@ -304,6 +304,15 @@ def weakened(verdict: Verdict) -> Verdict:
     return replace(verdict, grade=Grade.WEAK, reason=seen.weakness, remedy=remedy)
 
 
+def retested(estimate: Estimate, failed: str) -> Estimate:
+    """Return an estimate, WEAK instead of GOOD if its model has failed on unseen data."""
+    if not failed or not estimate.good:
+        return estimate
+    return replace(estimate, verdict=replace(
+        estimate.verdict, grade=Grade.WEAK, remedy=Remedy.SPLIT,
+        reason=f'{_begun(failed)}; make a model of each by itself.'))
+
+
 def rejected_over_change(estimate: Estimate, share: float) -> Estimate:
     """
     Return an estimate rejected, because an earlier window has shown a change within this one.

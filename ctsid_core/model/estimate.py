@@ -164,6 +164,11 @@ class Estimate:
         return self.model is not None
 
     @property
+    def by_predictions(self) -> bool:
+        """Whether the model was found by its predictions: then its fits are of these."""
+        return any(c.name == 'domain' and c.value == 'predictions' for c in self.choices)
+
+    @property
     def pole_covariance(self) -> Array:
         """Covariance of (real part, imaginary part) of each pole, (n, 2, 2) [rad^2/s^2]."""
         return self._derived(known.pole_covariance, 'n', 2, 2)
