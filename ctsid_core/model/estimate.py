@@ -33,7 +33,7 @@ class Status(Enum):
     UNEXPLAINED = ('No linear model explains all outputs by the inputs; check that these '
                    'are the right signals.')
     UNRELIABLE = ('No finite model could be computed from the data; check the signals, their '
-                  'sizes and units.')
+                  'sizes and units, and that the window is long enough.')
     CHANGED = ('The plant, or the offset of a signal, changed within the window, and one model of '
                'both would be wrong; identify each side of the change by itself.')
 

@@ -105,6 +105,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
                                    max_order=settings.max_order, known_delay=given)
     most = min(most, int(np.max(samples.counts.sum(axis=0))))
+    # As many numbers as there are samples explain any.
+    found = {n: one for n, one in found.items() if one.parameters < samples.counts.sum()}
     if not found or settings.order not in (0, *found):
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
