@@ -137,7 +137,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return replace(solved, hidden=hidden)
     reached = climbed(samples, best, free)
     best, free = without_needless(samples, reached, free, LEAST)
-    if disturbed is not None and not settings.order and (solved := _disturbed(
+    if disturbed is not None and (solved := _disturbed(
             part, settings, corrupt, seen, samples, best, disturbed, free, found, hidden)):
         return solved
     others = _with(others, reached, best)
