@@ -62,3 +62,16 @@ def test_many_signals_in_a_short_window_do_not_stop_the_program():
                                 input_hold='zoh')
     for settings in (Settings(), Settings(order=6), Settings(order=8)):
         assert identify(record, settings).status in Status
+
+
+def test_a_good_model_says_how_well_its_poles_are_known():
+    """The response to a window of five dead times is known to 9 %, its pole to 61 %."""
+    found = identify(motor(0.5, 4, noise=0.02))
+    assert found.good
+    assert found.pole_std[0] > 0.5 * abs(found.model.poles[0])
+    assert 'not single poles' in found.verdict.reason
+    told = re.search(r'poles one of (\S+) % of their size', found.verdict.reason)
+    assert float(told[1]) == pytest.approx(100 * found.verdict.pole_uncertainty, rel=0.05)
+    long = identify(motor(9.0, 4, noise=0.02))
+    assert long.good
+    assert 'single poles' not in long.verdict.reason

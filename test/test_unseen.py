@@ -100,3 +100,31 @@ def test_a_stored_model_that_fails_on_a_recording_is_not_called_good_there(tmp_p
     page = (tmp_path / 'there/report.md').read_text()
     assert '**WEAK.**' in page
     assert 'Every test is passed' not in page
+
+
+def test_what_a_recording_lacks_to_be_compared_is_said(tmp_path, capsys):
+    identified(capsys, write(tmp_path / 'motor.csv', 5.0), tmp_path / 'out')
+    rows = np.loadtxt(tmp_path / 'motor.csv', delimiter=',', skiprows=1)
+    np.savetxt(tmp_path / 'inputs.csv', rows[:, :2], delimiter=',', header='t,voltage',
+               comments='')
+    assert main(['simulate', str(tmp_path / 'out'), str(tmp_path / 'inputs.csv')]) == 1
+    told = capsys.readouterr().err
+    assert "the table has no column 'speed'" in told
+    assert 'needs all its inputs and outputs' in told
+
+
+def test_a_recording_shorter_than_the_dead_time_is_refused(tmp_path, capsys):
+    rng, t = np.random.default_rng(0), np.arange(1200) / 20.0
+    u = np.repeat(rng.uniform(-1, 1, 30), 40)
+    late, y = np.concatenate([np.zeros(100), u]), np.zeros(len(t))
+    for k in range(len(t) - 1):
+        y[k + 1] = late[k] + (y[k] - late[k]) * np.exp(-0.05)
+    y += 0.01 * rng.standard_normal(len(t))
+    for name, rows in (('long.csv', 1200), ('short.csv', 60)):
+        np.savetxt(tmp_path / name, np.column_stack([t, u, y])[:rows], delimiter=',',
+                   header='t,valve,temperature', comments='')
+    assert main(['identify', str(tmp_path / 'long.csv'), '--out', str(tmp_path / 'out'),
+                 '--quiet']) == 0
+    capsys.readouterr()
+    assert main(['simulate', str(tmp_path / 'out'), str(tmp_path / 'short.csv')]) == 1
+    assert 'input valve acts 5 s later' in capsys.readouterr().err

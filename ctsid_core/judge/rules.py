@@ -266,7 +266,15 @@ def _summary(e: Evidence) -> str:
     return (f'Every test is passed: the model {does} to '
             f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
             f'response to each input{_within(e)} has a standard deviation of '
-            f'{_percent(deviation)}.{untested}')
+            f'{_percent(deviation)}{_of_poles(e.numbers.pole_uncertainty)}.{untested}')
+
+
+def _of_poles(deviation: float) -> str:
+    """Say how well poles are known, which a response that is known well need not tell."""
+    if not np.isfinite(deviation):
+        return ''
+    act = ': use the response, not single poles' if deviation > KNOWN else ''
+    return f', poles one of {_percent(deviation)} of their size{act}'
 
 
 def _within(e: Evidence) -> str:

@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import StorageError
+from ctsid_ros.errors import BagError
 from ctsid_ros.progress import progress
 from ctsid_ros.report.document import GLOSSARY, Section, to_text
 from ctsid_ros.report.tables import Table, number, percent
@@ -99,6 +100,7 @@ def command(args: argparse.Namespace) -> int:
         config = config if args.params else of_this_bag(bag, config, args.model)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
+        _check_dead_times(model, data.record)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
         failed = failure(estimate, as_judged(estimate, model, record) if estimate.by_predictions
@@ -138,6 +140,15 @@ def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> Sta
     if not rejected:
         raise StorageError(f'{why} Add --rejected to {verb} the rejected one all the same.')
     return estimate.rejected_model
+
+
+def _check_dead_times(model: StateSpace, record: Record) -> None:
+    """Raise `BagError` if an input acts on nothing of a record, for it acts too late."""
+    first = [s.time[0] for s in record.inputs for _ in range(s.width)]
+    for name, delay, start in zip(model.input_names, model.delay, first, strict=True):
+        if start + delay >= record.end:
+            raise BagError(f'input {name} acts {delay:.3g} s later, after the end of these '
+                           f'{record.duration:.3g} s of data; choose a longer recording or part')
 
 
 def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
