@@ -69,9 +69,9 @@ def test_a_good_model_says_how_well_its_poles_are_known():
     found = identify(motor(0.5, 4, noise=0.02))
     assert found.good
     assert found.pole_std[0] > 0.5 * abs(found.model.poles[0])
-    assert 'not single poles' in found.verdict.reason
-    told = re.search(r'poles one of (\S+) % of their size', found.verdict.reason)
+    assert 'do not use that pole' in found.verdict.reason
+    told = re.search(r'the least known pole one of (\S+) % of its size', found.verdict.reason)
     assert float(told[1]) == pytest.approx(100 * found.verdict.pole_uncertainty, rel=0.05)
     long = identify(motor(9.0, 4, noise=0.02))
     assert long.good
-    assert 'single poles' not in long.verdict.reason
+    assert 'do not use' not in long.verdict.reason

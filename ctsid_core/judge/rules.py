@@ -273,8 +273,8 @@ def _of_poles(deviation: float) -> str:
     """Say how well poles are known, which a response that is known well need not tell."""
     if not np.isfinite(deviation):
         return ''
-    act = ': use the response, not single poles' if deviation > KNOWN else ''
-    return f', poles one of {_percent(deviation)} of their size{act}'
+    alone = ': do not use that pole by itself' if deviation > KNOWN else ''
+    return f', the least known pole one of {_percent(deviation)} of its size{alone}'
 
 
 def _within(e: Evidence) -> str:

@@ -46,8 +46,8 @@ def failure(estimate: Estimate, found: Validation, record: Record) -> str:
         with np.errstate(over='ignore', invalid='ignore'):      # a diverged simulation
             coloured = np.mean(e ** 2) - white_part(((e,),))[0] ** 2
         if not (np.isnan(found.fit[i]) or coloured <= (limit * motion[i]) ** 2):
-            told.append(f'{found.fit[i]:.1f} % of {record.output_names[i]} here, '
-                        f'{estimate.fit[i]:.1f} % of its own data')
+            here, own = (np.round(fit[i], 1) + 0.0 for fit in (found.fit, estimate.fit))  # no -0.0
+            told.append(f'{here} % of {record.output_names[i]} here, {own} % of its own data')
     return '' if not told else (
         f'the model explains {"; ".join(told)}: the plant is not the same (payload, battery, '
         'gains), or it moves otherwise than there (farther, faster, in gusts)')
