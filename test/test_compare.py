@@ -222,7 +222,7 @@ def test_a_signal_with_two_names_is_named_with_what_to_do(run):
     for line in (('compare', 'of_torque', 'tau.csv', '--out', 'two_names'),
                  ('simulate', 'of_torque/model.json', 'tau.csv')):
         code, _, err = run(*line)
-        assert (code, "has no field 'torque'" in err, 'give --params FILE' in err) == (1, True,
+        assert (code, "has no column 'torque'" in err, 'give --params FILE' in err) == (1, True,
                                                                                        True)
         assert run(*line, '--params', 'alike.yaml')[0] == 0
     assert run('identify', 'tau.csv', '--params', 'alike.yaml', '--out', 'alike_tau')[0] == 0

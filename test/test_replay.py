@@ -19,6 +19,7 @@ from ctsid_core.model.storage import to_json
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracked, Tracker
 from ctsid_core.settings import Settings
+from ctsid_core.signals.record import Signal
 from ctsid_ros.config.channels import Channel, Config
 from ctsid_ros.config.parameter_file import parse_config
 from ctsid_ros.errors import BagError
@@ -325,3 +326,35 @@ def test_a_bag_that_cannot_be_read_on_keeps_its_windows(tmp_path, monkeypatch):
         limit = 0
         with pytest.raises(BagError, match='input/output error'):
             Replay(bag, CONFIG).run()
+
+
+@pytest.mark.parametrize('delay', ['auto', 0.5])
+def test_an_interval_has_the_windows_that_all_of_the_bag_has_there(tmp_path, delay):
+    rng, t = np.random.default_rng(0), np.arange(2001) / 100.0
+    u = np.repeat(rng.uniform(-1.0, 1.0, 67), 30)[:len(t)]
+    late = np.concatenate([np.zeros(50), u])[:len(t)]
+    y = TRUTH.simulate((Signal(t, late[:, np.newaxis], 'zoh'),), t)[:, 0]
+    np.savetxt(tmp_path / 'robot.csv', np.column_stack([t, u, y]), delimiter=',', comments='',
+               header='t,torque,rate')
+    config = parse_config(yaml.safe_load(f"""
+/**:
+  ros__parameters:
+    inputs: [torque]
+    outputs: [rate]
+    torque: {{topic: robot, field: torque, delay: {delay}}}
+    rate: {{topic: robot, field: rate}}
+    order: 2
+    window: {{length: 5.0, stride: 2.5}}
+"""))
+    with open_bag(str(tmp_path / 'robot.csv')) as bag:
+        whole, part = Replay(bag, config), Replay(bag, config, Interval(start=5.0))
+        whole.run()
+        part.run()
+        assert len(part.results) == len(whole.results) - 2 == 5
+        for number, result in enumerate(part.results):
+            assert same(part.record(number), whole.record(number + 2))
+            np.testing.assert_array_equal(result.estimate.fit,
+                                          whole.results[number + 2].estimate.fit)
+        first = part.results[0].estimate.model
+        assert first.delay[0] == pytest.approx(0.5, abs=0.01)
+        np.testing.assert_allclose(first.poles, TRUTH.poles, rtol=0.02)

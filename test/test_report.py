@@ -416,7 +416,6 @@ def test_a_rejected_model_is_shown_as_such():
     (estimate(), None),
     (estimate(held_out_fit=np.array([60.0])), 'far better'),
     (estimate(settings=Settings(max_order=2)), 'that `max_order` allows'),
-    (estimate(std=9.0), 'hardly determined'),
     (estimate(shifted(TRUTH, 5.0)), 'unstable')])
 def test_remarks_fit_the_outcome(given, words):
     text = to_markdown('', [remark_section(given, np.empty(0))])

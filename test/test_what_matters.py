@@ -34,7 +34,7 @@ def test_a_state_for_which_a_dead_time_stands_in_is_found():
     assert found.model.n == 2
     assert found.model.delay[0] < 0.05
     order, = (c for c in found.choices if c.name == 'order')
-    assert 'and one more: likelier once it is allowed for that errors last' in order.why
+    assert 'and one more, because neighbouring errors are alike' in order.why
 
 
 @pytest.mark.parametrize(('family', 'order'), [
@@ -61,7 +61,7 @@ def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed
     fits = [np.mean(simulated(e.model or e.rejected_model, given.test)) for e in (found, other)]
     assert fits[0] > fits[1] + 1.0
     chosen, = (c for c in found.choices if c.name == 'order')
-    assert 'likelier once it is allowed for that errors last' in chosen.why
+    assert 'because neighbouring errors are alike' in chosen.why
 
 
 def test_what_is_left_of_an_output_that_is_all_explained_buys_no_state():

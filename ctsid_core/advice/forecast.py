@@ -76,7 +76,7 @@ def forecast(estimate: Estimate, model: StateSpace, covariance: Covariance,
     count.
     """
     edges, bands, added = _edges(model, records), [], []
-    noise = _innovations if any(c.value == 'predictions' for c in estimate.choices) else _white
+    noise = _innovations if estimate.by_predictions else _white
     density = partial(noise, estimate.verdict, model, records)
     for j, name in enumerate(model.input_names):
         powers = [_power(record, j, edges) for record in records]

@@ -164,6 +164,8 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     order = np.argsort(shares, kind='stable')
     # What a side's own states and trims explain is no change: they come first.
     columns = np.column_stack((rows[:, states], rows[:, ~states]))[order]
+    if len(columns) <= columns.shape[1]:        # samples enough for one model only
+        return []
     samples.effort.spend(_LOOK + 4.0 * len(columns) * columns.shape[1] ** 2)
     basis, R = np.linalg.qr(columns)
     # Of the choices of states, which change nothing, only rounding is left.

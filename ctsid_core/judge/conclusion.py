@@ -189,7 +189,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
               deviation: Array, curves: Array, lead: Array) -> Evidence:
     part, (change, drift) = solution.part, changing
     last = part.parts[part.last]
-    whole, resolution = last.whole, 2.0 * np.pi / part.length
+    whole = last.whole
 
     def everywhere(values: Array) -> Array:
         return _spread_out(values, last.y, whole.ny)
@@ -210,7 +210,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
     numbers = replace(
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
-        pole_uncertainty=pole_uncertainty(model.poles, deviation, resolution),
+        pole_uncertainty=pole_uncertainty(model.poles, deviation, 1.0 / part.length),
         whiteness=everywhere(np.array([whiteness(np.concatenate([own[k][:, i] for own in errors]))
                                        for k in range(len(errors[0]))
                                        for i in range(errors[0][k].shape[1])])),

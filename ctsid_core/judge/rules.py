@@ -97,7 +97,7 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)})'
             f'{_within(e)}, as far as the noise lets see; check that these are the right signals, '
-            'and that they move.')
+            'that they move, and that the window is long enough.')
 
 
 def _changed(e: Evidence) -> str:
@@ -197,7 +197,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
-            cure = alone if one.own < _UNCORRELATED else 'move it more'
+            cure = alone if one.own < _UNCORRELATED else _more(one.uncertainty / KNOWN)
             yield Remedy.EXCITE, (
                 f'The response to input {one.name}{_within(e)} has a standard deviation of '
                 f'{_percent(one.uncertainty)}; {cure}.')
@@ -213,6 +213,14 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'{_percent(error[i])}; take a longer window.')
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
+
+
+def _more(times: float) -> str:
+    """Return how much more motion divides a deviation so often, and how much more time."""
+    if not times < 10.0:
+        return 'move it much more (as it moves: take a much longer window)'
+    return f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
+        f'window {np.ceil(10.0 * times ** 2) / 10.0:.2g} times as long)'
 
 
 def _of_motion(e: Evidence, i: int) -> str:
@@ -258,7 +266,15 @@ def _summary(e: Evidence) -> str:
     return (f'Every test is passed: the model {does} to '
             f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
             f'response to each input{_within(e)} has a standard deviation of '
-            f'{_percent(deviation)}.{untested}')
+            f'{_percent(deviation)}{_of_poles(e.numbers.pole_uncertainty)}.{untested}')
+
+
+def _of_poles(deviation: float) -> str:
+    """Say how well poles are known, which a response that is known well need not tell."""
+    if not np.isfinite(deviation):
+        return ''
+    alone = ': do not use that pole by itself' if deviation > KNOWN else ''
+    return f', the least known pole one of {_percent(deviation)} of its size{alone}'
 
 
 def _within(e: Evidence) -> str:
@@ -285,7 +301,8 @@ def unusable_estimate(status: Status, record: Record, settings: Settings,
 def _why_unusable(status: Status, record: Record, failed: str) -> str:
     """Return why nothing of a record can be used, with the names that matter."""
     if failed:
-        return f'The arithmetic failed ({failed}); check the signals, their sizes and units.'
+        return (f'The arithmetic failed ({failed}); check the signals, their sizes and units, and '
+                'that the window is long enough.')
     if status is Status.NO_EXCITATION:
         return (f'No input moves within the window ({", ".join(record.input_names)}); choose a '
                 'part of the data in which they move.')
@@ -302,6 +319,15 @@ def weakened(verdict: Verdict) -> Verdict:
         return verdict
     remedy = Remedy.SETTING if seen.late and not seen.problem else Remedy.COMPARE
     return replace(verdict, grade=Grade.WEAK, reason=seen.weakness, remedy=remedy)
+
+
+def retested(estimate: Estimate, failed: str) -> Estimate:
+    """Return an estimate, WEAK instead of GOOD if its model has failed on unseen data."""
+    if not failed or not estimate.good:
+        return estimate
+    return replace(estimate, verdict=replace(
+        estimate.verdict, grade=Grade.WEAK, remedy=Remedy.SPLIT,
+        reason=f'{_begun(failed)}; make a model of each by itself.'))
 
 
 def rejected_over_change(estimate: Estimate, share: float) -> Estimate:

@@ -33,7 +33,7 @@ class Status(Enum):
     UNEXPLAINED = ('No linear model explains all outputs by the inputs; check that these '
                    'are the right signals.')
     UNRELIABLE = ('No finite model could be computed from the data; check the signals, their '
-                  'sizes and units.')
+                  'sizes and units, and that the window is long enough.')
     CHANGED = ('The plant, or the offset of a signal, changed within the window, and one model of '
                'both would be wrong; identify each side of the change by itself.')
 
@@ -162,6 +162,11 @@ class Estimate:
     def ok(self) -> bool:
         """Whether there is an accepted model, GOOD or WEAK."""
         return self.model is not None
+
+    @property
+    def by_predictions(self) -> bool:
+        """Whether the model was found by its predictions: then its fits are of these."""
+        return any(c.name == 'domain' and c.value == 'predictions' for c in self.choices)
 
     @property
     def pole_covariance(self) -> Array:

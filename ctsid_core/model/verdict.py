@@ -153,8 +153,8 @@ class Verdict:
     excitation : tuple of Excitation
         Of each input.
     pole_uncertainty : float
-        Largest standard deviation of a pole over its size, or over the frequency that the
-        window resolves if that is larger.
+        Largest standard deviation of a pole over its size, or over 1 / duration if that is
+        larger.
     whiteness : ndarray, shape (ny,)
         P-value of 'the prediction errors are white'.
     response_uncertainty : ndarray, shape (ny,)

@@ -105,6 +105,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
                                    max_order=settings.max_order, known_delay=given)
     most = min(most, int(np.max(samples.counts.sum(axis=0))))
+    # As many numbers as there are samples explain any.
+    found = {n: one for n, one in found.items() if one.parameters < samples.counts.sum()}
     if not found or settings.order not in (0, *found):
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
@@ -135,7 +137,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return replace(solved, hidden=hidden)
     reached = climbed(samples, best, free)
     best, free = without_needless(samples, reached, free, LEAST)
-    if disturbed is not None and not settings.order and (solved := _disturbed(
+    if disturbed is not None and (solved := _disturbed(
             part, settings, corrupt, seen, samples, best, disturbed, free, found, hidden)):
         return solved
     others = _with(others, reached, best)
@@ -237,8 +239,9 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
     return Solution(
         _used(part, settings, fit.model.n, fit.model.delay), part, samples, one.fit, plant.free,
         one.independent, (),                    # orders were compared by predictions
-        (Choice('domain', domain, "predictions from the outputs' own past found the plant, and "
-                'are likelier than those of the one that simulates best; judged as others'),),
+        (Choice('domain', domain, 'found from inputs and past outputs together, which predicts '
+                'these data better than the best simulation from the inputs alone; its fits are '
+                'of simulations'),),
         (*_left_out(found.orders, fit.model.n, settings, samples.effort),
          *_at_bound(one, plant.free)), plant=plant.matrices,
         doubt=_late(part, one, plant.free)
@@ -436,11 +439,10 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
              beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
-    why = f', and one {"more" if beside > 0 else "less"}: likelier once it is allowed for that ' \
-        'errors last from sample to sample'
+    why = f', and one {"more" if beside > 0 else "less"}, because neighbouring errors are alike'
     found = [] if settings.order else [Choice(
-        'order', best.fit.model.n, 'the smallest that no larger one beats, counting independent '
-        'samples' + (why if beside else ''))]
+        'order', best.fit.model.n, 'the fewest states: more would explain no more than chance '
+        'does' + (why if beside else ''))]
     found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
                      f'of input {name}: the most likely, with the poles')
               for k, name in enumerate(_names(part)) if free.delays[k]]
@@ -492,8 +494,8 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
         _used(part, settings, len(found.matrices.A), found.found.fit.model.delay[:samples.nu]),
         part, found.samples, found.found.fit, found.free, found.found.independent,
         _table(settings, found.orders, found.found),
-        (Choice('domain', 'predictions', "predictions from the outputs' own past are likelier "
-                'than those of the best model that simulates'),),
+        (Choice('domain', 'predictions', 'inputs and past outputs together predict these data '
+                'better than the best simulation from the inputs alone'),),
         _left_out(found.orders, len(found.matrices.A), settings, samples.effort),
         doubt=_doubt(np.linalg.eigvals(found.matrices.A), samples, free, settings),
         plant=found.matrices, errors_ahead=found.errors, simulating=None if plant is None else (

@@ -175,6 +175,10 @@ class Config:
         """The output channels, in the order of the file."""
         return tuple(channel for channel in self.channels if channel.role == 'output')
 
+    def longest_delay(self, length: float) -> float:
+        """Return the longest dead time of the inputs in a record of some length [s]."""
+        return self.settings.longest_delay(sum(c.width for c in self.inputs), length)
+
     def with_fields(self, texts: Mapping[str, str]) -> Config:
         """
         Return a copy in which the channels named have other fields.

@@ -144,7 +144,9 @@ def _descend(message_type: MessageType, path: FieldPath) -> FieldType:
             if members is None:
                 raise FieldError(f'`{path}`: {here} is {found} and has no field {step!r}')
             if step not in members:
-                raise FieldError(f'`{path}`: {found} has no field {step!r}'
+                what = 'the table has no column' if found.base.startswith('table/') else \
+                    f'{found} has no field'
+                raise FieldError(f'`{path}`: {what} {step!r}'
                                  + _hint(message_type, step, list(members)))
             found = members[step]
             continue

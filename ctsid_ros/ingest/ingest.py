@@ -122,11 +122,10 @@ class Ingest:
             for topic in dict.fromkeys(run[0].topic for run in runs)}
         self._mixing = {name: Mixing() for name in groups}
         settings = config.settings
-        nu = sum(channel.width for channel in config.inputs)
         self._window = SlidingWindow(
             [_group(name, run) for name, run in groups.items()], settings.window_length,
             settings.window_stride, settings.window_max_delay,
-            settings.longest_delay(nu, settings.window_length))
+            config.longest_delay(settings.window_length))
         self._push = self._window.push
         self._turns: dict[str, list[_Turns]] = {'input': [], 'output': []}
         for run in runs:

@@ -176,8 +176,8 @@ def read_record(bag: Bag, config: Config, interval: Interval | None = None, *,
     mark = 0
     spans: Spans = {}
     length = min(interval.duration, (bag.end_ns - bag.start_ns) * 1e-9 - interval.start)
-    lead = config.settings.longest_delay(sum(c.width for c in config.inputs), length)
-    for log_ns in play(bag, ingest, interval, advance, spans, split_ns, lead):
+    for log_ns in play(bag, ingest, interval, advance, spans, split_ns,
+                       config.longest_delay(length)):
         if not mark and log_ns >= split_ns:
             mark = ingest.newest_ns
     record = ingest.whole()

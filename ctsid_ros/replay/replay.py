@@ -187,7 +187,9 @@ class Replay:
 
     def _windows(self, ingest: Ingest, advance: Advance | None, spans: Spans | None
                  ) -> Iterator[Record]:
-        for _ in play(self._bag, ingest, self._interval, advance, spans):
+        length = self.config.settings.window_length
+        lead = max(length, self.config.longest_delay(length))       # no window looks further back
+        for _ in play(self._bag, ingest, self._interval, advance, spans, lead=lead):
             yield from ingest.due()
         yield from ingest.flush()
 

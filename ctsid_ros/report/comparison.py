@@ -14,17 +14,16 @@ import numpy as np
 
 from ctsid_core.judge.cross_check import DEVIATIONS, EFFICIENT, RELATIVE
 from ctsid_core.judge.rules import KNOWN
+from ctsid_core.judge.unseen import as_judged
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import prediction, simulation
 from ctsid_core.model.verdict import UNKNOWN, Agreement
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import GLOSSARY, Bullets, Explorer, Figure, Gallery, Section
 from ctsid_ros.report.drawing import MOST_MODELS, Axes, Curve, Drawing
 from ctsid_ros.report.explorer import Item, facts, series
-from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.model_page import Shown, response_sections
 from ctsid_ros.report.outputs import Part, compared_figures
 from ctsid_ros.report.tables import (
@@ -215,12 +214,10 @@ def order_of(estimate: Estimate, record: Record, chosen: Estimate) -> Order:
     One that was found by simulation and the other by predictions: then its own fit is computed
     anew, as that of the chosen one is meant.
     """
-    predicted = by_predictions(chosen)
     model = estimate.model or estimate.rejected_model
-    if model is None or predicted == by_predictions(estimate):
+    if model is None or chosen.by_predictions == estimate.by_predictions:
         return Order(estimate, estimate.fit, estimate.held_out_fit)
-    found = prediction(model, record, HORIZONS[AHEAD]) if predicted else simulation(model, record)
-    return Order(estimate, found.fit, np.full(model.ny, math.nan))
+    return Order(estimate, as_judged(chosen, model, record).fit, np.full(model.ny, math.nan))
 
 
 def order_sections(orders: Mapping[int, Order], chosen: int) -> list[Section]:
@@ -241,8 +238,8 @@ def order_sections(orders: Mapping[int, Order], chosen: int) -> list[Section]:
                   'chosen' if n == chosen else '') for n, o in orders.items())
     left = ('verdict', 'poles [rad/s]', '')
     kind = f' Own fits are of predictions {HORIZONS[AHEAD]} samples ahead, held-out fits of ' \
-           'predictions of the next sample.' if chosen in orders and by_predictions(
-               orders[chosen].estimate) else ''
+           'predictions of the next sample.' if chosen in orders and \
+        orders[chosen].estimate.by_predictions else ''
     return [Section('Which order', (
         'Own: the fit on the data that a model is of; it rises with the order. Held out: the fit '
         'of a second model, of a part of the data, on the rest; it stops rising where further '

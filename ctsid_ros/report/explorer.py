@@ -15,7 +15,6 @@ from ctsid_core.model.gains import gains, step_response
 from ctsid_core.model.statespace import StateSpace
 from ctsid_ros.replay.along import Windows
 from ctsid_ros.report.drawing import Axes, Curve, Drawing
-from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.interactive import figure, numbers
 from ctsid_ros.report.poles import region
 from ctsid_ros.report.responses import (
@@ -184,7 +183,7 @@ def facts(estimate: Estimate, fits: Mapping[str, str]) -> Mapping[str, str]:
     std = estimate.delay_std
     found = {
         'status': estimate.status.name, 'order': str(model.n),
-        f'fit{", predicted" * by_predictions(estimate)} [%]': fit_words(estimate.fit),
+        f'fit{", predicted" * estimate.by_predictions} [%]': fit_words(estimate.fit),
         'held-out fit [%]': fit_words(estimate.held_out_fit), **fits,
         'poles [rad/s]': '; '.join(f'{pole_text(m.pole)} (std {number(m.std, 2)})'
                                     for m in modes_of(estimate)),

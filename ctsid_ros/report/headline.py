@@ -93,7 +93,7 @@ def headline(estimate: Estimate, run: Run, facts: Sequence[tuple[str, str]] = ()
     """
     model = estimate.model      # beside a REJECT the figures of a model would look like a success
     ahead = (f', predicted {HORIZONS[AHEAD]} samples ahead', ', 1 sample ahead') \
-        if by_predictions(estimate) else ('', '')
+        if estimate.by_predictions else ('', '')
     own = [] if model is None else [
         (f'fit of {", ".join(model.output_names)}{ahead[0]} [%]', fit_words(estimate.fit)),
         (f'held-out fit{ahead[1]} [%]', fit_words(estimate.held_out_fit)),
@@ -124,11 +124,6 @@ def _band(estimate: Estimate) -> list[tuple[str, str]]:
 def _hertz(low: float, high: float) -> str:
     ends = [number(w / math.tau, 2) for w in (low, high)]
     return f'only {ends[0]}' if low == high else ' to '.join(ends)
-
-
-def by_predictions(estimate: Estimate) -> bool:
-    """Return whether a model was found by its predictions: then its fits are of these."""
-    return any(c.name == 'domain' and c.value == 'predictions' for c in estimate.choices)
 
 
 def _next(estimate: Estimate, run: Run) -> tuple[str, str]:

@@ -8,11 +8,12 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from ctsid_core.judge.unseen import as_judged
 from ctsid_core.linear.types import Array
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import Validation, prediction, simulation
+from ctsid_core.model.validation import Validation, prediction
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
@@ -20,7 +21,6 @@ from ctsid_core.signals.samples import GroupCounts
 from ctsid_ros.ingest.counts import IngestCounts
 from ctsid_ros.replay.along import change_of
 from ctsid_ros.report.document import Figure, Gallery, Section
-from ctsid_ros.report.headline import by_predictions
 from ctsid_ros.report.outputs import Part, output_figures, raw_figures, sampling_figures
 from ctsid_ros.report.poles import pole_figure
 from ctsid_ros.report.residual_figures import horizon_figure, horizon_fits, residual_figures
@@ -200,10 +200,7 @@ def simulated(model: StateSpace, record: Record, what: str, estimate: Estimate,
     fit : ndarray, optional
         The fits that the report has for these data [%].
     """
-    if by_predictions(estimate):
-        found = prediction(model, record, HORIZONS[AHEAD])
-        how = f'predicted {HORIZONS[AHEAD]} samples ahead'
-    else:
-        found, how = simulation(model, record), 'simulated'
+    found = as_judged(estimate, model, record)
+    how = f'predicted {HORIZONS[AHEAD]} samples ahead' if estimate.by_predictions else 'simulated'
     known = fit is not None and len(fit) == model.ny and bool(np.isfinite(fit).any())
     return Part(f'{what}, {how}', found, fit if known and fit is not None else found.fit, how)

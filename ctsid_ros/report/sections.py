@@ -385,9 +385,6 @@ def _remarks(estimate: Estimate, test_fit: Array, delay_sought: bool) -> Iterato
     if model.n == settings.max_order:
         yield (f'The order is the largest that `max_order` allows ({settings.max_order}): larger '
                'ones were not tried.')
-    if any(m.std > abs(m.pole) for m in modes_of(estimate)):
-        yield ('Some poles are hardly determined (std larger than the pole itself): the inputs '
-               'say little of them.')
     if (model.poles.real > 0).any():
         yield 'The model is unstable: right for a plant that a controller holds upright.'
     if not any(model.delay) and model.n > 1 and not delay_sought:

@@ -352,9 +352,10 @@ def of_this_bag(bag: Bag, config: Config, path: str) -> Config:
     try:
         return fit_config(bag, config)
     except BagError as error:
-        raise BagError(f'{error}\nThese are the channels of {path}. Where a signal has another '
-                       'name in this bag, give --params FILE: the same channels, with their '
-                       '`topic` and `field` here') from None
+        raise BagError(f'{error}\nThese are the channels of {path}, which is compared with what '
+                       'was measured: the recording needs all its inputs and outputs. Where a '
+                       'signal has another name there, give --params FILE: the same channels, '
+                       'with their `topic` and `field` here') from None
 
 
 def say(text: str) -> None:

@@ -181,14 +181,13 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     from ctsid_core.model.validation import prediction, simulation
     from ctsid_core.search.by_prediction import AHEAD, HORIZONS
     from ctsid_ros.recordings.bag import open_bag
-    from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.outputs import Part
 
     with open_bag(bags, getattr(args, 'time', ())) as bag:  # `show` has none
         config = config if args.params else of_this_bag(bag, config, path)
         data, offset, notes = _read(bag, config, args)
     record, spikes = without_corrupt(data.record, config.settings)
-    predicted = any(c.estimate.ok and by_predictions(c.estimate) for c in compared.found)
+    predicted = any(c.estimate.ok and c.estimate.by_predictions for c in compared.found)
     found = []
     for c in compared.found:
         assert c.model is not None

@@ -144,12 +144,17 @@ class Source:
 
 @dataclass(frozen=True)
 class Test:
-    """A test of the model on unseen data: with its own trim, and with one refitted to them."""
+    """
+    A test of the model on unseen data: with its own trim, and with one refitted to them.
+
+    The same, if it is predictions that its fits are of. `failed`: what is wrong, or nothing.
+    """
 
     source: Source
     record: Record
     test: Validation
     refitted: Validation
+    failed: str
 
 
 @dataclass(frozen=True)
@@ -285,17 +290,24 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
         raise BagError(f'no recording is longer than {split:g} s; choose another time to split at')
     from ctsid_core.bases.preparation import without_corrupt
     from ctsid_core.identify import identify
-    from ctsid_core.model.validation import simulation
+    from ctsid_core.judge.rules import retested
+    from ctsid_core.judge.unseen import as_judged, failure
 
     estimate = identify([s.learnt for s in sources], sources[0].data.config.settings)
     model, tests = estimate.model or estimate.rejected_model, []
     for number, source in enumerate(sources, 1):
         tested = source.tested
         if model is not None and tested is not None:
-            tested, _ = without_corrupt(tested, estimate.settings)
+            whole, tested = (without_corrupt(record, estimate.settings)[0]
+                             for record in (source.data.record, tested))
             own = estimate.trimmed(model, number)
-            tests.append(Test(source, tested, simulation(own, tested),
-                              simulation(own, tested, trim='refit')))
+            refitted = as_judged(estimate, own, tested, trim='refit')
+            tests.append(Test(source, tested, as_judged(estimate, own, tested), refitted,
+                              failure(estimate, refitted, whole)))
+    failed = next((t for t in tests if t.failed), None)
+    if failed is not None:
+        which = f'of record {sources.index(failed.source) + 1} ' if len(sources) > 1 else ''
+        estimate = retested(estimate, f'on data {which}that it has not seen {failed.failed}')
     return Outcome(sources, estimate, tuple(tests))
 
 
@@ -340,14 +352,24 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
 
 
 def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
-    rows = tuple((name, percent(test.test.fit[i]), percent(test.refitted.fit[i]))
+    columns = {f'fit, {ahead} [%]': test.test.fit} if (ahead := _ahead(outcome.estimate)) else {
+        'simulation fit [%]': test.test.fit,
+        'simulation fit, offsets refitted [%]': test.refitted.fit}
+    rows = tuple((name, *(percent(fits[i]) for fits in columns.values()))
                  for i, name in enumerate(model.output_names))
+    words = [f'Failed: {test.failed}.'] if test.failed else []
     first, last = (t + test.source.offset for t in (test.record.start, test.record.end))
     whose = f' of record {outcome.sources.index(test.source) + 1}' \
         if len(outcome.sources) > 1 else ''
     return Section(f'Test on data{whose} the model has not seen, {first:.1f} to {last:.1f} s', (
-        Table(('output', 'simulation fit [%]', 'simulation fit, offsets refitted [%]'), rows,
-              ('output',)),))
+        *words, Table(('output', *columns), rows, ('output',))))
+
+
+def _ahead(estimate: Estimate) -> str:
+    """Return how far ahead the predictions are that the fits of a model are of, if they are."""
+    from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+
+    return f'predicted {HORIZONS[AHEAD]} samples ahead' if estimate.by_predictions else ''
 
 
 def _write(out: Path, outcome: Outcome, args: argparse.Namespace,
@@ -385,14 +407,13 @@ def _numbers(outcome: Outcome) -> list[Section]:
     from ctsid_core.advice.advice import advise
     from ctsid_core.model.validation import residual_tests
     from ctsid_ros.report.experiment import experiment_section, helps
-    from ctsid_ros.report.headline import by_predictions
     from ctsid_ros.report.responses import excited
     from ctsid_ros.report.sections import bode_section, residual_section
 
     estimate, model, sections = outcome.estimate, outcome.model, []
     if model is None:
         return []
-    predicted = by_predictions(estimate)
+    predicted = estimate.by_predictions
     for number, record in _shown(outcome):
         own = estimate.trimmed(model, number)
         tests = residual_tests(own, record, residuals='prediction' if predicted else 'simulation')
@@ -456,7 +477,8 @@ def _of_record(outcome: Outcome, number: int) -> Shown:
     own = outcome.estimate.trimmed(outcome.model, number)
     parts = [simulated(own, source.learnt, 'The data it was identified from', outcome.estimate,
                        _fit_on(outcome.estimate, number))]
-    parts += [Part('Data the model has not seen (shaded), simulated', t.test, t.test.fit)
+    how = _ahead(outcome.estimate) or 'simulated'
+    parts += [Part(f'Data the model has not seen (shaded), {how}', t.test, t.test.fit, how)
               for t in outcome.tests if t.source is source]
     return Shown(source.data.record, own, parts, source.offset,
                  f', record {number}' if several else '')
@@ -484,7 +506,8 @@ def _document(outcome: Outcome, args: argparse.Namespace, out: Path) -> Mapping[
 
     estimate = outcome.estimate
     tests = [{'from': t.record.start + t.source.offset, 'to': t.record.end + t.source.offset,
-              'fit': t.test.fit, 'fit_trim_refitted': t.refitted.fit, 'vaf': t.test.vaf}
+              'passed': not t.failed, 'fit': t.test.fit, 'fit_trim_refitted': t.refitted.fit,
+              'vaf': t.test.vaf}
              for t in outcome.tests]
     several: dict[str, Any] = {} if len(outcome.sources) == 1 else {
         'records': [{'bag': s.bags, 'from': s.span[0], 'to': s.span[1]} for s in outcome.sources],

@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from ctsid_core.errors import StorageError
+from ctsid_ros.errors import BagError
 from ctsid_ros.progress import progress
 from ctsid_ros.report.document import GLOSSARY, Section, to_text
 from ctsid_ros.report.tables import Table, number, percent
@@ -83,6 +84,8 @@ class _Outcome:
 def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
     from ctsid_core.bases.preparation import without_corrupt
+    from ctsid_core.judge.rules import retested
+    from ctsid_core.judge.unseen import as_judged, failure
     from ctsid_core.model.storage import load_estimate, load_metadata
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.recordings.playback import read_record
@@ -97,10 +100,15 @@ def command(args: argparse.Namespace) -> int:
         config = config if args.params else of_this_bag(bag, config, args.model)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
+        _check_dead_times(model, data.record)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
+        failed = failure(estimate, as_judged(estimate, model, record) if estimate.by_predictions
+                         else outcome.simulated, record)
+        estimate = retested(estimate, failed)
         notes = (*_own_data(estimate, record), *_unsimulated(outcome.simulated),
-                 *_worse(estimate, model, outcome.simulated), *bag.notes,
+                 *([f'{failed}; `ctsid identify` of this recording has its own model, `ctsid '
+                    'compare` of both shows what has changed'] if failed else []), *bag.notes,
                  *data.complaints, *spikes,
                  *(note for v in outcome.predicted.values() for note in v.notes))
     why = '' if estimate.ok else estimate.verdict.reason
@@ -134,6 +142,15 @@ def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> Sta
     return estimate.rejected_model
 
 
+def _check_dead_times(model: StateSpace, record: Record) -> None:
+    """Raise `BagError` if an input acts on nothing of a record, for it acts too late."""
+    first = [s.time[0] for s in record.inputs for _ in range(s.width)]
+    for name, delay, start in zip(model.input_names, model.delay, first, strict=True):
+        if start + delay >= record.end:
+            raise BagError(f'input {name} acts {delay:.3g} s later, after the end of these '
+                           f'{record.duration:.3g} s of data; choose a longer recording or part')
+
+
 def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
     """Return that a model was identified from these data, if their times say so."""
     start, end = (record.epoch_ns + round(1e9 * t) for t in (record.start, record.end))
@@ -151,29 +168,6 @@ def _unsimulated(simulated: Validation) -> tuple[str, ...]:
     return () if any(map(math.isfinite, simulated.fit.tolist())) else (
         'the plant grows by itself and cannot be simulated for so long: predictions tell how good '
         'the model is, at the horizons that matter to you (`--horizon`)',)
-
-
-def _worse(estimate: Estimate, model: StateSpace, simulated: Validation) -> tuple[str, ...]:
-    """Return the outputs that move here as the model's own data do not, in words."""
-    import numpy as np
-
-    from ctsid_core.likelihood.residuals import white_part
-    from ctsid_core.search.held_out import allowed
-
-    if np.isnan(simulated.fit).all() or any(c.value == 'predictions' for c in estimate.choices):
-        return ()           # not simulated, or its own fits are of predictions
-    told = []
-    # Noise, there and here, is no fault of the model.
-    for i, limit in enumerate(allowed(estimate.verdict.coloured_error)):
-        known = np.isfinite(simulated.y[:, i]) & np.isfinite(simulated.y_hat[:, i])
-        y, e = simulated.y[known, i], (simulated.y - simulated.y_hat)[known, i, np.newaxis]
-        if np.mean(e ** 2) - white_part(((e,),))[0] ** 2 > limit ** 2 * np.var(y):
-            told.append(f'{percent(simulated.fit[i])} % of {model.output_names[i]} '
-                        f'here, {percent(estimate.fit[i])} % of its own data')
-    return () if not told else (
-        f'the model explains {"; ".join(told)}: the plant is not the same (payload, battery, '
-        'gains), or it moves otherwise than there (farther, faster, in gusts); `ctsid identify` '
-        'of this recording has its own model, `ctsid compare` of both shows what has changed',)
 
 
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a model makes of data that it has not seen, beside what its own let expect."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ctsid_core.likelihood.residuals import white_part
+from ctsid_core.model.estimate import Estimate
+from ctsid_core.model.statespace import StateSpace
+from ctsid_core.model.validation import Validation, prediction, simulation
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS
+from ctsid_core.search.held_out import allowed
+from ctsid_core.signals.record import Record
+
+
+def as_judged(estimate: Estimate, model: StateSpace, record: Record, *,
+              trim: Literal['model', 'refit'] = 'model') -> Validation:
+    """Return a record beside a model, simulated or predicted: as the fits of its estimate are."""
+    if estimate.by_predictions:
+        return prediction(model, record, HORIZONS[AHEAD])
+    return simulation(model, record, trim=trim)
+
+
+def failure(estimate: Estimate, found: Validation, record: Record) -> str:
+    """
+    Return which outputs a model explains as badly as a part held out must not be, or nothing.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Of the model.
+    found : Validation
+        What it makes of data that it has not seen, see `as_judged`.
+    record : Record
+        Of whose motion the errors are parts: of all that is known of the plant's.
+    """
+    motion = np.concatenate([s.values.std(axis=0) for s in record.outputs])
+    told = []
+    # Noise, there and here, is no fault of the model.
+    for i, limit in enumerate(allowed(estimate.verdict.coloured_error)):
+        e = (found.y - found.y_hat)[:, [i]]
+        e = e[~np.isnan(e[:, 0])]
+        with np.errstate(over='ignore', invalid='ignore'):      # a diverged simulation
+            coloured = np.mean(e ** 2) - white_part(((e,),))[0] ** 2
+        if not (np.isnan(found.fit[i]) or coloured <= (limit * motion[i]) ** 2):
+            here, own = (np.round(fit[i], 1) + 0.0 for fit in (found.fit, estimate.fit))  # no -0.0
+            told.append(f'{here} % of {record.output_names[i]} here, {own} % of its own data')
+    return '' if not told else (
+        f'the model explains {"; ".join(told)}: the plant is not the same (payload, battery, '
+        'gains), or it moves otherwise than there (farther, faster, in gusts)')
