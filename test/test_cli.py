@@ -1139,8 +1139,6 @@ def test_blas_has_one_thread_before_numpy_comes(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason='73.2 %: predictions 10 ms ahead outweigh those half a second ahead; '
-                   '`feedthrough: true` has 77.1 %')
 def test_aileron_stick_to_roll_angle_of_a_real_aircraft(ctsid, data_folder):
     bag = data_folder / 'cubs2/cub_stabilize_2025_11_13.mcap'
     code, out, err = ctsid('identify', bag, '--params', ROOT / 'config/cubs2_roll.yaml',

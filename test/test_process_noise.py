@@ -83,26 +83,17 @@ def test_claims_hold_in_gusts(payload):
     assert max(worst) < 6.0
 
 
-@pytest.mark.parametrize(('q', 'bound', 'seeds'), [
-    (0.2, (0.068, 0.082), 1), *slow(
-        (0.05, (0.018, 0.021), 2), (0.2, (0.068, 0.082), 40), (1.0, (0.32, 0.38), 40))])
-def test_unstable_plant_with_process_noise(q, bound, seeds):
+def test_unstable_plant_with_process_noise():
     """
-    Nothing set but that there is no feedthrough; see docs/accuracy.md for the bound.
+    Nothing set but that there is no feedthrough; over many runs: test_studies.py.
 
-    Rejected models count: where noise moves it most, the response may be known too badly.
+    Its error is within three of the Cramer-Rao bounds of docs/accuracy.md.
     """
-    found = [identify(flown(seed, q).record, Settings(feedthrough=False)) for seed in range(seeds)]
-    models = [estimate.model or estimate.rejected_model for estimate in found]
-    assert q >= 1.0 or all(e.ok and m.n == 2 for e, m in zip(found, models, strict=True))
-    assert all(m.n == 2 for e, m in zip(found, models, strict=True) if e.good)
-    errors = [np.sort(m.poles.real)[::-1] - [2.0, -3.0] for m in models if m.n == 2]
-    assert len(errors) > 0.95 * seeds
-    e, bound = np.array(errors), np.array(bound)
-    # Chance: the mean square of n normal errors is chi-square with n degrees of freedom.
-    assert (np.sqrt(np.mean(e ** 2, axis=0)) < bound * (1.0 + 2.0 / np.sqrt(seeds))).all()
-    if seeds > 10:
-        assert (np.abs(e.mean(axis=0)) < e.std(axis=0)).all()
+    found = identify(flown(0, 0.2).record, Settings(feedthrough=False))
+    assert found.ok
+    assert found.model.n == 2
+    error = np.sort(found.model.poles.real)[::-1] - [2.0, -3.0]
+    assert (np.abs(error) < 3.0 * np.array([0.068, 0.082])).all()
 
 
 @pytest.mark.parametrize(('family', 'number', 'budget', 'measure'), [

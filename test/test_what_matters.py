@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
+from plants import held_response, noisy, plant
 import pytest
 from scipy.linalg import block_diag, expm
 
@@ -217,6 +218,29 @@ def test_a_dead_time_does_not_stand_in_for_a_state_that_is_certain():
     estimate = identify(given.record)
     assert estimate.model.n == 2
     assert response_off(given, estimate.model, estimate)[0] < 5.0
+
+
+@pytest.mark.parametrize('seed', [3, 9])
+def test_a_search_with_feedthrough_keeps_what_called_for_it(seed):
+    """
+    Two resonances, and a third mode beyond what samples show, in which D of 0.1 stands.
+
+    With D the poles that were found left 1 % instead of 14; a search anew missed them.
+    """
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 5.12, 0.01)
+    w, zeta, gain = np.array([36.5, 79.6, 600.0]), [0.006, 0.005, 0.5], [1.0, -0.5, 0.1]
+    shown = w * [np.sqrt(0.012), 0.1, 1.0]                      # resonances are as high as gains
+    A = block_diag(*([[0.0, 1.0], [-a * a, -2.0 * z * a]] for a, z in zip(w, zeta, strict=True)))
+    p = plant(A, np.kron(gain * w, [0.0, 1.0])[:, np.newaxis], np.kron(shown, [[1.0, 0.0]]))
+    phases = rng.uniform(0.0, 6.28, (59, 1))
+    u = np.sum(np.cos(0.8 * np.pi * np.arange(1, 60)[:, np.newaxis] * t + phases), axis=0)
+    lost = rng.uniform(size=len(t)) < 0.25
+    t_y = t[~lost] + rng.uniform(-5e-4, 5e-4, np.sum(~lost))
+    t_y = t_y[t_y > 0.0]
+    y = noisy(rng, held_response(p, t, u[:, np.newaxis], t_y), 40)
+    found = identify(Record.from_arrays(t, u, t_y, y, input_hold='zoh'), Settings(order=4))
+    assert found.fit[0] > 98.5
+    assert found.model.D[0, 0] == pytest.approx(0.1, abs=0.01)
 
 
 def test_a_dead_time_that_ends_at_zero_leaves_the_poles_at_their_best():

@@ -377,8 +377,9 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
         near=_behind_lags(found, free),
         known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
     orders = {n: one for n, one in orders.items() if n >= fewest}
-    if not orders or settings.order not in (0, *orders):
-        return best, free
+    # A search from the beginning is not to end worse than the poles that it was worth it for.
+    kept = climbed(known, _fitted(known, model, direct, best.fit), direct)
+    orders[model.n] = min(orders.get(model.n, kept), kept, key=lambda one: one.fit.cost)
     with_D = orders[settings.order or choose(orders)]
     if not beats(with_D, _fitted(known, model, free, best.fit)):
         return best, free
