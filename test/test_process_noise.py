@@ -351,8 +351,7 @@ def test_a_plant_that_is_not_linear_is_one_plant(family, number):
 
 @pytest.mark.parametrize(('family', 'number', 'calm'), [
     ('clock-drift', 1, False), ('jittering-delay', 2, False),
-    pytest.param('dead-zone', 4, True, marks=pytest.mark.xfail(
-        reason='eight states, 97 %, of the part held out 89 %: WEAK, whatever is known of D')),
+    ('dead-zone', 4, True),
     ('turbulence-strong', 2, False), ('turbulence-weak', 2, False)])
 def test_what_disturbs_a_record_is_no_change_of_the_plant(family, number, calm):
     """
