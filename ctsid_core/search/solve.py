@@ -114,7 +114,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     notes = _left_out(found, order, settings, effort)
     best = found[order]
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
-    if predicted is not None and _growth(predicted, samples) < -_GROWS and _lasts(best) and (
+    if predicted is not None and _growth(predicted, samples) < -_GROWS and np.any(
+            np.abs(best.fit.model.poles.real) * samples.length < _GROWS) and (
             solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
         return solved
     if own.feedthrough:
@@ -122,13 +123,12 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         others, best = _with(others, best, with_D), with_D
     samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
     disturbed, grows = None, False
-    if own.feedthrough and not effort.beyond(SEARCH) and best.unexplained > UNEXPLAINED:
+    if own.feedthrough and not effort.beyond(SEARCH) and \
+            (left := best.unexplained) > UNEXPLAINED:
         predicted = _predicted(part, settings, corrupt, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
-        # In open loop a plant is to simulate, unless it grows and no simulation tells it. Modes
-        # that last tell what the controller was asked for.
-        if not grows or min((one.unexplained for one in (best, *found.values())
-                             if not _lasts(one)), default=np.inf) < _FAILS:
+        # In open loop a plant is to simulate, unless it grows and no simulation tells it.
+        if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
             part, settings, corrupt, seen, samples, best, free, predicted)):
@@ -544,11 +544,6 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     # Fewer numbers are no reason to give up a simulation.
     return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
         and far <= 0.0
-
-
-def _lasts(one: Tried) -> bool:
-    """Return whether a mode hardly decays within the record."""
-    return bool(np.any(np.abs(one.fit.model.poles.real) * one.samples.length < _GROWS))
 
 
 def _growth(found: PredictionFit, samples: Samples) -> float:
