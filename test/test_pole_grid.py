@@ -37,6 +37,24 @@ def test_a_long_record_is_ranked_by_all_that_its_inputs_do():
     assert grid.score(POLES, none) < grid.score(POLES * (0.7 + 0.1j), none) - count
 
 
+@pytest.mark.parametrize('damping', [0.002, 0.02])
+def test_errors_point_at_a_resonance_of_any_frequency(damping):
+    """Two records of two inputs, one sample of six read: nearer than its width or 1 / length."""
+    size = 38.0
+    pole = size * complex(-damping, np.sqrt(1.0 - damping ** 2))
+    p = plant([[0.0, size], [-size, -2.0 * damping * size]], [[0.0, 0.0], [9.0, -5.0]],
+              [[1.0, 0.2]])
+    records = [held(np.random.default_rng(seed), p, 50.0, 100.0, delay=0.3, snr=0,
+                    duration=seconds) for seed, seconds in ((0, 60.0), (1, 30.0))]
+    few = samples_of(records, [[None]] * 2).thinned(1500)
+    resonances = PoleGrid(few, feedthrough=False, trim=True, longest=1.0, fastest=250.0,
+                          finest=0.01).resonances
+    for delay in (0.0, 0.3):
+        found = resonances.best(resonances.outputs, np.full(2, delay))
+        assert abs(found.imag - pole.imag) < max(-pole.real, 2.0 * np.pi / 60.0)
+        assert max(-pole.real, 1.0 / 60.0) / 3.0 < -found.real < 3.0 * max(-pole.real, 1.0 / 60.0)
+
+
 @pytest.mark.parametrize('budget', [0.0, 1.0])
 def test_a_long_record_of_several_inputs_has_its_order_and_no_dead_time(budget):
     found = identify(long(1), Settings(budget=budget))

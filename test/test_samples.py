@@ -10,6 +10,7 @@ from plants import PLANTS, asynchronous
 import pytest
 
 from ctsid_core import Record, Settings, Signal, Status, identify
+from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.simulation import respond
 
 TRUTH = np.array([-2.0, -4.0, -0.3 + 6.3j, -0.3 - 6.3j])
@@ -116,3 +117,22 @@ def paired_std(estimate) -> np.ndarray:
     return np.array([estimate.pole_std[np.argmin(np.abs(estimate.model.poles - p))]
                      for p in TRUTH])
 
+
+
+def test_thinned_samples_mistake_no_frequency_for_another():
+    """Of every k-th sample a sine is as well one of another frequency."""
+    t = np.arange(0.0, 60.0, 0.004)
+    given = Record.from_arrays(t, np.sign(np.sin(t)), t, np.sin(30.0 * t))
+    whole = samples_of([given], [[None]])
+    thin = whole.thinned(1000, scattered=True)
+    times, y = (np.squeeze(x) for x in (thin.records[0].streams[0].times,
+                                        thin.records[0].streams[0].y))
+    assert len(times) == 1000
+    assert np.all(np.diff(times) > 0.0)
+    again = whole.thinned(1000, scattered=True).records[0].streams[0]
+    np.testing.assert_array_equal(times, again.times)
+    alias = 2.0 * np.pi / (15 * 0.004) - 30.0
+    for omega, least, most in ((30.0, 0.999, 1.0), (alias, 0.0, 0.05)):
+        columns = np.stack((np.cos(omega * times), np.sin(omega * times)), axis=1)
+        left = y - columns @ np.linalg.lstsq(columns, y, None)[0]
+        assert least <= 1.0 - left @ left / (y @ y) <= most

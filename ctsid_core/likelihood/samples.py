@@ -11,7 +11,7 @@ import numpy as np
 
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, Timed, kernel_of
-from ctsid_core.linear.types import Array, Mask
+from ctsid_core.linear.types import Array, Mask, Places
 from ctsid_core.model.modal import Drive
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
@@ -29,7 +29,7 @@ class Stream:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.inf
 
-    def of(self, rows: slice | Mask) -> Stream:
+    def of(self, rows: Places | Mask) -> Stream:
         """Return some of the samples."""
         return replace(self, times=self.times[rows], y=self.y[rows])
 
@@ -112,15 +112,21 @@ class Samples:
         """Length of the longest record [s]."""
         return max(r.end - r.start for r in self.records)
 
-    def thinned(self, most: int) -> Samples:
-        """Return every k-th sample of each stream, such that about `most` are left of each."""
+    def thinned(self, most: int, scattered: bool = False) -> Samples:
+        """
+        Return one of every k samples of each stream, such that about `most` are left of each.
+
+        The first one, or `scattered`: any of them. At regular instants a fast resonance may look
+        like a slow one, and what an input does as regularly is seen always or never.
+        """
         longest = [sum(len(s.times) for s in streams)
                    for streams in zip(*(r.streams for r in self.records), strict=True)]
         steps = [max(-(-total // most), 1) for total in longest]
         if max(steps) < 2:
             return self
         return replace(self, records=tuple(replace(r, streams=tuple(
-            s.of(slice(None, None, step)) for s, step in zip(r.streams, steps, strict=True)))
+            s.of(_places(len(s.times), step, scattered))
+            for s, step in zip(r.streams, steps, strict=True)))
             for r in self.records))
 
     def between(self, bounds: Sequence[tuple[float, float]]) -> Samples:
@@ -129,6 +135,14 @@ class Samples:
             replace(r, streams=tuple(s.of((start <= s.times) & (s.times <= end))
                                      for s in r.streams))
             for r, (start, end) in zip(self.records, bounds, strict=True)))
+
+
+def _places(count: int, step: int, scattered: bool) -> Places:
+    """Return a place in every so many: the first, or any, the same ones each time."""
+    places: Places = np.arange(0, count, step)
+    if scattered:
+        places += np.random.default_rng(0).integers(step, size=len(places))
+    return np.minimum(places, count - 1, dtype=np.intp)
 
 
 def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None]],

@@ -3,9 +3,9 @@
 The search for order, poles and dead times, from order 1 upwards, on the raw samples.
 
 A model of order n starts from those of order n - 1 and n - 2 with the real pole, or the pair, that
-promises most (`pole_grid.py`), at dead times kept, halved and on a grid; and from the poles of
-HD-PBSID. Each start finds what the other does not. The most promising ones of different kinds
-climb to the maximum of the likelihood.
+promises most (`pole_grid.py`), at dead times kept, halved and on a grid; with the resonance that
+the errors of order n - 2 point at; and from the poles of HD-PBSID. Each start finds what the other
+does not. The most promising ones of different kinds climb to the maximum of the likelihood.
 
 How much evidence there is for one more state depends on how many samples are independent:
 
@@ -25,7 +25,6 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import islice
 
 import numpy as np
 
@@ -54,7 +53,6 @@ ENOUGH = 0.005        # of an output's motion: states that explain less are not 
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
 LEAST = 1e-4          # if the errors were more than this part of the motion
 SEARCHED = 1000       # samples of a stream that the search looks at
-_RANKED = 300         # of which a grid of poles is ranked
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
@@ -117,8 +115,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
     (nu,) [s], is 0 where dead times are free; `near` are dead times to begin with, beside a grid.
     """
-    thin = samples.thinned(SEARCHED)
-    grid = PoleGrid(samples.thinned(_RANKED), feedthrough=free.feedthrough, trim=free.trim,
+    thin = samples.thinned(SEARCHED, scattered=True)
+    grid = PoleGrid(thin, feedthrough=free.feedthrough, trim=free.trim,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
                     fastest=free.fastest, finest=samples.finest)
     found: dict[int, Tried] = {}
@@ -141,7 +139,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if not n:
             break
         looked.add(n)
-        fit = _best_of(n, max_order, found, thin, grid, subspace, free, known_delay, near, alike,
+        fit = _best_of(n, found, thin, grid, subspace, free, known_delay, near, alike,
                        np.inf if order or not found else _rival(found, thin, free, n))
         if fit is None:
             continue
@@ -364,11 +362,11 @@ def _delays(free: Free, known: Array) -> list[Array]:
     return found
 
 
-def _best_of(n: int, most: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
+def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
              subspace: SubspacePoles, free: Free, known: Array, near: Sequence[Array],
              alike: Alike | None, needed: float) -> Fit | None:
-    """Return the best model of one order, of `most` at most."""
-    starts = sorted(_starts(n, most, found, grid, subspace, free, known, near), key=lambda s: s[0])
+    """Return the best model of one order."""
+    starts = sorted(_starts(n, found, grid, subspace, free, known, near), key=lambda s: s[0])
     kinds: dict[str, int] = {}
     each = _EACH if n < 3 else 1
     fits: list[tuple[str, Fit]] = []
@@ -421,7 +419,7 @@ def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
     return [fit for i, (kind, fit) in enumerate(ranked) if kinds[:i].count(kind) < each]
 
 
-def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles,
+def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles,
             free: Free, known: Array,
             near: Sequence[Array]) -> Iterator[tuple[float, str, ComplexArray, Array]]:
     """Yield promising starts of one order: score, kind, poles, dead times."""
@@ -436,13 +434,13 @@ def _starts(n: int, most: int, found: dict[int, Tried], grid: PoleGrid, subspace
                 options.append((model.poles, np.where(free.delays, 0.5 * model.delay, known)))
         else:
             continue
+        errors = found[before].errors if before else grid.resonances.outputs
+        narrow = [] if real else [grid.resonances.best(errors, options[0][1])]
         for poles, delay in options:
             score, pole = grid.best(poles, delay, real)
             yield score, 'real' if real else 'pair', np.append(poles, pole), delay
-            # A resonance narrower than the grid HD-PBSID sees, if it has many states.
-            for seen in () if real or n < 3 else islice(subspace(most, delay), 1):
-                for both in (np.append(poles, pole) for pole in seen[seen.imag > 0.0]):
-                    yield grid.score(both, delay), 'pair', both, delay
+            for both in (np.append(poles, pole) for pole in narrow):
+                yield grid.score(both, delay), 'pair', both, delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Which mode would explain most of what a model leaves: a grid of poles, ranked.
+Which mode would explain most of what a model leaves: a grid of poles, ranked, and resonances.
 
 For ranking alone: the responses of all poles of the grid are computed once, on a uniform grid of
 time by averages of the inputs over its cells, and read at the outputs' stamps less a dead time by
-straight lines, so that a grid of dead times costs little.
+straight lines, so that a grid of dead times costs little. Resonances are narrower than what a grid
+is apart, and the correlation of errors with inputs points at them.
 
 References
 ----------
@@ -15,9 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.mode_columns import columns_of, cost_of, least_cost
+from ctsid_core.likelihood.output_error import Residuals
 from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import RecordSamples, Samples, Stream
 from ctsid_core.linear.matrix_functions import chain
@@ -26,30 +29,36 @@ from ctsid_core.signals.record import Signal
 
 _REAL = 12            # real poles on the grid
 _PAIRS = 12           # natural frequencies of pairs at each damping
-_DAMPING = (0.02, 0.1, 0.4, 0.8)
+_DAMPING = (0.1, 0.4, 0.8)
+_RANKED = 300         # samples of a stream that the grid is ranked on
 _CELLS = 4000         # of time, at most
-_RIDGE = 1e-9         # of the inner products of a candidate's columns
+_RATES = 6            # decay rates of resonances, damped no more than pairs of the grid
+_LINES = 64000        # cells of time for them, at most
+_RIDGE = 1e-9         # of the inner products of candidates' columns: less is rounding
 _PER_CELL = 150.0     # work: of each pole, input and cell of time
+_PER_LINE = 60.0      # work: of each line, decay rate, input and output
 _LOOK, _PER_COLUMN = 5e5, 40.0          # work: of any look, and for each column and sample
 
 
 class PoleGrid:
     """
-    A grid of poles up to the fastest [rad/s] for samples: few, thinned ones will do.
+    A grid of poles up to the fastest [rad/s] for samples, ranked on few of them.
 
     Dead times are at most `longest` [s], and inputs are looked at with the interval `finest` [s].
     """
 
     def __init__(self, samples: Samples, *, feedthrough: bool, trim: bool, longest: float,
                  fastest: float, finest: float) -> None:
-        self.samples, self._feedthrough, self._trim = samples, feedthrough, trim
+        self._feedthrough, self._trim = feedthrough, trim
+        self.resonances = Resonances(samples, longest, fastest, finest)
+        self.samples = samples = samples.thinned(_RANKED)
         slow = 1.0 / samples.length
         sizes = np.geomspace(2.0 * np.pi * slow, fastest, _PAIRS)
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
-        cells = [_Cells(r, longest, finest) for r in samples.records]
+        cells = _cells_of(samples, longest, finest, _CELLS)
         self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
                                       samples.effort) for c in cells] for real in (True, False)}
 
@@ -105,28 +114,105 @@ def _explained(own: Array, basis: Array, left: Array) -> Array:
     return np.asarray(np.sum(pull * np.linalg.solve(gram, pull), axis=1))
 
 
+class Resonances:
+    """
+    At which frequency a resonance would explain most of the errors of a model.
+
+    A resonance that decays with the rate r [rad/s] is seen no further than about r from its
+    frequency. The inner product of errors e with the response z of a pole p to an input u is
+
+        sum_t e(t) z(t) = sum_lag exp(p lag) sum_t e(t) u(t - lag),
+
+    for one decay rate and all frequencies a Fourier transform of a correlation that decays; the
+    same of an input with itself is the power of z. A few rates do: the response of a resonance
+    that decays twice as fast correlates by 94 %.
+    """
+
+    def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
+        self._samples = samples
+        self._cells = _cells_of(samples, longest, finest, _LINES)
+        step, lags = self._cells[0].step, max(c.count for c in self._cells)
+        self._size = next_fast_len(2 * lags, real=True)
+        omega = 2.0 * np.pi / step * np.fft.rfftfreq(self._size)
+        self._omega = omega[omega <= fastest]
+        self._rates = np.geomspace(1.0 / samples.length, _DAMPING[0] * fastest, _RATES)
+        self._decays = np.exp(-self._rates[:, np.newaxis] * step * np.arange(lags))
+        self._inputs = [np.fft.rfft(c.means - c.means.mean(axis=1, keepdims=True), self._size)
+                        for c in self._cells]
+        own = self._lagged(np.sum([np.abs(u) ** 2 for u in self._inputs], axis=0))
+        power = 2.0 * self._at(self._decays[:, np.newaxis] * own).real - own[:, :1]
+        power /= -np.expm1(-2.0 * self._rates * step)[:, np.newaxis, np.newaxis]
+        self._power = np.maximum(power, _RIDGE * power.max(axis=-1, keepdims=True)) + 1e-300
+
+    @property
+    def outputs(self) -> Residuals:
+        """What no model leaves: the outputs about their means."""
+        return tuple(tuple(s.y - s.y.mean(axis=0) for s in r.streams)
+                     for r in self._samples.records)
+
+    def best(self, errors: Residuals, delay: Array) -> complex:
+        """
+        Return the pole [rad/s], one of a pair, that errors at the samples correlate with most.
+
+        Beside given dead times (nu,) [s], which hardly matter, and as if inputs were independent.
+        """
+        samples, size = self._samples, self._size
+        samples.effort.spend(_PER_LINE * size * samples.ny * samples.nu * _RATES)
+        lines = 2.0 * np.pi / self._cells[0].step * np.fft.rfftfreq(size)
+        late = np.exp(1j * lines * delay[:, np.newaxis])
+        both = np.zeros((samples.ny, *late.shape), dtype=complex)
+        squares = np.zeros((samples.ny, 1))
+        for cells, u, own in zip(self._cells, self._inputs, errors, strict=True):
+            for stream, e in zip(cells.record.streams, own, strict=True):
+                place = cells.places(stream.times)[0]
+                spectra = np.array([np.fft.rfft(np.bincount(place, x, size)) for x in e.T])
+                both[stream.channels] += spectra[:, np.newaxis] * (u.conj() * late)
+                squares[stream.channels, 0] += np.sum(e ** 2, axis=0)
+        lagged, found = self._lagged(both), []
+        for rate, decay, power in zip(self._rates, self._decays, self._power, strict=True):
+            shares = np.sum(np.abs(self._at(decay * lagged)) ** 2 / power, axis=1)
+            gain = np.sum(shares / np.maximum(squares, 1e-300), axis=0)
+            gain[self._omega * _DAMPING[0] < rate] = 0.0
+            k = int(np.argmax(gain))
+            found.append((float(gain[k]), complex(-rate, max(self._omega[k], rate))))
+        return max(found, key=lambda one: one[0])[1]
+
+    def _lagged(self, spectra: Array | ComplexArray) -> Array:
+        """Return correlations at lags of 0, 1, .. cells."""
+        return np.asarray(np.fft.irfft(spectra, self._size)[..., :self._decays.shape[1]], float)
+
+    def _at(self, lagged: Array) -> ComplexArray:
+        """Return the transforms of sequences at the frequencies that are looked at."""
+        return np.fft.rfft(lagged, self._size)[..., :len(self._omega)]
+
+
+def _cells_of(samples: Samples, longest: float, finest: float, most: int) -> list[_Cells]:
+    """Return the cells of all records, of one size."""
+    length = samples.length + longest
+    step = float(length / np.clip(length // finest, 16, most))
+    return [_Cells(r, longest, step) for r in samples.records]
+
+
 class _Cells:
     """The inputs of a record, averaged over the cells of a uniform grid of time."""
 
-    def __init__(self, record: RecordSamples, longest: float, finest: float) -> None:
-        self.record = record
+    def __init__(self, record: RecordSamples, longest: float, step: float) -> None:
+        self.record, self.step = record, step
         first = record.start - longest
-        count = int(np.clip((record.end - first) / finest, 16, _CELLS))
-        self.count = count
-        self._edges = np.linspace(first, record.end, count + 1)
-        self._step = float(self._edges[1] - self._edges[0])
+        self.count = max(int(np.ceil((record.end - first) / step)), 1)
+        self._edges = np.asarray(first + step * np.arange(self.count + 1), float)
         self.means = np.vstack([_cell_means(s, self._edges) for s in record.inputs])
 
     def responses(self, poles: Array | ComplexArray) -> ComplexArray:
         """Return the responses of poles at the edges, (m, nu, cells + 1); real if they are."""
-        turn = poles * self._step
+        turn = poles * self.step
         small = np.abs(turn) < 1e-8
-        gain = self._step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
+        gain = self.step * np.where(small, 1.0, np.expm1(turn) / np.where(small, 1.0, turn))
         return chain(np.exp(turn)[:, np.newaxis], gain[:, np.newaxis, np.newaxis] * self.means)
 
     def places(self, times: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the edges before times (N,), and how far it is to the next ones, (N, 1)."""
-        at = np.clip((times - self._edges[0]) / self._step, 0.0, len(self._edges) - 1.001)
+        at = np.clip((times - self._edges[0]) / self.step, 0.0, len(self._edges) - 1.001)
         place = at.astype(int)
         return place, (at - place)[:, np.newaxis]
 
