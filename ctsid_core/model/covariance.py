@@ -233,17 +233,19 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     Given are the poles' changes d to first order along independent directions, (r, n). Where poles
     meet derivatives are infinite, and the poles move less: to those of diag(p) + 1 d', whose
     characteristic polynomial moves as it does to first order. One deviation to either side along
-    the principal directions of all changes.
+    the principal directions of all changes. Which pole has moved where is told in units of their
+    deviations to first order: one that is hardly known passes others, which stay where they are.
     """
-    n = len(poles)
-    if n < 2 or not len(changes) or not np.isfinite(changes).all():
-        return _deviation(changes)
+    n, first = len(poles), _deviation(changes)
+    if n < 2 or not changes.any() or not np.isfinite(changes).all():
+        return first
     _, sizes, axes = np.linalg.svd(np.hstack((changes.real, changes.imag)), full_matrices=False)
     main = sizes[:, np.newaxis] * axes
     ahead = main[:, :n] + 1j * main[:, n:]
     moved = np.linalg.eigvals(np.diag(poles) + np.vstack((ahead, -ahead))[:, np.newaxis])
     away = np.abs(moved[:, np.newaxis] - poles[:, np.newaxis]) ** 2
-    power = 0.5 * np.sum([one[linear_sum_assignment(one)] for one in away], axis=0)
+    unit = (first[:, np.newaxis] + _KNOWN * np.max(first)) ** 2
+    power = 0.5 * np.sum([one[linear_sum_assignment(one / unit)] for one in away], axis=0)
     # Of a pair both are known alike.
     twin = np.where(poles.imag == 0.0, np.arange(n), np.argmin(
         np.abs(poles[:, np.newaxis] - poles.conj()), axis=1))
