@@ -286,6 +286,12 @@ def test_poles_that_meet_by_chance_are_known_as_each_by_itself(gap, count):
     assert (claim / scatter < 1.2).all()
 
 
+def test_a_pole_that_is_hardly_known_does_not_move_those_that_are():
+    """A fast one, off by more than what it is: on its way it passes the others."""
+    known = scatter_of_poles(np.array([2.0 + 0j, -3.0, -62.0]), np.diag([4e-4, 5e-4, 74.0]) + 0j)
+    np.testing.assert_allclose(known[:2], [4e-4, 5e-4], rtol=1e-3)
+
+
 def test_poles_that_coincide_or_are_not_known_have_deviations():
     same = np.array([-3.0 + 0j, -3.0])
     both = scatter_of_poles(same, 0.1 * np.eye(2))

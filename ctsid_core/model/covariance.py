@@ -234,12 +234,13 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     Given are the poles' changes d to first order along independent directions, (r, n). Where poles
     meet derivatives are infinite, and the poles move less: to those of diag(p) + 1 d', whose
     characteristic polynomial moves as it does to first order. One deviation to either side along
-    the principal directions of all changes. Equal poles of equal changes are one, that moves as a
-    whole.
+    the principal directions of all changes. Which pole has moved where is told in units of their
+    deviations to first order: one that is hardly known passes others, which stay where they are.
+    Equal poles of equal changes are one, that moves as a whole.
     """
-    n = len(poles)
-    if n < 2 or not len(changes) or not np.isfinite(changes).all():
-        return _deviation(changes)
+    n, deviation = len(poles), _deviation(changes)
+    if n < 2 or not changes.any() or not np.isfinite(changes).all():
+        return deviation
     rows = np.concatenate((poles[np.newaxis], changes)).T
     alike = np.abs(rows[:, np.newaxis] - rows) <= _EQUAL * np.max(np.abs(rows), axis=0)
     first, place = np.unique(np.argmax(np.all(alike, axis=2), axis=1),
@@ -251,7 +252,8 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     ahead = main[:, :n] + 1j * main[:, n:]
     moved = np.linalg.eigvals(np.diag(poles) + np.vstack((ahead, -ahead))[:, np.newaxis])
     away = np.abs(moved[:, np.newaxis] - poles[:, np.newaxis]) ** 2
-    power = 0.5 * np.sum([one[linear_sum_assignment(one)] for one in away], axis=0)
+    unit = (deviation[:, np.newaxis] + _KNOWN * np.max(deviation)) ** 2
+    power = 0.5 * np.sum([one[linear_sum_assignment(one / unit)] for one in away], axis=0)
     # Of a pair both are known alike.
     twin = np.where(poles.imag == 0.0, np.arange(n), np.argmin(
         np.abs(poles[:, np.newaxis] - poles.conj()), axis=1))
