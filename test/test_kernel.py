@@ -116,7 +116,7 @@ def test_outputs_without_noise_are_fitted_alike():
     first = samples_of([Record.from_arrays(t, u, t, u, input_hold='zoh')], [[None]])
     poles, delay, free = np.array([-2.0 + 0.0j]), np.zeros(1), free_of(first, False)
     y = 3.0 + 2.0 * columns_of(first, poles, delay, direct=False).samples.kernel.columns(
-        _layout(first, Shape(1, 0, False, False), False), poles, delay)[:len(t)]
+        _layout(first, Shape((0,), 1, 0, False, False), False), poles, delay)[:len(t)]
     samples = samples_of([Record.from_arrays(t, u, t, y, input_hold='zoh')], [[None]])
     for s in both_ways(samples):
         fit = fit_at(s, poles, delay, free)

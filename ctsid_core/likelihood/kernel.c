@@ -52,7 +52,9 @@ typedef struct {
 
 /* What columns there are, in which order: see `mode_columns.py:_rows`. */
 typedef struct {
-    int real, pairs, direct, slopes, trim;
+    const int *group;           /* of each mode its pole: equal ones share their columns */
+    int modes, single;          /* single: how many modes are real; these come first */
+    int real, pairs, direct, slopes, trim;      /* real, pairs: how many poles of each kind */
 } Shape;
 
 /* A model, `modal_model.py:ModalModel`, and the mean squares of its errors, (records, ny). */
@@ -62,7 +64,7 @@ typedef struct {
 } Model;
 
 static Model model_of(const Samples *s, const Shape *shape, double *numbers) {
-    size_t modes = shape->real + shape->pairs;
+    size_t modes = shape->modes;
     Model m = {.poles = numbers, .b = numbers + 2 * modes};
     m.c = m.b + 2 * modes * s->nu;
     m.x0 = m.c + 2 * modes * s->ny;
@@ -536,16 +538,16 @@ static inline void add(const Table *t, int place, double weight, double *to) {
 /* Add the real part (imag: less the imaginary part) of a multiple of a mode's response. */
 static void add_response(const Table *t, int slope, int mode, int input, cplx weight, int imag,
                          double *to) {
-    int pair = mode >= t->shape->real;
+    int pair = mode >= t->shape->single, pole = t->shape->group[mode];
     double re = creal(weight), im = cimag(weight);
-    add(t, place_in(t->s, t->shape, slope, 0, mode, input), imag ? -im : re, to);
-    if (pair) add(t, place_in(t->s, t->shape, slope, 1, mode, input), imag ? -re : -im, to);
+    add(t, place_in(t->s, t->shape, slope, 0, pole, input), imag ? -im : re, to);
+    if (pair) add(t, place_in(t->s, t->shape, slope, 1, pole, input), imag ? -re : -im, to);
 }
 
 /* Add what all that drives a mode makes of it, times a weight. */
 static void add_driven(const Table *t, const Model *m, int slope, int mode, cplx weight, int imag,
                        double *to) {
-    int nu = t->s->nu, modes = t->shape->real + t->shape->pairs;
+    int nu = t->s->nu, modes = t->shape->modes;
     for (int j = 0; j < nu; j++)
         add_response(t, slope, mode, j, weight * ((cplx *)m->b)[mode * nu + j], imag, to);
     add_response(t, slope, mode, nu,
@@ -557,7 +559,7 @@ static int one_place(const Table *t) { return width_of(t->s, t->shape) - 1; }
 
 /* Errors of an output: measured less simulated. */
 static void error_of(const Table *t, const Model *m, int k, double *error) {
-    int nu = t->s->nu, ny = t->s->ny, modes = t->shape->real + t->shape->pairs;
+    int nu = t->s->nu, ny = t->s->ny, modes = t->shape->modes;
     int i = t->stream->first + k;
     memset(error, 0, sizeof(double) * t->rows);
     for (int l = 0; l < modes; l++) add_driven(t, m, 0, l, -((cplx *)m->c)[i * modes + l], 0, error);
@@ -596,18 +598,18 @@ static int least_squares(double *matrix, int rows, int columns, double *target, 
     return 0;
 }
 
-static int states_of(const Shape *shape) { return shape->real + 2 * shape->pairs; }
+static int states_of(const Shape *shape) { return 2 * shape->modes - shape->single; }
 
 /* Complex coefficients of modes from real ones, all real parts before imaginary. */
 static cplx coefficient(const Shape *shape, const double *theta, int stride, int mode) {
-    int modes = shape->real + shape->pairs, pair = mode - shape->real;
+    int modes = shape->modes, pair = mode - shape->single;
     return theta[mode * stride] + (pair < 0 ? 0.0 : I * theta[(modes + pair) * stride]);
 }
 
 static int solve_c(const Table *tables, Model *m, const double *power) {
     const Samples *s = tables->s;
     const Shape *shape = tables->shape;
-    int modes = shape->real + shape->pairs, n = states_of(shape), nd = s->nu * shape->direct;
+    int modes = shape->modes, n = states_of(shape), nd = s->nu * shape->direct;
     int columns = n + nd + s->records * shape->trim, rows = 0;
     for (int k = 0; k < s->streams; k++) rows += tables[k].rows;
     int ld = most(most(rows, columns), 1);
@@ -620,8 +622,8 @@ static int solve_c(const Table *tables, Model *m, const double *power) {
         const Table *t = tables + k;
         for (int l = 0; l < modes; l++) {
             add_driven(t, m, 0, l, 1.0, 0, matrix + (size_t)l * ld + at);
-            if (l >= shape->real)
-                add_driven(t, m, 0, l, 1.0, 1, matrix + (size_t)(modes + l - shape->real) * ld + at);
+            if (l >= shape->single)
+                add_driven(t, m, 0, l, 1.0, 1, matrix + (size_t)(modes + l - shape->single) * ld + at);
         }
         for (int j = 0; j < nd; j++)
             add(t, input_place(t) + j, 1.0, matrix + (size_t)(n + j) * ld + at);
@@ -658,7 +660,7 @@ static int solve_c(const Table *tables, Model *m, const double *power) {
 static int solve_b(const Table *tables, Model *m, const double *power) {
     const Samples *s = tables->s;
     const Shape *shape = tables->shape;
-    int modes = shape->real + shape->pairs, n = states_of(shape), nu = s->nu, ny = s->ny;
+    int modes = shape->modes, n = states_of(shape), nu = s->nu, ny = s->ny;
     int nd = nu * shape->direct, own = nd + s->records * shape->trim;
     int driven = n * (nu + s->records), columns = driven + ny * own, rows = 0;
     for (int k = 0; k < s->streams; k++) rows += tables[k].rows * tables[k].stream->channels;
@@ -674,8 +676,8 @@ static int solve_b(const Table *tables, Model *m, const double *power) {
             double weight = 1.0 / sqrt(fmax(power[r * ny + i], ROUNDING)), *to = matrix + at;
             for (int l = 0; l < modes; l++) {
                 cplx c = weight * ((cplx *)m->c)[i * modes + l];
-                for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {
-                    int row = imag ? modes + l - shape->real : l;
+                for (int imag = 0; imag < 1 + (l >= shape->single); imag++) {
+                    int row = imag ? modes + l - shape->single : l;
                     for (int j = 0; j < nu; j++)
                         add_response(t, 0, l, j, c, imag, to + (size_t)(row * nu + j) * ld);
                     add_response(t, 0, l, nu, c, imag, to + (size_t)(n * (nu + r) + row) * ld);
@@ -727,7 +729,7 @@ static int powers(const Table *tables, const Model *m, double *power) {
 
 /* b of size 1 (c of size 1 for one output). */
 static void normalise(const Samples *s, const Shape *shape, Model *m) {
-    int modes = shape->real + shape->pairs, nu = s->nu;
+    int modes = shape->modes, nu = s->nu;
     cplx *b = (cplx *)m->b, *c = (cplx *)m->c, *x0 = (cplx *)m->x0;
     for (int l = 0; l < modes && s->ny > 1; l++) {
         double size = 0.0;
@@ -800,8 +802,8 @@ int ctsid_jacobian(const Samples *s, const Shape *shape, const int *rows, const 
                    double *found) {
     Model given = model_of(s, shape, numbers), *m = &given;
     const double *dp = given.end;
-    const double *late = dp + 2 * (size_t)coordinates * (shape->real + shape->pairs);
-    int modes = shape->real + shape->pairs, n = states_of(shape), nu = s->nu, ny = s->ny;
+    const double *late = dp + 2 * (size_t)coordinates * shape->modes;
+    int modes = shape->modes, n = states_of(shape), nu = s->nu, ny = s->ny;
     int nd = nu * shape->direct, own = n + nd + s->records * shape->trim;
     size_t shared = coordinates + delays + n * nu, ld = height;
     size_t last = shared + (size_t)s->records * n + (size_t)own * ny;
@@ -834,16 +836,16 @@ int ctsid_jacobian(const Samples *s, const Shape *shape, const int *rows, const 
                     add(t, input_place(t) + nu + j, -weight * m->D[i * nu + j], J);
             }
             for (int imag = 0; imag < 2; imag++)
-                for (int l = imag ? shape->real : 0; l < modes; l++)
+                for (int l = imag ? shape->single : 0; l < modes; l++)
                     for (int j = 0; j < nu; j++, J += ld)
                         add_response(t, 0, l, j, weight * c[l], imag, J);
             J = found + (shared + (size_t)r * n) * ld;
             for (int imag = 0; imag < 2; imag++)
-                for (int l = imag ? shape->real : 0; l < modes; l++, J += ld)
+                for (int l = imag ? shape->single : 0; l < modes; l++, J += ld)
                     add_response(t, 0, l, nu, weight * c[l], imag, J);
             J = found + (last - (size_t)own * (ny - i)) * ld;
             for (int imag = 0; imag < 2; imag++)
-                for (int l = imag ? shape->real : 0; l < modes; l++, J += ld)
+                for (int l = imag ? shape->single : 0; l < modes; l++, J += ld)
                     add_driven(t, m, 0, l, weight, imag, J);
             for (int j = 0; j < nd; j++, J += ld) add(t, input_place(t) + j, weight, J);
             if (shape->trim) add(t, one_place(t), weight, J + (size_t)r * ld);

@@ -55,17 +55,18 @@ class _Samples(Structure):
 
 
 class _Shape(Structure):
-    _fields_ = [('real', c_int), ('pairs', c_int), ('direct', c_int), ('slopes', c_int),
-                ('trim', c_int)]
+    _fields_ = [('group', c_void_p), ('modes', c_int), ('single', c_int), ('real', c_int),
+                ('pairs', c_int), ('direct', c_int), ('slopes', c_int), ('trim', c_int)]
 
 
 class Shape(NamedTuple):
     """What columns there are."""
 
-    real: int     # modes of each kind
+    group: tuple[int, ...]  # of each mode its pole: equal ones share their columns
+    real: int               # poles of each kind
     pairs: int
-    direct: bool  # whether outputs may follow inputs at once
-    slopes: bool  # whether there are derivatives by poles and dead times
+    direct: bool            # whether outputs may follow inputs at once
+    slopes: bool            # whether there are derivatives by poles and dead times
 
     def width(self, nu: int) -> int:
         """Return how many columns there are, the outputs apart."""
@@ -156,7 +157,7 @@ class Kernel:
     def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
         self._kept: list[object] = []
-        self._shapes: dict[tuple[int, ...], _Shape] = {}
+        self._shapes: dict[tuple[Shape, bool], tuple[_Shape, ctypes.Array[c_int]]] = {}
         drives: list[_Drive] = []
         streams: list[_Stream] = []
         rows: list[_Record] = []
@@ -232,9 +233,14 @@ class Kernel:
 
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""
-        key = (*layout.shape, trim)
-        return ctypes.addressof(
-            self._shapes.get(key) or self._shapes.setdefault(key, _Shape(*key)))
+        key = (layout.shape, trim)
+        if key not in self._shapes:
+            group, *numbers = layout.shape
+            modes = (c_int * len(group))(*group)
+            shape = _Shape(ctypes.addressof(modes), len(group),
+                           sum(pole < layout.shape.real for pole in group), *numbers, trim)
+            self._shapes[key] = shape, modes
+        return ctypes.addressof(self._shapes[key][0])
 
     @staticmethod
     def _done(failed: int) -> None:

@@ -88,12 +88,15 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: b
     """
     Return the columns of poles (m,) [rad/s], in the order of `ModalModel`, and delay (nu,) [s].
 
+    Equal poles, which are neighbours, share theirs.
     `direct`: whether there is D; else what is its own is left out. `turned`: few rows are wanted;
     else there is one for each sample. `slopes`: so are derivatives by poles and dead times.
     """
+    apart = np.append(True, poles[1:] != poles[:-1])[:len(poles)]
+    group, poles = tuple((np.cumsum(apart) - 1).tolist()), poles[apart]
     samples.effort.spend(evaluation_work(samples, len(poles), slopes=slopes, turned=turned))
     real = int(np.count_nonzero(poles.imag == 0.0))
-    layout = _layout(samples, Shape(real, len(poles) - real, direct, slopes), turned)
+    layout = _layout(samples, Shape(group, real, len(poles) - real, direct, slopes), turned)
     if samples.kernel is not None:
         return Columns(samples, layout, samples.kernel.columns(layout, poles, delay))
     tables, first, number = [], [], iter(layout.rows.tolist())
@@ -204,7 +207,7 @@ def _rows(record: RecordSamples, poles: ComplexArray, delay: Array, shape: Shape
 def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice,
               count: int) -> Triangle:
     """Return the columns by what they are."""
-    real, pairs, direct, slopes = shape
+    group, real, pairs, direct, slopes = shape
     at, blocks = 0, []
     for m, parts in ((real, 1), (pairs, 2)):            # Z, dZ; Re Z, Im Z, Re dZ, Im dZ
         for _ in range(1 + slopes):
@@ -212,8 +215,9 @@ def _triangle(columns: Array, y: Array, wide: int, shape: Shape, channels: slice
                 len(columns), m, wide) for k in range(parts)]
             blocks.append(both[0] if parts == 1 else both[0] + 1j * both[1])
             at += parts * m * wide
-    z = np.concatenate((blocks[0], blocks[1 + slopes]), axis=1)
-    dz = np.concatenate((blocks[1], blocks[3]), axis=1) if slopes else z[:, :0]
+    modes = list(group)
+    z = np.concatenate((blocks[0], blocks[1 + slopes]), axis=1)[:, modes]
+    dz = np.concatenate((blocks[1], blocks[3]), axis=1)[:, modes] if slopes else z[:, :0]
     u, rates = (columns[:, at + k * (wide - 1):at + (k + 1) * (wide - 1)] if k < direct + slopes
                 else np.zeros((len(columns), wide - 1)) for k in range(2))
     return Triangle(z, dz, u, rates, columns[:, -1], y,
