@@ -240,10 +240,15 @@ def _scaled(columns: Array) -> Array:
 def _coordinates(samples: Samples, model: ModalModel, free: Free,
                  around: PoleSteps) -> tuple[ComplexArray, NDArray[np.intp], Places]:
     """Return derivatives of modes by coordinates, inputs of free dead times, and places."""
-    nu, n, records, dp = samples.nu, model.n, len(samples.records), around.derivatives()
-    late = np.flatnonzero(free.delays)
-    return dp, late, Places(len(dp), len(late), n * nu, n,
-                            n + nu * free.feedthrough + records * free.trim)
+    dp, late = around.derivatives(), np.flatnonzero(free.delays)
+    return dp, late, _places(samples, model, free, len(dp), len(late))
+
+
+def _places(samples: Samples, model: ModalModel, free: Free, poles: int, delays: int) -> Places:
+    """Return how many numbers are free, with so many of poles and dead times."""
+    nu, n = samples.nu, model.n
+    return Places(poles, delays, n * nu, n,
+                  n + nu * free.feedthrough + len(samples.records) * free.trim)
 
 
 def _held(model: ModalModel, free: Free, gradient: Array, places: Places,
@@ -376,14 +381,19 @@ def jacobian(samples: Samples, fit: Fit, free: Free, around: PoleSteps | None = 
     fit = _with_slopes(samples, fit, free) if moving else fit
     model, nu, ny, records = fit.model, samples.nu, samples.ny, len(samples.records)
     poles, n = model.poles, model.n
-    dp, late, places = _coordinates(samples, model, free, around or steps_around(samples, model))
-    if moving and moves is None and samples.kernel is not None:
+    if moving:
+        dp, late, places = _coordinates(samples, model, free,
+                                        around or steps_around(samples, model))
+    else:
+        dp, late = np.zeros((0, len(poles)), dtype=complex), np.zeros(0, dtype=np.intp)
+        places = _places(samples, model, free, 0, 0)
+    if moves is None and samples.kernel is not None:
         return *samples.kernel.jacobian(
             fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late,
             places.count(ny, records)), places
     if moves is None:
         moves = dp[:, :, np.newaxis] * np.eye(len(poles))
-    places = replace(places, poles=len(moves)) if moving else replace(places, poles=0, delays=0)
+    places = replace(places, poles=len(moves))
     count, own = places.count(ny, records), places.own
     size = np.sqrt(np.maximum(fit.power, ROUNDING))
     blocks, errors = [], []

@@ -46,9 +46,9 @@ def parted(samples: Samples, fit: Fit, free: Free, price: float) -> Fit | None:
     That is the `price` of each further number, in -2 log likelihood, and what a step of the poles
     as they are promises.
     """
-    around = steps_around(samples, fit.model)
-    if max(around.ranks, default=1) == 1:
+    if len(set(fit.model.poles.tolist())) == len(fit.model.poles):
         return None
+    around = steps_around(samples, fit.model)
     moves, whole = _moves(around)
     rows, error, places = jacobian(samples, fit, free, moves=moves)
     at = len(moves) + np.arange(places.delays)
