@@ -496,7 +496,7 @@ def test_noise_is_never_good(of_noise):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason='24, of coloured noise most of them')
+@pytest.mark.xfail(reason='16, of random walks most of them')
 def test_noise_is_hardly_ever_weak(of_noise):
     assert of_noise[Grade.WEAK] <= 3
 
