@@ -434,9 +434,10 @@ def test_a_method_does_not_check_itself():
         Settings(cross_check='n4sid')
 
 
-def test_hd_pbsid_refines_its_model_even_if_the_first_method_may_not():
+@pytest.mark.parametrize('number', [1, 2, 3])
+def test_hd_pbsid_refines_its_model_even_if_the_first_method_may_not(number):
     """A dead time that the first has not looked for is found, whatever `refine` says."""
-    given = experiment('roll', 23, 0)
+    given = experiment('roll', 23, number)
     found = identify(given.record, Settings(method='gobf', refine=False, cross_check='hd-pbsid'))
     assert found.verdict.agreement.contradicts
     assert found.verdict.agreement.dead_time > 0.03

@@ -88,12 +88,14 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: b
     """
     Return the columns of poles (m,) [rad/s], in the order of `ModalModel`, and delay (nu,) [s].
 
-    Equal poles, which are neighbours, share theirs.
-    `direct`: whether there is D; else what is its own is left out. `turned`: few rows are wanted;
-    else there is one for each sample. `slopes`: so are derivatives by poles and dead times.
+    Equal poles, which are neighbours, share theirs. `direct`: whether there is D; else what is
+    its own is left out. `turned`: few rows are wanted; else there is one for each sample.
+    `slopes`: so are derivatives by poles and dead times.
     """
-    apart = np.append(True, poles[1:] != poles[:-1])[:len(poles)]
-    group, poles = tuple((np.cumsum(apart) - 1).tolist()), poles[apart]
+    values, group = poles.tolist(), tuple(range(len(poles)))
+    if len(set(values)) < len(values):
+        apart = np.append(True, poles[1:] != poles[:-1])
+        group, poles = tuple((np.cumsum(apart) - 1).tolist()), poles[apart]
     samples.effort.spend(evaluation_work(samples, len(poles), slopes=slopes, turned=turned))
     real = int(np.count_nonzero(poles.imag == 0.0))
     layout = _layout(samples, Shape(group, real, len(poles) - real, direct, slopes), turned)

@@ -196,7 +196,8 @@ def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slope
     several, width = samples.ny > 1, rows.shape[1]
     n = places.poles + places.delays + (
         places.b + len(samples.records) * places.x0 if several else 0)
-    moving, left, linear = np.column_stack((rows[:, :n], error)), [], 0.0
+    moving, left, linear = np.empty((len(rows), n + 1), order='F'), [], 0.0
+    moving[:, :n], moving[:, n] = rows[:, :n], error
     for i, of_output in enumerate(_rows_of_outputs(samples, fit.columns)):
         at = n + i * places.own
         own = rows[of_output, at:at + places.own if several else width]
