@@ -7,10 +7,11 @@ from marks import slow
 import numpy as np
 import pytest
 
-from ctsid_core import Grade, Record, identify
+from ctsid_core import Grade, Record, Settings, identify
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at, jacobian
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.model.gains import gains
 from ctsid_core.search.by_order import parameters
 from ctsid_ros.studies.robots.experiment import stamps
 from ctsid_ros.studies.robots.inputs import drive
@@ -83,8 +84,8 @@ def test_slopes_are_those_of_the_cost(feedthrough, ranks):
     rows, error, _ = jacobian(samples, best(poles, delay), free)
     gradient = rows.T @ error
     for k in range(3):
-        ahead, behind = (best(steps.moved(s * np.eye(3)[k], free.limit, free.fastest), delay).cost
-                         for s in (small, -small))
+        ahead, behind = (best(steps.moved(s * np.eye(3)[k], free.limit, free.fastest)[0],
+                              delay).cost for s in (small, -small))
         slopes.append((ahead - behind) / (2.0 * small))
     np.testing.assert_allclose(slopes, -2.0 * gradient[:3], rtol=1e-3)
     if not feedthrough:                 # D jumps where an input does
@@ -103,3 +104,26 @@ def test_a_model_has_as_many_numbers_as_directions_that_change_it(ranks):
     rows, _, _ = jacobian(samples, fit, free)
     s = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
     assert np.sum(s > 1e-9 * s[0]) == parameters(samples, fit, free)
+
+
+def test_twin_integrators_have_rates_and_deviations():
+    """Poles that are alike, and nobody tells from 0: none is known exactly, each moves its axis."""
+    rng, h = np.random.default_rng(300), 0.01
+    u = np.repeat(rng.choice([-1.0, 1.0], (300, 2)), 10, axis=0)
+    y = 2.0 * h * np.vstack((np.zeros(2), np.cumsum(u, axis=0)[:-1]))
+    record = Record.from_arrays(h * np.arange(3000), u, h * np.arange(3000),
+                                y + 0.02 * rng.standard_normal(y.shape), input_hold='zoh')
+    found = identify(record, Settings(feedthrough=False))
+    assert found.good
+    assert np.all(found.pole_std > 1e-5)
+    rates = gains(found.model, found.covariance)
+    assert rates.rate[0, 0]
+    assert rates.rate[1, 1]
+    np.testing.assert_allclose(rates.value, 2.0 * np.eye(2), atol=0.01)
+
+
+def test_modes_keep_their_residues_where_poles_pass_each_other():
+    poles = np.array([-2.0, -3.0, -4.0 + 1.0j])
+    moved, modes = PoleSteps.of(poles, 0.1, 4).moved(np.array([0.0, 0.0, 0.0, -0.9]), -1e-6, 100.0)
+    assert modes.tolist() == [1, 0, 2]
+    np.testing.assert_allclose(moved[:2], [-3.0, -3.8])

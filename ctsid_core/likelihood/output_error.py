@@ -3,10 +3,10 @@
 Output error on the raw samples: the likelihood that decides.
 
 Simulations from free initial states, with a trim, are compared with the output samples where they
-are, each output with white noise of its own level. Poles, dead times, residues, initial states and
-trim move together (Gauss-Newton, damped by what steps gain of what they promise), and what is
-linear is solved for at every step (variable projection), so that poles and dead times are all that
-a start needs.
+are, each output with white noise of its own level. Poles and dead times move, of several outputs b
+and initial states with them (Gauss-Newton, damped by what steps gain of what they promise), and
+what is linear is solved for at every step (variable projection), so that poles and dead times are
+all that a start needs.
 
 References
 ----------
@@ -200,11 +200,13 @@ def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slope
     moving[:, :n], moving[:, n] = rows[:, :n], error
     for i, of_output in enumerate(_rows_of_outputs(samples, fit.columns)):
         at = n + i * places.own
-        own = rows[of_output, at:at + places.own if several else width]
+        own, turned = rows[of_output, at:at + places.own if several else width], moving[of_output]
+        if not own.size:
+            left.append(turned)
+            continue
         factors, _, tau, _, _ = dgeqp3(_scaled(own), overwrite_a=1)
         size = np.abs(factors.diagonal())
         rank = int(np.count_nonzero(size > _RANK * size[:1]))
-        turned = moving[of_output]
         if rank:
             turned = dormqr('L', 'T', factors[:, :rank], tau[:rank], turned, turned.size)[0]
         linear += float(turned[:rank, n] @ turned[:rank, n])
@@ -273,7 +275,7 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
     n, late = places.poles, np.array(free.delays)
     fraction = 1.0
     for _ in range(10):
-        poles = around.moved(fraction * step[:n], free.limit, free.fastest)
+        poles, modes = around.moved(fraction * step[:n], free.limit, free.fastest)
         if around.size_of(poles) <= LONGEST:
             break
         fraction *= 0.5
@@ -285,6 +287,8 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
         whole = np.zeros(places.count(samples.ny, len(samples.records)))
         whole[:len(step)] = fraction * step
         model = _with_linear(model, whole, places, free)
+        if len(modes) == len(model.poles):
+            model = replace(model, b=model.b[modes], c=model.c[:, modes], x0=model.x0[:, modes])
     near = Guess(model, fit.power)
     try:
         return fit_at(samples, poles, delay, free, near)
@@ -351,15 +355,6 @@ def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:
     found = rows[:m].astype(complex)
     found[poles.imag > 0.0] += 1j * rows[m:]
     return found
-
-
-def own_columns(t: Triangle, free: Free, record: int, records: int) -> Array:
-    """Return the columns of an output's own D and trims, as far as they are free."""
-    if not free.trim:
-        return t.u if free.feedthrough else t.u[:, :0]
-    trims = np.zeros((len(t.one), records))
-    trims[:, record] = t.one
-    return np.hstack((t.u, trims)) if free.feedthrough else trims
 
 
 def _simulated(t: Triangle, model: ModalModel, record: int, driven: ComplexArray) -> Array:

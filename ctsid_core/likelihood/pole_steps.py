@@ -14,6 +14,7 @@ from itertools import pairwise
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctsid_core.linear.types import Array, ComplexArray, Places
 
@@ -87,24 +88,33 @@ class PoleSteps:
                     found[place, other] = -(q * of_a + of_b) / (q - p)
         return np.repeat(found, self.ranks, axis=1)
 
-    def moved(self, step: Array, limit: float, fastest: float) -> ComplexArray:
-        """Return the poles after a step (n,), with bounds as of `bounded`."""
+    def moved(self, step: Array, limit: float,
+              fastest: float) -> tuple[ComplexArray, NDArray[np.intp]]:
+        """
+        Return the poles after a step (n,), with bounds as of `bounded`, and which each has been.
+
+        Poles are in order of their sizes, so that one that passes another changes places with it.
+        Where two real ones become a pair, or part, there are fewer or more than before.
+        """
         found, poles, by = list[tuple[complex, int]](), self.poles.tolist(), step.tolist()
-        for at, one, _, q, size in self._each():
-            p, rank = poles[one], self.ranks[one]
+        for at, one, other, q, size in self._each():
+            p = poles[one]
             if q is None:
-                found.append((p + size * by[at], rank))
+                found.append((p + size * by[at], one))
                 continue
             a = -(p + q).real + size * by[at]
             b = (p * q).real + size * size * by[at + 1]
             middle, turn = -0.5 * a, 0.25 * a * a - b
             if turn < 0.0:
-                found.append((complex(middle, math.sqrt(-turn)), rank))
+                found.append((complex(middle, math.sqrt(-turn)), one))
             else:
                 far = middle + math.copysign(math.sqrt(turn), middle)
-                found += [(complex(far), rank), (complex(b / far if far else -far), rank)]
+                found += [(complex(far), one), (complex(b / far if far else -far), other)]
         bound = bounded(np.array([p for p, _ in found]), limit, fastest)
-        return np.repeat(canonical(bound), [found[k][1] for k in in_order(bound)])
+        order = [found[k][1] for k in in_order(bound)]
+        ends = np.cumsum(self.ranks)
+        return np.repeat(canonical(bound), [self.ranks[k] for k in order]), np.array(
+            [m for k in order for m in range(ends[k] - self.ranks[k], ends[k])], dtype=np.intp)
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""

@@ -169,7 +169,7 @@ class Covariance:
 
     def pole_changes(self, model: StateSpace) -> ComplexArray:
         """Return what the rows of the root change of the poles of the model (1), (r, n)."""
-        values, right = np.linalg.eig(model.A)
+        values, right = _modes(model.A)
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
         found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
@@ -222,6 +222,18 @@ def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
     return np.asarray(found * size[:, np.newaxis, np.newaxis])
 
 
+def _modes(A: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return poles and modes; equal poles whose modes are any of a plane have some far apart."""
+    values, right = np.linalg.eig(A)
+    same = np.abs(values - values[:, np.newaxis]) <= _EQUAL * np.abs(values)
+    for own in {tuple(np.flatnonzero(row).tolist()) for row in same}:
+        _, s, axes = np.linalg.svd(A - np.mean(values[list(own)]) * np.eye(len(A)))
+        if len(own) > 1 and s[-len(own)] <= _KNOWN * s[0]:
+            right = right.astype(complex)
+            right[:, list(own)] = axes[-len(own):].conj().T
+    return values, right
+
+
 def pole_deviation(covariance: Covariance, model: StateSpace) -> Array:
     """Return the square root of the expected squared distance of each pole, (n,) [rad/s]."""
     return scatter_of_poles(model.poles, covariance.pole_changes(model))
@@ -254,6 +266,10 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     away = np.abs(moved[:, np.newaxis] - poles[:, np.newaxis]) ** 2
     unit = (deviation[:, np.newaxis] + _KNOWN * np.max(deviation)) ** 2
     power = 0.5 * np.sum([one[linear_sum_assignment(one / unit)] for one in away], axis=0)
+    # Poles nearer to each other than they are known are known alike.
+    near = np.abs(poles[:, np.newaxis] - poles) < np.minimum(deviation[:, np.newaxis], deviation)
+    np.fill_diagonal(near, True)
+    power = near @ power / near.sum(axis=1)
     # Of a pair both are known alike.
     twin = np.where(poles.imag == 0.0, np.arange(n), np.argmin(
         np.abs(poles[:, np.newaxis] - poles.conj()), axis=1))

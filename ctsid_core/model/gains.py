@@ -103,7 +103,7 @@ def _uncertain(model: StateSpace, covariance: Covariance | None) -> Array:
 
 
 def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | None:
-    """Return the gains (1) if the slowest mode, and no other, moves outputs at constant rates."""
+    """Return the gains (1) if modes that nobody tells from 0 move outputs at constant rates."""
     if not model.n:
         return None
     poles, right = np.linalg.eig(model.A)
@@ -111,14 +111,19 @@ def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | No
         left = np.linalg.inv(right)
     except np.linalg.LinAlgError:
         return None
-    k = int(np.argmin(np.abs(poles)))
-    pole, rest = poles[k], np.arange(len(poles)) != k
-    own = int(np.argmin(np.abs(model.poles - pole)))
-    if pole.imag or abs(pole) > _uncertain(model, covariance)[own] or (
-            poles[rest].real >= 0.0).any():
+    far = _uncertain(model, covariance)[
+        np.argmin(np.abs(model.poles - poles[:, np.newaxis]), axis=1)]
+    still = np.abs(poles) <= far
+    rest = ~still
+    if not still.any() or (poles[rest].real >= 0.0).any():
         return None
+    own, _ = np.linalg.qr(right[:, still])
+    # Beside each other, as of axes that are alike, and not one behind another
+    if np.linalg.norm(own.conj().T @ model.A @ own, 2) > np.max(far[still]):
+        return None
+    pole = float(np.mean(poles[still].real))
     others = right[:, rest] / (pole - poles[rest]) @ left[rest]                 # S in (2)
-    P = np.outer(right[:, k], left[k])
+    P = right[:, still] @ left[still]
     value = (model.C @ P @ model.B).real
     gain = (model.C @ (right[:, rest] / -poles[rest]) @ left[rest] @ model.B).real + model.D
     std = np.full(value.shape, np.nan)
@@ -133,8 +138,7 @@ def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | No
         _SETTLED * np.abs(value) >= np.abs(gain) * slowest
     if not (moves & ~(_TOLD * std > np.abs(value))).any():
         return None         # as of two modes that are alike
-    return Gains(np.where(moves, value, gain), np.where(moves, std, np.nan), moves, float(
-        pole.real))
+    return Gains(np.where(moves, value, gain), np.where(moves, std, np.nan), moves, pole)
 
 
 @dataclass(frozen=True)
