@@ -107,7 +107,7 @@ def test_a_model_has_as_many_numbers_as_directions_that_change_it(ranks):
 
 
 def test_twin_integrators_have_rates_and_deviations():
-    """Poles that are alike, and nobody tells from 0: none is known exactly, each moves its axis."""
+    """Poles that are alike, and nobody tells from 0: none is known exactly, each has a rate."""
     rng, h = np.random.default_rng(300), 0.01
     u = np.repeat(rng.choice([-1.0, 1.0], (300, 2)), 10, axis=0)
     y = 2.0 * h * np.vstack((np.zeros(2), np.cumsum(u, axis=0)[:-1]))
