@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from ctsid_core.likelihood.kernel import Layout, Shape
+from ctsid_core.likelihood.pole_steps import ranks_of
 from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
@@ -88,14 +89,14 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: b
     """
     Return the columns of poles (m,) [rad/s], in the order of `ModalModel`, and delay (nu,) [s].
 
-    Equal poles, which are neighbours, share theirs. `direct`: whether there is D; else what is
+    Equal poles share theirs. `direct`: whether there is D; else what is
     its own is left out. `turned`: few rows are wanted; else there is one for each sample.
     `slopes`: so are derivatives by poles and dead times.
     """
-    values, group = poles.tolist(), tuple(range(len(poles)))
-    if len(set(values)) < len(values):
-        apart = np.append(True, poles[1:] != poles[:-1])
-        group, poles = tuple((np.cumsum(apart) - 1).tolist()), poles[apart]
+    group = tuple(range(len(poles)))
+    if len(set(poles.tolist())) < len(poles):
+        pole, rank = ranks_of(poles)
+        group, poles = tuple(pole.tolist()), poles[rank == 0]
     samples.effort.spend(evaluation_work(samples, len(poles), slopes=slopes, turned=turned))
     real = int(np.count_nonzero(poles.imag == 0.0))
     layout = _layout(samples, Shape(group, real, len(poles) - real, direct, slopes), turned)

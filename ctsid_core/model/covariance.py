@@ -169,7 +169,7 @@ class Covariance:
 
     def pole_changes(self, model: StateSpace) -> ComplexArray:
         """Return what the rows of the root change of the poles of the model (1), (r, n)."""
-        values, right = _modes(model.A)
+        values, right = modes(model.A)
         order = realisation.pole_order(values.astype(complex))
         left, right = np.linalg.inv(right)[order], right[:, order]
         found = np.einsum('ia,rab,bi->ri', left, self.entries.A, right, optimize=True)
@@ -222,13 +222,13 @@ def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
     return np.asarray(found * size[:, np.newaxis, np.newaxis])
 
 
-def _modes(A: Array) -> tuple[ComplexArray, ComplexArray]:
+def modes(A: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return poles and modes; equal poles whose modes are any of a plane have some far apart."""
     values, right = np.linalg.eig(A)
     same = np.abs(values - values[:, np.newaxis]) <= _EQUAL * np.abs(values)
-    for own in {tuple(np.flatnonzero(row).tolist()) for row in same}:
+    for own in {tuple(np.flatnonzero(row).tolist()) for row in same if np.sum(row) > 1}:
         _, s, axes = np.linalg.svd(A - np.mean(values[list(own)]) * np.eye(len(A)))
-        if len(own) > 1 and s[-len(own)] <= _KNOWN * s[0]:
+        if s[-len(own)] <= _KNOWN * s[0]:
             right = right.astype(complex)
             right[:, list(own)] = axes[-len(own):].conj().T
     return values, right

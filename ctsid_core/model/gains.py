@@ -31,7 +31,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ctsid_core.linear.types import Array, Mask
-from ctsid_core.model.covariance import Covariance, gain_deviation
+from ctsid_core.model.covariance import Covariance, gain_deviation, modes
 from ctsid_core.model.statespace import StateSpace
 
 _TOLD = 3.0         # standard deviations from 0: a pole nearer to it may integrate
@@ -106,7 +106,7 @@ def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | No
     """Return the gains (1) if modes that nobody tells from 0 move outputs at constant rates."""
     if not model.n:
         return None
-    poles, right = np.linalg.eig(model.A)
+    poles, right = modes(model.A)
     try:
         left = np.linalg.inv(right)
     except np.linalg.LinAlgError:
