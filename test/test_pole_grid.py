@@ -55,6 +55,18 @@ def test_errors_point_at_a_resonance_of_any_frequency(damping):
         assert max(-pole.real, 1.0 / 60.0) / 3.0 < -found.real < 3.0 * max(-pole.real, 1.0 / 60.0)
 
 
+def test_a_dead_time_of_periods_is_no_part_of_a_resonance_s_decay():
+    """What comes later than it decays is not seen, unless its dead time is allowed for."""
+    size, damping, late = 38.0, 0.08, 1.2
+    p = plant([[0.0, size], [-size, -2.0 * damping * size]], [[0.0], [9.0]], [[1.0, 0.2]])
+    record = held(np.random.default_rng(2), p, 50.0, 100.0, delay=late, snr=20, duration=60.0)
+    resonances = PoleGrid(samples_of([record], [[None]]), feedthrough=False, trim=True,
+                          longest=2.0, fastest=250.0, finest=0.01).resonances
+    found = resonances.best(resonances.outputs, np.array([late]))
+    assert abs(found.imag - size) < damping * size
+    assert damping * size / 3.0 < -found.real < 3.0 * damping * size     # rates are 4 apart
+
+
 @pytest.mark.parametrize('budget', [0.0, 1.0])
 def test_a_long_record_of_several_inputs_has_its_order_and_no_dead_time(budget):
     found = identify(long(1), Settings(budget=budget))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model that fails on data that it has not seen is not called GOOD, wherever it is told of."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import re
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from ctsid_core import Record, identify
+from ctsid_core.judge.rules import retested
+from ctsid_core.judge.unseen import as_judged, failure
 from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main
 
@@ -128,3 +132,21 @@ def test_a_recording_shorter_than_the_dead_time_is_refused(tmp_path, capsys):
     capsys.readouterr()
     assert main(['simulate', str(tmp_path / 'out'), str(tmp_path / 'short.csv')]) == 1
     assert 'input valve acts 5 s later' in capsys.readouterr().err
+
+
+def test_an_output_that_has_no_fit_is_no_failure():
+    """It stands still, or is missing: nothing is told of the model."""
+    rng, t = np.random.default_rng(3), 0.02 * np.arange(1000)
+    u, x = np.repeat(rng.standard_normal(50), 20), np.zeros(1000)
+    for k in range(999):
+        x[k + 1] = 0.9 * x[k] + 0.1 * u[k]
+    record = Record.from_arrays(t, u, t, x + 0.01 * rng.standard_normal(1000), input_hold='zoh')
+    found = identify(record)
+    assert found.good
+    seen = as_judged(found, found.model, record)
+    wrong = replace(seen, y_hat=0.0 * seen.y_hat)
+    assert not failure(found, seen, record)
+    assert 'the plant is not the same' in failure(found, wrong, record)
+    assert not failure(found, replace(wrong, fit=np.array([np.nan])), record)
+    assert retested(found, '') is found
+    assert not retested(found, failure(found, wrong, record)).good
