@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ctsid_core import Record, Settings, identify
-from ctsid_core.likelihood.output_error import Free, climb, fit_at
+from ctsid_core.likelihood.output_error import Free, _slopes, climb, fit_at, steps_around
 from ctsid_core.likelihood.samples import samples_of
 
 LAG, RATE, STEP = 2.5, 4.0, 0.002
@@ -57,3 +57,19 @@ def test_an_integrator_is_one_whatever_the_mean_of_its_input(several, mean, seed
     response = model.frequency_response(np.array([0.1]))[0]
     np.testing.assert_allclose(response, RATE * LAG / (0.1j * (0.1j + LAG)) * mixing(several).T,
                                atol=0.02 * RATE / 0.1)
+
+
+def test_what_would_leave_its_bounds_is_held_and_the_others_move():
+    """A pole that would grow if it could: the other one, and the dead time, climb all the same."""
+    samples = samples_of([travelled(5, 0.1)], [[None]])
+    free = Free(False, True, (True,), 0.1, -1e-5, 100.0)
+    start = fit_at(samples, np.array([-1e-5, -4.0]), np.zeros(1), free)
+    slopes = _slopes(samples, start, free, steps_around(samples, start.model))
+    assert (slopes.scale == np.inf).tolist() == [False, True, False]
+    step = slopes.step(1e-9) / slopes.scale
+    assert step[1] == 0.0
+    assert step[0] != 0.0
+    assert step[2] != 0.0
+    found = climb(samples, start, free)
+    assert np.max(found.model.poles.real) == -1e-5
+    assert np.min(found.model.poles.real) == pytest.approx(-LAG, rel=0.05)
