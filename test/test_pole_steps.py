@@ -50,3 +50,14 @@ def test_poles_of_all_ranks_that_meet_part_as_a_pair_and_others_pass():
     assert moved[0].imag > 0.0
     passing = PoleSteps.of(poles, 0.1, 3).moved(np.array([0.2, -0.75]), -1e-6, 100.0)[0]
     np.testing.assert_allclose(passing, [-2.4, -2.4, -3.5, -3.5])
+
+
+def test_a_pair_that_parts_keeps_its_rank():
+    """Whatever rank the last pole has."""
+    around = PoleSteps.of(np.array([-1.0, -9.0, -9.0, -2.0 + 0.1j]), 0.1, 2)
+    moved, was = around.moved(np.array([0.0, -0.1, 0.0, 0.0]), -1e-6, 100.0)
+    assert np.all(moved.imag == 0.0)
+    assert states(moved) == 5
+    assert was.tolist() == [0, 3, 3, 1, 2]
+    twice = PoleSteps.of(np.array([-1.0, *[-2.0 + 0.1j] * 2, -3.0 + 4.0j]), 0.1, 2)
+    assert states(twice.moved(np.array([0.0, -0.1, 0.0, 0.0, 0.0]), -1e-6, 100.0)[0]) == 7

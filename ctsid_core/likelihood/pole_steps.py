@@ -109,7 +109,8 @@ class PoleSteps:
                 found.append((complex(middle, math.sqrt(-turn)), one))
             else:
                 far = middle + math.copysign(math.sqrt(turn), middle)
-                found += [(complex(far), one), (complex(b / far if far else -far), other)]
+                found += [(complex(far), one),
+                          (complex(b / far if far else -far), other if other >= 0 else one)]
         bound = bounded(np.array([p for p, _ in found]), limit, fastest)
         order = [found[k][1] for k in in_order(bound)]
         ends = np.cumsum(self.ranks)
