@@ -193,7 +193,7 @@ def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -
     """Return the plant that predictions found, none of its modes growing, or None."""
     fit, nu = found.found.fit, samples.nu
     free = replace(free, feedthrough=False, delays=found.free.delays[:nu])
-    m = plant_of(fit, found.samples, part.last, False)
+    m = plant_of(fit, found.samples, part.last, free.limit)
     plant = None if m is None else modal_of(m, samples, fit.model.delay[:nu])
     with suppress(np.linalg.LinAlgError):
         if m is not None and plant is not None:
