@@ -18,6 +18,7 @@ from ctsid_core.errors import SettingsError
 
 LONGEST_DELAY = 60.0  # dead time that may be given, and is looked for [s], ...
 _SHARE = 0.25          # ... as far as it is this part of a record at most
+_NEAREST = 1e-5        # times e within a record, that a mode decays at least
 OF_STRIDE = 0.8  # budget of a window: the rest is for publishing, and for estimates of work
 Hold = Literal['zoh', 'linear', 'smooth']
 METHODS = ('hd-pbsid', 'ct-pbsid', 'gobf')
@@ -235,6 +236,15 @@ class Settings:
 def longest_sought(length: float) -> float:
     """Return the longest dead time that is looked for in a record of some length [s]."""
     return min(_SHARE * length, LONGEST_DELAY)
+
+
+def slowest_sought(length: float) -> float:
+    """
+    Return the least decay of a mode that is looked for in a record of some length [rad/s].
+
+    Nobody can tell it from 0, and nearer ones leave too few digits between a mode and the trim.
+    """
+    return _NEAREST / length
 
 
 def build_declared(cls: type[Any], values: Mapping[str, object], prefix: str = '') -> Any:

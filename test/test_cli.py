@@ -275,11 +275,12 @@ def test_trim_is_refitted_unless_told_otherwise(ctsid, identified, tmp_path):
     model = identified[0] / 'model.json'
     moved = write_flight(tmp_path / 'moved', spoilt(
         '/imu', lambda _, s: at(s, stamp_of(s), s.message.angular_velocity.x + 5.0)))
-    fits = {}
+    fits, ahead = {}, {}
     for trim in ('refit', 'model'):
         found = json.loads(ctsid('simulate', model, moved, '--json', '--trim', trim)[1])
-        fits[trim] = found['fit'][0]
+        fits[trim], ahead[trim] = found['fit'][0], found['prediction']['10']['fit'][0]
     assert fits['refit'] > 90 > 0 > fits['model']
+    assert ahead['refit'] > 90 > ahead['model']
 
 
 def test_show_prints_poles_and_frequency_response(ctsid, shared):

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 
+from ctsid_core.identify import identify
 from ctsid_core.model.covariance import Covariance, gain_deviation, pole_deviation
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
@@ -48,10 +49,11 @@ from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import pole_figure, region
 from ctsid_ros.report.residual_figures import correlation, horizon_fits
 from ctsid_ros.report.responses import bode_figures
-from ctsid_ros.report.sections import gain_section
+from ctsid_ros.report.sections import gain_section, model_section
 from ctsid_ros.report.spectra import spectra
 from ctsid_ros.report.static import write_drawings
 from ctsid_ros.report.tables import Table, percent, pole_text
+from ctsid_ros.report.tracks import told
 from ctsid_ros.report.window_figures import window_figure
 from ctsid_ros.report.words import lines, markdown, printable
 from ctsid_ros.studies.robots.families import experiment
@@ -345,6 +347,22 @@ def test_a_gain_that_is_known_to_be_nothing_is_not_said_to_be_unknown():
     known = Covariance(root, 2, 1, 1)
     assert gain_deviation(known, rate)[0, 0] > abs(rate.dc_gain[0, 0])
     assert 'not even its sign' not in str(gain_section(rate, known).parts)
+
+
+def test_a_pole_at_its_bound_is_told_as_an_integrator():
+    """It was `-8.3e-08` rad/s, with a time constant of 139 days of a minute's record."""
+    rng, h = np.random.default_rng(0), 0.02
+    t = h * np.arange(3000)
+    u = np.repeat(rng.choice([0.0, 1.0], len(t) // 50), 50)
+    y = h * np.concatenate(([0.0], np.cumsum(u[:-1]))) + 0.02 * rng.standard_normal(len(t))
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings(order=1))
+    assert -1e-5 / 59.0 < found.model.poles[0].real < 0.0             # as it was found
+    table = next(p for p in model_section(found, '').parts if isinstance(p, Table))
+    assert table.rows[0][0] == '0 (integrator)'
+    frequency, hertz, _, constant = table.rows[0][2:]
+    assert frequency.startswith('0 ± ')
+    assert (hertz, constant) == ('0', '-')
+    assert told(-1e-3 + 1e-8j, found) == -1e-3
 
 
 def test_what_integrates_is_told_by_how_fast_it_moves():

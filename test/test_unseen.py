@@ -77,6 +77,23 @@ def test_what_rests_after_the_split_is_measured_by_all_of_the_motion(tmp_path, c
     assert identified(capsys, str(csv), tmp_path / 'out')['test']['passed'] is True
 
 
+def test_there_is_one_fit_on_unseen_data_and_simulate_has_the_same(tmp_path, capsys):
+    """Another payload: 80 % with the offsets of these data, 6 % without, in one box."""
+    csv = Path(write(tmp_path / 'motor.csv', 5.0))
+    rows = np.loadtxt(csv, delimiter=',', skiprows=1)
+    rows[rows[:, 0] >= SPLIT, 2] += 1.5
+    np.savetxt(csv, rows, delimiter=',', header='t,voltage,speed', comments='')
+    out = tmp_path / 'out'
+    test = identified(capsys, str(csv), out)['test']
+    assert test['fit'][0] > 90.0
+    text = (out / 'report.md').read_text()
+    assert 'simulation fit, offsets refitted [%]' in text
+    assert 'simulation fit [%]' not in text
+    main(['simulate', str(out / 'model.json'), str(csv), '--start', str(SPLIT), '--json',
+          '--quiet'])
+    assert json.loads(capsys.readouterr().out)['fit'] == pytest.approx(test['fit'], abs=0.2)
+
+
 def test_a_plant_that_grows_is_tested_by_its_predictions(tmp_path, capsys):
     rng, t = np.random.default_rng(5), np.arange(3000) * DT
     both = expm(DT * np.array([[0, 1, 0], [9, -1, 10], [0, 0, 0]]))   # poles 2.5 and -3.5

@@ -115,9 +115,23 @@ def test_a_page_over_a_bag_whose_plant_changes_begins_with_the_change(told):
     best = payload['json']['windows'][payload['json']['best_window'] - 1]
     side = 'before' if best['to'] <= seen['time'] else 'after'
     assert f'{best["from"]:.1f} to {best["to"]:.1f} s, {side} the change' in payload['words']
+    for w in payload['json']['windows']:
+        where = 'before' * (w['to'] <= seen['time']) or 'after' * (w['from'] >= seen['time'])
+        row = next(line for line in payload['text'].splitlines()
+                   if line.split()[:3] == [str(w['window']), f'{w["from"]:.1f}', f'{w["to"]:.1f}'])
+        assert re.findall(r'(\w+) the change', row) == [where][:bool(where)]
     assert load_estimate(payload['place'] / 'model.json').verdict.grade is Grade.GOOD
     if side == 'before':
         assert re.search(rf'identify payload .*--start {seen["time"]:.1f}', payload['words'])
+
+
+def test_what_is_in_no_window_at_the_end_is_said(told):
+    for one, length in ((told['payload'], 22.5), (told['hung'], 14.0)):
+        last = one['json']['windows'][-1]['to']
+        left = one['json']['seconds_left']
+        assert last + left == pytest.approx(length, abs=0.1)
+        said = re.findall(r'; the last (\S+) s are in none', one['text'])
+        assert [float(s) for s in said] == ([round(left, 1)] if left >= 0.05 else [])
 
 
 def test_a_sensor_that_hangs_is_said_before_the_model_that_was_kept(told):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,8 @@ def as_judged(estimate: Estimate, model: StateSpace, record: Record, *,
               trim: Literal['model', 'refit'] = 'model') -> Validation:
     """Return a record beside a model, simulated or predicted: as the fits of its estimate are."""
     if estimate.by_predictions:
+        offset = simulation(model, record, trim=trim).offset
+        model = replace(model, y_trim=model.y_trim + offset)
         return prediction(model, record, HORIZONS[AHEAD])
     return simulation(model, record, trim=trim)
 

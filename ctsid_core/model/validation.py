@@ -37,6 +37,7 @@ class Validation:
     vaf: Array    # (ny,): variance accounted for, of each output [%], see `vaf`
     x0: Array     # (n,): state at `times[0]`
     notes: tuple[str, ...] = ()  # what else the reader should know
+    offset: Array | float = 0.0  # (ny,): what was added to the trim of the outputs
 
 
 def fit(y: ArrayLike, y_hat: ArrayLike) -> Array:
@@ -126,6 +127,7 @@ def simulation(model: StateSpace, record: Record, *,
         raise DataError(f'`trim` is {trim!r}; choose model or refit')
     times, y, _ = _samples(model, record)
     y_hat, x0 = _respond(model, record, times)
+    offset: Array | float = 0.0
     with np.errstate(over='ignore', invalid='ignore'):  # poles that explode and coincide
         columns, states = free_response(model.A, model.C, times)
     if trim == 'refit':
@@ -136,8 +138,10 @@ def simulation(model: StateSpace, record: Record, *,
         found = _least_squares(columns, y - y_hat, spread(y))
         with np.errstate(over='ignore', invalid='ignore'):
             y_hat, x0 = y_hat + columns @ found, x0 + states @ found
+        offset = found[-model.ny:] if trim == 'refit' else 0.0
         y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
-    return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat))
+    return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
+                      offset=offset)
 
 
 def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:

@@ -166,13 +166,23 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
     chosen = 0
     while chosen != (chosen := choose(found)) and not samples.effort.beyond(SEARCH):
         model = found[chosen].fit.model
-        for k in range(len(model.poles) if len(model.poles) > 1 else 0):
+        for poles in _fewer(model.poles):
             with suppress(np.linalg.LinAlgError):
-                fit = fit_at(samples, np.delete(model.poles, k), model.delay, free, slopes=False)
+                fit = fit_at(samples, poles, model.delay, free, slopes=False)
                 n = fit.model.n
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
                     found[n] = tried(samples, climb_roughly(samples, fit, free), free,
                                      found[n].pointed)
+
+
+def _fewer(poles: ComplexArray) -> Iterator[ComplexArray]:
+    """Yield poles without one of them, and with a real one instead of one of the pairs."""
+    for k, pole in enumerate(poles.tolist()):
+        left = np.delete(poles, k)
+        if len(left):
+            yield left
+        if pole.imag > 0.0:
+            yield np.append(left, -abs(pole))
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:

@@ -265,8 +265,8 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
     likely = np.sqrt(fit.power.mean(axis=0))
     known: list[PredictionFit] = []
-    for unstable in (True, False):
-        plant = plant_of(fit, joint, last.place, unstable)
+    for limit in (np.inf, 0.0):
+        plant = plant_of(fit, joint, last.place, limit)
         if plant is None:
             continue
         joint.effort.spend(_PLANT + _AHEAD * max(len(s.time) for s in last.record.outputs))
@@ -355,18 +355,20 @@ def is_stable(plant: Matrices) -> bool:
     return bool(np.all(poles.real <= _STABLE * np.max(np.abs(poles), initial=0.0)))
 
 
-def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrices | None:
+def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices | None:
     """
     Return the plant of a predictor (1), with the trim of a record; None if there is none.
 
-    Modes that grow are put on the axis unless they may be `unstable`.
+    Modes whose poles have a real part beyond `limit` are put there. That of simulations is just
+    beside 0: then initial state and trim make the ramp that an offset of an input makes of an
+    integrator; at 0 both are constants.
     """
     m, ny = matrices_of(fit.model, samples.size, record), samples.ny
     nu = samples.nu - ny
     step = held_interval(samples)
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
-        A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, unstable)
+        A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, limit)
         if not np.isfinite(A).all():
             return None
         transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
@@ -381,7 +383,7 @@ def plant_of(fit: Fit, samples: Samples, record: int, unstable: bool) -> Matrice
 
 def in_record(plant: Matrices, fit: Fit, samples: Samples, record: int) -> Matrices:
     """Return the plant of a predictor with the trim of another record."""
-    return plant_of(fit, samples, record, not is_stable(plant)) or plant
+    return plant_of(fit, samples, record, 0.0 if is_stable(plant) else np.inf) or plant
 
 
 def _from_sample_to_sample(A: Array, K: Array, C: Array, step: float) -> tuple[Array, Array]:
@@ -391,7 +393,7 @@ def _from_sample_to_sample(A: Array, K: Array, C: Array, step: float) -> tuple[A
 
 
 def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
-               unstable: bool) -> tuple[Array, Array, Array]:
+               limit: float) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
     moved, integral = _from_sample_to_sample(A, K, C, step)
     plant = _logarithm(moved) / step if np.isfinite(moved).all() else moved
@@ -399,7 +401,7 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
         raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
     if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
         raise np.linalg.LinAlgError('a transition of the plant has no real logarithm')
-    plant = np.real(plant) if unstable else _on_the_axis(np.real(plant))
+    plant = _limited(np.real(plant), limit)
     back = np.linalg.solve(exponentials(plant, np.array([step]), 1)[1][0], integral)
     return plant, back @ B, back @ K
 
@@ -467,13 +469,13 @@ def prediction_errors(m: Matrices, delay: Array, last: Compared, *, simulates: b
     return np.where(np.isfinite(found), found, np.inf)
 
 
-def _on_the_axis(A: Array) -> Array:
-    """Return A with the modes that grow put on the imaginary axis."""
+def _limited(A: Array, limit: float) -> Array:
+    """Return A with no real part of a pole beyond a limit."""
     values, right = np.linalg.eig(A)
-    growing = values.real > 0.0
-    if not growing.any():
+    beyond = values.real > limit
+    if not beyond.any():
         return A
-    values = np.where(growing, 1j * values.imag, values)
+    values = np.where(beyond, limit + 1j * values.imag, values)
     found: Array = np.real(right @ np.diag(values) @ np.linalg.inv(right))
     return found
 

@@ -59,12 +59,10 @@ from ctsid_core.search.by_prediction import (
 from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
-from ctsid_core.settings import Settings, longest_sought
+from ctsid_core.settings import Settings, longest_sought, slowest_sought
 from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
 _NEARLY = 0.95        # of the longest dead time that is looked for: states may stand in for more
-_NEAREST = 1e-5       # of a pole to the imaginary axis, over 1 / window: nobody can tell it from 0
-                      # and nearer ones leave too few digits between a mode and the trim
 _STEADY = 0.05        # times e within the record: less does not tell a mode that decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
@@ -193,7 +191,7 @@ def _plant_of(part: Joint, samples: Samples, found: PredictionFit, free: Free) -
     """Return the plant that predictions found, none of its modes growing, or None."""
     fit, nu = found.found.fit, samples.nu
     free = replace(free, feedthrough=False, delays=found.free.delays[:nu])
-    m = plant_of(fit, found.samples, part.last, False)
+    m = plant_of(fit, found.samples, part.last, free.limit)
     plant = None if m is None else modal_of(m, samples, fit.model.delay[:nu])
     with suppress(np.linalg.LinAlgError):
         if m is not None and plant is not None:
@@ -570,7 +568,7 @@ def _names(part: Joint) -> list[str]:
 def free_of(samples: Samples, own: Settings) -> Free:
     """Return what is free, and within which bounds."""
     return Free(own.feedthrough, own.trim, own.unknown_delays(samples.nu),
-                longest_sought(samples.length), -_NEAREST / samples.length,
+                longest_sought(samples.length), -slowest_sought(samples.length),
                 _FASTEST * np.pi / samples.finest)
 
 

@@ -274,6 +274,18 @@ def along(windows: Windows, place: int) -> Along:
                                      if not (seen and f.status is Status.CHANGED)])
 
 
+def side(windows: Windows, place: int, seen: Sequence[ChangeSeen]) -> str:
+    """Return on which side of changes a window lies; nothing if it has one, or there are none."""
+    before = sum(c.time >= windows.ends[place] for c in seen)
+    after = sum(c.time <= windows.starts[place] for c in seen)
+    if not seen or before + after < len(seen):
+        return ''
+    if before and after:
+        return 'between changes'
+    which = '' if len(seen) == 1 else 'first ' if before else 'last '
+    return f'{"before" if before else "after"} the {which}change'
+
+
 def _changed(seen: Sequence[ChangeSeen]) -> tuple[str, ...]:
     if not seen:
         return ()

@@ -113,6 +113,13 @@ class Replay:
         return Played(self.config, self._ingest.counts(), (*end, *self._ingest.report()))
 
     @property
+    def left(self) -> float:
+        """How much at the end is in no window, short of a further stride [s]."""
+        record = self._ingest.whole()
+        return 0.0 if record is None or not self.results else 1e-9 * (
+            record.epoch_ns - self.results[-1].estimate.end_ns) + record.end
+
+    @property
     def best(self) -> int | None:
         """The number of the result to keep, see `best_of`; None if no model was accepted."""
         return best_of(self.results)

@@ -34,6 +34,7 @@ from ctsid_ros.report.tables import (
     plus_minus,
     pole_text,
 )
+from ctsid_ros.report.tracks import told
 from ctsid_ros.report.words import spreadsheet
 
 
@@ -150,7 +151,8 @@ def _pole(c: Contender, k: int) -> tuple[str, str, str]:
     late = late if len(late) == c.model.nu else np.full(c.model.nu, math.nan)
     dead = ', '.join(plus_minus(d, s, 3) for d, s in zip(c.model.delay, late, strict=True)) \
         if k == 0 or not any(c.model.poles[:k].imag <= 0.0) else ''
-    return pole_text(c.model.poles[k]), number(float(std[k]), 2) if len(std) > k else '-', dead
+    return (pole_text(told(c.model.poles[k], c.estimate)),
+            number(float(std[k]), 2) if len(std) > k else '-', dead)
 
 
 def verdict_section(found: Sequence[Contender]) -> Section:
@@ -255,7 +257,8 @@ def order_sections(orders: Mapping[int, Order], chosen: int) -> list[Section]:
 
 def _poles(estimate: Estimate) -> list[str]:
     model = estimate.model or estimate.rejected_model
-    return [] if model is None else [pole_text(p, 3) for p in model.poles if p.imag <= 0.0]
+    return [] if model is None else [
+        pole_text(told(p, estimate), 3) for p in model.poles if p.imag <= 0.0]
 
 
 def _fit_figure(orders: Mapping[int, Order], chosen: int) -> Figure:

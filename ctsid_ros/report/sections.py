@@ -209,9 +209,9 @@ def gain_section(model: StateSpace, covariance: Covariance | None = None) -> Sec
                                for j, u in enumerate(model.input_names))), rows, ('output',))
     if found.rate.any():
         return Section('Gain: output per input', (
-            table, f'The pole of {number(found.pole, 3)} rad/s cannot be told from 0: the plant '
-            'integrates, or is too slow for these data to tell. A gain with /s says by how much '
-            'the output moves in each second, for each unit of a constant input.'
+            table, 'A pole cannot be told from 0: the plant integrates, or is too slow for these '
+            'data to tell. A gain with /s says by how much the output moves in each second, for '
+            'each unit of a constant input.'
             + ('' if found.rate.all() else ' Any other is without that pole.')))
     unknown = ('Where the standard deviation is larger than the gain, not even its sign is known: '
                'the data are too short for what happens slowly, or the inputs do not move slowly '
@@ -275,23 +275,27 @@ def residual_section(tests: ResidualTests, model: StateSpace, *, predicted: bool
         Table(head, rows, ('output',))), brief=False)
 
 
-def window_section(results: Sequence[Result], start_ns: int, best: int = 0) -> Section:
-    """Return the windows along a bag, thinned where they are many."""
+def window_section(results: Sequence[Result], start_ns: int, best: int = 0,
+                   sides: Sequence[str] = ()) -> Section:
+    """Return the windows along a bag, thinned where they are many; `sides` of changes of each."""
     rows = [_window_row(index, r, start_ns) for index, r in enumerate(results, 1)]
-    head = ('window', 'from [s]', 'to [s]', 'verdict', 'order', 'fit [%]', 'next fit [%]',
-            'poles of the model [rad/s]')
+    head = ['window', 'from [s]', 'to [s]', 'verdict', 'order', 'fit [%]', 'next fit [%]',
+            'poles of the model [rad/s]']
+    if any(sides):
+        head.append('plant')
+        rows = [(*row, side) for row, side in zip(rows, sides, strict=True)]
     shown = thinned(rows, _MOST_ROWS, best)
     more = [f'{len(shown)} of {len(rows)} windows are shown; all are in `estimates.csv`.'] \
         if len(shown) < len(rows) else []
     return Section('Models along the bag, in numbers',
-                   (Table(head, shown, (head[3], head[-1])), *more),
+                   (Table(tuple(head), shown, (head[3], *head[7:])), *more),
                    folded=True)
 
 
 def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
     estimate = result.estimate
     span = (f'{(t - start_ns) * 1e-9:.1f}' for t in (estimate.start_ns, estimate.end_ns))
-    found = modes(estimate.model)
+    found = modes_of(estimate)
     poles = ',  '.join(pole_text(m.pole, 3) for m in found[:_MOST_MODES]) if estimate.model \
         else f'none: {estimate.status.name}'
     poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''

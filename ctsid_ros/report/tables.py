@@ -94,6 +94,8 @@ def percent(value: float) -> str:
 
 def pole_text(pole: complex, digits: int = 4) -> str:
     """Return a pole; a conjugate pair, given by either of the two, as -1.820 ± 31.35j."""
+    if not pole:
+        return '0 (integrator)'
     real = number(pole.real, digits)
     return real if pole.imag == 0 else f'{real} ± {number(abs(pole.imag), digits)}j'
 

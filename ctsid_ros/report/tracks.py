@@ -13,6 +13,9 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.sequence.mode_rows import paired
+from ctsid_core.settings import slowest_sought
+
+_SLOW = 10.0  # times the slowest that is looked for: slower ones are shown as integrators
 
 
 @dataclass(frozen=True)
@@ -57,9 +60,19 @@ def modes(model: StateSpace | None, std: Array | None = None) -> list[Mode]:
             if pole.imag >= 0]
 
 
+def told(pole: complex, estimate: Estimate) -> complex:
+    """Return a pole of an estimate as people are told of it: at its bound beside 0 it is at 0."""
+    spans = [r.end_ns - r.start_ns for r in estimate.records] or [
+        estimate.end_ns - estimate.start_ns]
+    length = max(spans) * 1e-9
+    least = _SLOW * slowest_sought(length) if length > 0.0 else 0.0
+    return complex(*(0.0 if abs(part) <= least else part for part in (pole.real, pole.imag)))
+
+
 def modes_of(estimate: Estimate) -> list[Mode]:
     """Return the modes of an estimate's model, accepted or not."""
-    found = modes(estimate.model or estimate.rejected_model, estimate.pole_std)
+    found = [replace(m, pole=told(m.pole, estimate)) for m in modes(
+        estimate.model or estimate.rejected_model, estimate.pole_std)]
     if estimate.covariance is None:
         return found
     model = estimate.model or estimate.rejected_model

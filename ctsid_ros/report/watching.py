@@ -16,6 +16,7 @@ from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.verdict import Grade
 from ctsid_ros.messages.health import Health, Level
 from ctsid_ros.report.tables import fit_words, number, percent, pole_text
+from ctsid_ros.report.tracks import told
 from ctsid_ros.report.words import cell, printable
 
 if TYPE_CHECKING:
@@ -122,8 +123,8 @@ class Watched:
         if self.estimate is None:
             return ''
         verdict = self.estimate.verdict
-        poles = ', '.join(f'{pole_text(m.pole, 3)} {m.arrow}' for m in self.modes
-                          if m.pole.imag >= 0.0)
+        poles = ', '.join(f'{pole_text(told(m.pole, self.estimate), 3)} {m.arrow}'
+                          for m in self.modes if m.pole.imag >= 0.0)
         return printable(f'window {self.window}: {verdict.grade.name}, fit '
                          f'{fit_words(self.estimate.fit)} %, on new data '
                          f'{fit_words(self.fresh_fit)} %, poles {poles or "none"}, '
@@ -273,11 +274,12 @@ def _model(watched: Watched) -> RenderableType | None:
     modes = _table('mode', 'pole [rad/s]', 'std', 'natural freq. [rad/s]', '', 'damping')
     for m in watched.modes:
         if m.pole.imag >= 0.0:
-            size = abs(m.pole)
+            pole = told(m.pole, estimate)
+            size = abs(pole)
             own = {m.mode, *(one.mode for one in watched.modes if one.pole == m.pole.conjugate())}
-            _add(modes, (', '.join(map(str, sorted(own))), pole_text(m.pole), number(m.std, 2),
+            _add(modes, (', '.join(map(str, sorted(own))), pole_text(pole), number(m.std, 2),
                          number(size), m.arrow,
-                         number(-m.pole.real / size, 3) if size else '-'))
+                         number(-pole.real / size, 3) if size else '-'))
     words = ('modes have the numbers of their eigenvalues, a pair two, and keep them; a missing '
              'number was of an earlier window')
     return Group(fits, modes, Text(words, style='dim'))

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.verdict import Grade
-from ctsid_ros.replay.along import PARTLY, ChangeSeen, Windows, along
+from ctsid_ros.replay.along import PARTLY, Windows, along, side
 from ctsid_ros.report.document import Headline
 from ctsid_ros.report.headline import Run
 
@@ -36,8 +35,9 @@ def window_headline(first: Headline, windows: Windows, place: int, which: str, r
     kept, all_of_it = windows.estimates[place], along(windows, place)
     seen, away = all_of_it.changes, all_of_it.unlike
     span = f'{windows.starts[place]:.1f} to {windows.ends[place]:.1f} s'
-    kept_words = (f'{_kept(kept)} window {place + 1} ({span}{_side(kept, seen, windows, place)}), '
-                  f'{which}: {first.sentence}')
+    where = side(windows, place, seen)
+    span += f', {where}' if kept.ok and where else ''
+    kept_words = f'{_kept(kept)} window {place + 1} ({span}), {which}: {first.sentence}'
     sentence = ' '.join((*all_of_it.changed, _counts(windows), *all_of_it.failed, kept_words))
     facts = (('windows with a model', f'{sum(e.ok for e in windows.estimates)} of '
               f'{len(windows.estimates)}'),
@@ -80,16 +80,3 @@ def _counts(windows: Windows) -> str:
 
 def _kept(kept: Estimate) -> str:
     return 'Kept is the model of' if kept.ok else 'None has a model; shown is'
-
-
-def _side(kept: Estimate, seen: Sequence[ChangeSeen], windows: Windows, place: int) -> str:
-    """Return on which side of the changes the kept window lies."""
-    if not seen or not kept.ok:
-        return ''
-    before = [c for c in seen if c.time >= windows.ends[place]]
-    after = [c for c in seen if c.time <= windows.starts[place]]
-    if len(before) == len(seen):
-        return ', before the change' if len(seen) == 1 else ', before the first change'
-    if len(after) == len(seen):
-        return ', after the change' if len(seen) == 1 else ', after the last change'
-    return ', between changes'

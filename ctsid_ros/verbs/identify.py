@@ -145,15 +145,14 @@ class Source:
 @dataclass(frozen=True)
 class Test:
     """
-    A test of the model on unseen data: with its own trim, and with one refitted to them.
+    A test of the model on unseen data: its simulation, offsets fitted to them, or predictions.
 
-    The same, if it is predictions that its fits are of. `failed`: what is wrong, or nothing.
+    `failed`: what is wrong, or nothing.
     """
 
     source: Source
     record: Record
     test: Validation
-    refitted: Validation
     failed: str
 
 
@@ -301,9 +300,8 @@ def _identify(sources: tuple[Source, ...], split: float | None) -> Outcome:
             whole, tested = (without_corrupt(record, estimate.settings)[0]
                              for record in (source.data.record, tested))
             own = estimate.trimmed(model, number)
-            refitted = as_judged(estimate, own, tested, trim='refit')
-            tests.append(Test(source, tested, as_judged(estimate, own, tested), refitted,
-                              failure(estimate, refitted, whole)))
+            found = as_judged(estimate, own, tested, trim='refit')
+            tests.append(Test(source, tested, found, failure(estimate, found, whole)))
     failed = next((t for t in tests if t.failed), None)
     if failed is not None:
         which = f'of record {sources.index(failed.source) + 1} ' if len(sources) > 1 else ''
@@ -352,17 +350,15 @@ def _sections(outcome: Outcome, truth: StateSpace | None, *, verdict: bool = Tru
 
 
 def _test_section(test: Test, model: StateSpace, outcome: Outcome) -> Section:
-    columns = {f'fit, {ahead} [%]': test.test.fit} if (ahead := _ahead(outcome.estimate)) else {
-        'simulation fit [%]': test.test.fit,
-        'simulation fit, offsets refitted [%]': test.refitted.fit}
-    rows = tuple((name, *(percent(fits[i]) for fits in columns.values()))
-                 for i, name in enumerate(model.output_names))
+    ahead = _ahead(outcome.estimate)
+    how = f'fit, {ahead} [%]' if ahead else 'simulation fit, offsets refitted [%]'
+    rows = tuple((name, percent(test.test.fit[i])) for i, name in enumerate(model.output_names))
     words = [f'Failed: {test.failed}.'] if test.failed else []
     first, last = (t + test.source.offset for t in (test.record.start, test.record.end))
     whose = f' of record {outcome.sources.index(test.source) + 1}' \
         if len(outcome.sources) > 1 else ''
     return Section(f'Test on data{whose} the model has not seen, {first:.1f} to {last:.1f} s', (
-        *words, Table(('output', *columns), rows, ('output',))))
+        *words, Table(('output', how), rows, ('output',))))
 
 
 def _ahead(estimate: Estimate) -> str:
@@ -506,8 +502,7 @@ def _document(outcome: Outcome, args: argparse.Namespace, out: Path) -> Mapping[
 
     estimate = outcome.estimate
     tests = [{'from': t.record.start + t.source.offset, 'to': t.record.end + t.source.offset,
-              'passed': not t.failed, 'fit': t.test.fit, 'fit_trim_refitted': t.refitted.fit,
-              'vaf': t.test.vaf}
+              'passed': not t.failed, 'fit': t.test.fit, 'vaf': t.test.vaf}
              for t in outcome.tests]
     several: dict[str, Any] = {} if len(outcome.sources) == 1 else {
         'records': [{'bag': s.bags, 'from': s.span[0], 'to': s.span[1]} for s in outcome.sources],

@@ -165,6 +165,7 @@ class _Report:
         return self.best.estimate.model or self.best.estimate.rejected_model
 
     def sections(self, *, verdict: bool = True) -> list[Section]:
+        from ctsid_ros.replay.along import side
         from ctsid_ros.report.dead_time import delay_words, looked_for
         from ctsid_ros.report.sections import (
             channel_section,
@@ -180,9 +181,12 @@ class _Report:
         count = len(self.results)
         title = (f'{named(self.args.bag)}: {count} window{"s" if count > 1 else ""} of '
                  f'{settings.window_length:g} s, one every {settings.window_stride:g} s')
+        if (left := round(self.run.left, 1)) > 0.0:
+            title += f'; the last {left:g} s are in none'
         sections = [self._changes(), Section(title, (_INTRODUCTION,)), channel_section(
             self.played, delays=delay_words(estimate, self.played.config)),
-                    window_section(self.results, self.zero_ns, self.number - 1),
+                    window_section(self.results, self.zero_ns, self.number - 1, [
+                        side(self.windows, k, self.along.changes) for k in range(count)]),
                     status_section(self.results),
                     self._best_section(verdict=verdict)]
         if self.truth:
@@ -328,6 +332,7 @@ class _Report:
                 'accepted': sum(r.estimate.ok for r in self.results),
                 'good': sum(r.estimate.good for r in self.results),
                 'best_window': self.number if self.best.estimate.ok else None,
+                'seconds_left': self.run.left,
                 'windows': [self._window(i, r) for i, r in enumerate(self.results, 1)],
                 'true_poles': self.truth.poles if self.truth else None,
                 'notes': self.notes}

@@ -103,8 +103,8 @@ def command(args: argparse.Namespace) -> int:
         _check_dead_times(model, data.record)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
-        failed = failure(estimate, as_judged(estimate, model, record) if estimate.by_predictions
-                         else outcome.simulated, record)
+        failed = failure(estimate, as_judged(estimate, outcome.model, record)
+                         if estimate.by_predictions else outcome.simulated, record)
         estimate = retested(estimate, failed)
         notes = (*_own_data(estimate, record), *_unsimulated(outcome.simulated),
                  *([f'{failed}; `ctsid identify` of this recording has its own model, `ctsid '
@@ -183,6 +183,7 @@ def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: B
         # Its best solution within the record knows the end as well as the beginning.
         nothing = np.full(model.ny, np.nan)
         simulated = replace(simulated, fit=nothing, vaf=nothing)
+    model = replace(model, y_trim=model.y_trim + simulated.offset)
     return _Outcome(model, data, simulated,
                     {k: prediction(model, record, k) for k in args.horizon},
                     record.start + offset, record.end + offset)
@@ -267,8 +268,9 @@ def _write(estimate: Estimate, outcome: _Outcome, args: argparse.Namespace,
 
 def _trim(trim: str) -> str:
     if trim == 'refit':
-        return ('The offsets of the outputs are fitted to this bag, because another flight may '
-                'have another operating point (--trim model keeps those of the model). A fit of '
+        return ('The offsets of the outputs, in simulations and predictions, are fitted to this '
+                'bag, because another flight may have another operating point (--trim model keeps '
+                'those of the model). A fit of '
                 f'100 % is perfect, 0 % no better than a constant. {GLOSSARY}')
     return ('The offsets of the outputs are those of the model (--trim refit fits them to this '
             f'bag). A fit of 100 % is perfect, 0 % no better than a constant. {GLOSSARY}')
