@@ -160,7 +160,7 @@ def _covariances(solution: Solution, model: StateSpace,
                  moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
     """Return the covariance of the model of all channels, and of the moving ones."""
     try:
-        changes = entry_changes(*solution.source)
+        changes = entry_changes(*solution.source, far=solution.plant is None)
         if solution.plant is not None:
             changes = changes_of_plant(*solution.source[:2], changes)
     except np.linalg.LinAlgError:

@@ -101,9 +101,12 @@ def _mended(model: ModalModel) -> Array:
     return T
 
 
-def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
+def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False) -> Entries:
     """
     Return the root of the covariance of A, B, C, D and dead times, a row for each direction.
+
+    What is unsure of dead times tells the curvature of the likelihood, or its rise `far` from its
+    maximum.
 
     With J the derivatives of the simulation and S the spectrum of the errors, the covariance is
     (J'J)^-1 (J' S J) (J'J)^-1: noise counts at the frequencies at which it is, and so does what
@@ -136,7 +139,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free) -> Entries:
     values, vectors = np.linalg.eigh(power)
     root = np.zeros((len(turned), width))
     root[:, wanted] = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ turned
-    for k, j in enumerate(np.flatnonzero(free.delays) if not free.feedthrough else ()):
+    for k, j in enumerate(np.flatnonzero(free.delays) if far and not free.feedthrough else ()):
         of_delay = root[:, places.poles + k]
         size, white = (float(np.linalg.norm(x)) for x in (of_delay, turned[:, places.poles + k]))
         if size > 0.0:
