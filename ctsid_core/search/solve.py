@@ -364,14 +364,13 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     known = seen(_MARGIN * float(np.max(model.delay, initial=0.0)))
     if samples.effort.beyond(SEARCH) or np.min(known.counts.sum(axis=0)) <= best.parameters:
         return best, free
-    # Worth a search if it is worth its price at the poles that are known, with their dead times or
-    # at once, or if one of these is beyond what samples can show, and may stand for D.
+    # Worth a search if it is worth its price at the poles and dead times that are known, or if one
+    # of the poles is beyond what samples can show, and may stand for D.
     stands = bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
     # A state that the colour of the errors has added, D takes back only if it stands for D.
     fewest = 1 if stands or model.n <= counted else model.n
-    if not stands and not any(beats(_fitted(samples, own, direct), best)
-                              for n, one in found.items() if fewest <= n <= model.n
-                              for own in _late_or_not(one.fit.model, free)):
+    if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
+                              for n, one in found.items() if fewest <= n <= model.n):
         return best, free
     known, orders = search_orders(
         known, direct, subspace.poles, order=settings.order, max_order=model.n,
@@ -379,8 +378,7 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
         known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
     orders = {n: one for n, one in orders.items() if n >= fewest}
     # A search from the beginning is not to end worse than the poles that it was worth it for.
-    kept = min((climbed(known, _fitted(known, own, direct, best.fit), direct)
-                for own in _late_or_not(model, free)), key=lambda one: one.fit.cost)
+    kept = climbed(known, _fitted(known, model, direct, best.fit), direct)
     orders[model.n] = min(orders.get(model.n, kept), kept, key=lambda one: one.fit.cost)
     with_D = orders[settings.order or choose(orders)]
     if not beats(with_D, _fitted(known, model, free, best.fit)):
@@ -417,12 +415,6 @@ def _behind_lags(found: dict[int, Tried], free: Free) -> list[Array]:
         lag = -np.sum((1.0 + (fast.imag > 0.0)) / fast).real
         delays.append(np.where(late, np.minimum(model.delay + lag, free.longest), model.delay))
     return delays
-
-
-def _late_or_not(model: ModalModel, free: Free) -> list[ModalModel]:
-    """Return a model, and the same without the dead times that were found, if there are any."""
-    late = np.array(free.delays) & (model.delay > 0.0)
-    return [model, replace(model, delay=np.where(late, 0.0, model.delay))][:1 + bool(late.any())]
 
 
 def _fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
