@@ -58,6 +58,8 @@ _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _AKAIKE = 2.0         # price of a parameter
+_SHORT = 0.05         # of a budget that order 1 has taken: one by one others would not be reached
+_PASSES = 4           # in which b and c of a start are found, one after the other
 SEARCH = 0.6          # of a budget that the search may take
 POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
@@ -146,6 +148,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
+        if samples.rank > 1 and looked == {1} and not order and samples.effort.beyond(_SHORT):
+            best = max(best, _pointed((fit.model.delay,), subspace, grid, free, max_order))
     if found and not order:
         _without_modes(thin, found, free)
     if thin is samples or order not in (0, *found):
@@ -183,7 +187,7 @@ def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
 
 
 def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, free: Free,
-             max_order: int, best: Tried) -> int:
+             max_order: int, best: Tried | None = None) -> int:
     """
     Return the smallest order, 3 or more, whose start is nearly as good as any; halved for.
 
@@ -196,14 +200,18 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
         start = min((s for d in delays for s in _by_subspace(n, subspace, grid, free, d)),
                     key=lambda s: s[0], default=None)
         with suppress(np.linalg.LinAlgError):
-            return start and fit_at(samples, *start[2:], free, slopes=False)
+            if start is not None:
+                fit = fit_at(samples, *start[2:], free, slopes=False)
+                for _ in range(_PASSES if samples.rank > 1 else 0):
+                    fit = _again(samples, fit, free, slopes=False)
+                return fit
         return None
 
     while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
         max_order -= 1
-    if (most := by_subspace(max_order)) is None or not beats(replace(
+    if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
             tried(samples, most, free, True), parameters=best.parameters + (MORE + 1) * (
-                samples.nu + samples.ny + len(samples.records))), best):
+                samples.nu + samples.ny + len(samples.records))), best)):
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
@@ -241,8 +249,7 @@ def affordable(samples: Samples, n: int = _STATES) -> int:
 
 def _later(samples: Samples, n: int) -> float:
     """Return the work that a model of n states needs after the search."""
-    # Of two covariances: which dead times are needless is asked before the end.
-    return _LATER * evaluation_work(samples, (n + 1) // 2) + 2.0 * covariance_work(samples, n) \
+    return _LATER * evaluation_work(samples, (n + 1) // 2) + covariance_work(samples, n) \
         + gain_work(samples, n)
 
 
