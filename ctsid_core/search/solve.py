@@ -147,7 +147,6 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0 or best is not reached:
         best = climbed(samples, best, free)
     best = _centred(samples, best, free)
-    smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
     values, condition = subspace.shown(best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
@@ -157,8 +156,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
-                    hidden=hidden, smaller=smaller, rivals=_rivals(others), singular_values=values,
-                    condition=condition)
+                    hidden=hidden, smaller=_smaller(found, best, free), rivals=_rivals(others),
+                    singular_values=values, condition=condition)
 
 
 def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
@@ -178,7 +177,7 @@ def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, sa
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
     return replace(
         solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
-        smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
+        smaller=_smaller(orders, best, free))
 
 
 class _Plant(NamedTuple):
@@ -290,18 +289,12 @@ def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
                  if share > _NEGLIGIBLE)
 
 
-def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
+def _smaller(found: dict[int, Tried], best: Tried,
              free: Free) -> tuple[tuple[ModalModel, Free], ...]:
-    """Return the models of smaller orders, the dead times that are not free those of the best."""
-    models = []
-    for model in (one.fit.model for n, one in found.items() if n < best.fit.model.n):
-        delay = np.where(free.delays, model.delay, best.fit.model.delay)
-        if (delay != model.delay).any():
-            with suppress(np.linalg.LinAlgError):
-                model = climb_roughly(
-                    samples, fit_at(samples, model.poles, delay, free), free).model
-        models.append((model, free))
-    return tuple(models)
+    """Return the models of smaller orders, and what was free in them."""
+    models = [one.fit.model for n, one in found.items() if n < best.fit.model.n]
+    return tuple((m, replace(free, feedthrough=False, delays=tuple(
+        (free.delays | (m.delay != best.fit.model.delay)).tolist()))) for m in models)
 
 
 def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
@@ -364,13 +357,14 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
     known = seen(_MARGIN * float(np.max(model.delay, initial=0.0)))
     if samples.effort.beyond(SEARCH) or np.min(known.counts.sum(axis=0)) <= best.parameters:
         return best, free
-    # Worth a search if it is worth its price at the poles and dead times that are known, or if one
-    # of the poles is beyond what samples can show, and may stand for D.
+    # Worth a search if it is worth its price at the poles that are known, with their dead times or
+    # at once, or if one of these is beyond what samples can show, and may stand for D.
     stands = bool(np.max(np.abs(model.poles)) > _AT_ONCE * free.fastest)
     # A state that the colour of the errors has added, D takes back only if it stands for D.
     fewest = 1 if stands or model.n <= counted else model.n
-    if not stands and not any(beats(_fitted(samples, one.fit.model, direct), best)
-                              for n, one in found.items() if fewest <= n <= model.n):
+    if not stands and not any(beats(_fitted(samples, own, direct), best)
+                              for n, one in found.items() if fewest <= n <= model.n
+                              for own in _late_or_not(one.fit.model, free)):
         return best, free
     known, orders = search_orders(
         known, direct, subspace.poles, order=settings.order, max_order=model.n,
@@ -378,7 +372,8 @@ def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], 
         known_delay=np.array(own_delays(part, settings).delays(samples.nu)))
     orders = {n: one for n, one in orders.items() if n >= fewest}
     # A search from the beginning is not to end worse than the poles that it was worth it for.
-    kept = climbed(known, _fitted(known, model, direct, best.fit), direct)
+    kept = min((climbed(known, _fitted(known, own, direct, best.fit), direct)
+                for own in _late_or_not(model, free)), key=lambda one: one.fit.cost)
     orders[model.n] = min(orders.get(model.n, kept), kept, key=lambda one: one.fit.cost)
     with_D = orders[settings.order or choose(orders)]
     if not beats(with_D, _fitted(known, model, free, best.fit)):
@@ -415,6 +410,12 @@ def _behind_lags(found: dict[int, Tried], free: Free) -> list[Array]:
         lag = -np.sum((1.0 + (fast.imag > 0.0)) / fast).real
         delays.append(np.where(late, np.minimum(model.delay + lag, free.longest), model.delay))
     return delays
+
+
+def _late_or_not(model: ModalModel, free: Free) -> list[ModalModel]:
+    """Return a model, and the same without the dead times that were found, if there are any."""
+    late = np.array(free.delays) & (model.delay > 0.0)
+    return [model, replace(model, delay=np.where(late, 0.0, model.delay))][:1 + bool(late.any())]
 
 
 def _fitted(samples: Samples, model: ModalModel, free: Free, near: Fit | None = None) -> Tried:
