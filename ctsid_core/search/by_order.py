@@ -249,7 +249,8 @@ def affordable(samples: Samples, n: int = _STATES) -> int:
 
 def _later(samples: Samples, n: int) -> float:
     """Return the work that a model of n states needs after the search."""
-    return _LATER * evaluation_work(samples, (n + 1) // 2) + covariance_work(samples, n) \
+    # Of two covariances: which dead times are needless is asked before the end.
+    return _LATER * evaluation_work(samples, (n + 1) // 2) + 2.0 * covariance_work(samples, n) \
         + gain_work(samples, n)
 
 

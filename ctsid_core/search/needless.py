@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.likelihood.state_space import entry_changes
 from ctsid_core.search.by_order import Tried, criterion, tried
 
+_SURE = 6.0           # standard deviations from which on a dead time is not asked by itself
 _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least
 
 
@@ -20,11 +22,15 @@ def without_needless(samples: Samples, best: Tried, free: Free, least: float,
     """
     Return the model without dead times that explain too little, and what is free in it.
 
-    They are asked all at once. If `each` may go, then, if that is too many, one by one. Rms errors
-    below `least`, over the motion, are no evidence.
+    They are asked all at once. If `each` may go, then, if that is too many, one by one, and those
+    that are sure are not asked. Rms errors below `least`, over the motion, are no evidence.
     """
     found = best.fit.model.delay
-    late = np.flatnonzero(free.delays & (found > 0.0))
+    asked = np.array(free.delays) & (found > 0.0)
+    if each and asked.any() and np.any(best.power >= least ** 2):
+        deviation = np.linalg.norm(entry_changes(samples, best.fit, free).delay, axis=0)
+        asked &= found < _SURE * deviation
+    late = np.flatnonzero(asked)
     free = _fixed(free, np.flatnonzero(free.delays & (found == 0.0)))
     count = samples.counts.sum()
     # What one costs at most, in samples that are not independent; below `least` nothing counts.

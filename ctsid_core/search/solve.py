@@ -147,6 +147,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     if late > 0.0 or best is not reached:
         best = climbed(samples, best, free)
     best = _centred(samples, best, free)
+    smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
     values, condition = subspace.shown(best.fit.model.n)
     return Solution(_used(part, settings, best.fit.model.n, best.fit.model.delay), part, samples,
@@ -156,8 +157,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
-                    hidden=hidden, smaller=_smaller(found, best, free), rivals=_rivals(others),
-                    singular_values=values, condition=condition)
+                    hidden=hidden, smaller=smaller, rivals=_rivals(others), singular_values=values,
+                    condition=condition)
 
 
 def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
@@ -177,7 +178,7 @@ def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, sa
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
     return replace(
         solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
-        smaller=_smaller(orders, best, free))
+        smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
 
 
 class _Plant(NamedTuple):
@@ -289,12 +290,18 @@ def _rivals(others: list[Other]) -> tuple[tuple[float, ModalModel], ...]:
                  if share > _NEGLIGIBLE)
 
 
-def _smaller(found: dict[int, Tried], best: Tried,
+def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
              free: Free) -> tuple[tuple[ModalModel, Free], ...]:
-    """Return the models of smaller orders, and what was free in them."""
-    models = [one.fit.model for n, one in found.items() if n < best.fit.model.n]
-    return tuple((m, replace(free, feedthrough=False, delays=tuple(
-        (free.delays | (m.delay != best.fit.model.delay)).tolist()))) for m in models)
+    """Return the models of smaller orders, the dead times that are not free those of the best."""
+    models = []
+    for model in (one.fit.model for n, one in found.items() if n < best.fit.model.n):
+        delay = np.where(free.delays, model.delay, best.fit.model.delay)
+        if (delay != model.delay).any():
+            with suppress(np.linalg.LinAlgError):
+                model = climb_roughly(
+                    samples, fit_at(samples, model.poles, delay, free), free).model
+        models.append((model, free))
+    return tuple(models)
 
 
 def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
