@@ -127,7 +127,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False) 
     basis = rows[:, nuisance] @ apart
     moving = rows[:, wanted]
     moving = moving - basis @ (basis.T @ moving)
-    moving = np.vstack((moving, _late(samples, fit, free, moving, places.poles)))
+    moving = np.vstack((moving, _late(samples, fit, free, moving, places.poles, far)))
     turned = orthonormal(moving, GAUGE).T
     directions = np.zeros((width, apart.shape[1] + len(turned)))
     directions[nuisance, :apart.shape[1]] = apart
@@ -143,7 +143,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False) 
         of_delay = root[:, places.poles + k]
         size, white = (float(np.linalg.norm(x)) for x in (of_delay, turned[:, places.poles + k]))
         if size > 0.0:
-            farther = _shown(samples, fit, free, int(j), white) / white - 1.0
+            farther = _shown(samples, fit, free, int(j), white, far) / white - 1.0
             root += farther * np.outer(of_delay, of_delay @ root) / size ** 2
     if free.feedthrough:
         alike = np.zeros((places.delays, width))
@@ -240,7 +240,8 @@ def _mean_around(values: ComplexArray, reach: int) -> ComplexArray:
     return np.asarray((total[2 * reach + 1:] - total[:-2 * reach - 1]) / (2 * reach + 1))
 
 
-def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int) -> Array:
+def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int,
+          far: bool) -> Array:
     """
     Return rows that say what is known of dead times beyond the first order, (delays, k).
 
@@ -255,17 +256,19 @@ def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int) -> Arr
         left = moving[:, at + k] - others @ np.linalg.lstsq(others, moving[:, at + k], None)[0]
         first = float(left @ left)
         if first * samples.interval ** 2 < 1.0:
-            shown = _shown(samples, fit, free, j, samples.interval)
+            shown = _shown(samples, fit, free, j, samples.interval, far)
             found[k, at + k] = np.sqrt(max(shown ** -2 - first, 0.0))
     return found
 
 
-def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float) -> float:
+def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float,
+           moving: bool) -> float:
     """
-    Return half the change of a dead time that costs 4 in -2 log likelihood [s], all else free.
+    Return half the change of a dead time that costs 4 in -2 log likelihood [s].
 
-    The mean of both sides. Where inputs are held, the likelihood may have two maxima, the truth in
-    between: how it is curved at one of them says little of how far the other is.
+    The mean of both sides, all that is linear free and, if they are `moving`, poles and other dead
+    times. Where inputs are held, the likelihood may have two maxima, the truth in between: how it
+    is curved at one of them says little of how far the other is.
     """
     model, found = fit.model, list[float]()
     held = replace(free, delays=tuple(late and k != j for k, late in enumerate(free.delays)))
@@ -278,8 +281,9 @@ def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float) -> flo
                 break
             before = deviations
             try:
-                start = fit_at(samples, model.poles, delay, held, fit)
-                rise = climb_roughly(samples, start, held).cost - fit.cost
+                start = fit_at(samples, model.poles, delay, held, fit, slopes=moving)
+                one = climb_roughly(samples, start, held) if moving else start
+                rise = one.cost - fit.cost
             except np.linalg.LinAlgError:
                 break
             deviations = float(np.sqrt(max(rise, 0.0)))

@@ -28,6 +28,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
 from ctsid_core.likelihood.noise_gain import gain_work
 from ctsid_core.likelihood.output_error import (
@@ -35,6 +36,7 @@ from ctsid_core.likelihood.output_error import (
     STEPS,
     Fit,
     Free,
+    Guess,
     Residuals,
     climb,
     climb_roughly,
@@ -46,7 +48,6 @@ from ctsid_core.likelihood.residuals import independent, residuals, white_part
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
-from ctsid_core.search.alike import POINT, Alike
 from ctsid_core.search.pole_grid import PoleGrid
 
 ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
@@ -57,7 +58,10 @@ _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _AKAIKE = 2.0         # price of a parameter
+_SHORT = 0.05         # of a budget that order 1 has taken: one by one others would not be reached
+_PASSES = 4           # in which b and c of a start are found, one after the other
 SEARCH = 0.6          # of a budget that the search may take
+POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
@@ -120,7 +124,6 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                     longest=max(free.longest, float(np.max(known_delay, initial=0.0))),
                     fastest=free.fastest, finest=samples.finest)
     found: dict[int, Tried] = {}
-    alike = Alike(grid, free, _delays(free, known_delay)) if samples.rank > 1 else None
     looked: set[int] = set()
     best, far = 1, 0
     while True:
@@ -130,16 +133,14 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         # One after the other from 1 upwards, unless a start points further.
         n = nearest(range(1, max_order + 1), looked, best) if not order else \
             order if short else len(looked) + 1
-        if not n and alike is not None:
-            n = _promised(alike, thin, free, found, looked, max_order)
         if not n and not far and found[best].unexplained > UNEXPLAINED:
-            n = far = _pointed(alike, (known_delay, found[best].fit.model.delay),
-                               subspace, grid, free, max_order, found[best])
+            n = far = _pointed((known_delay, found[best].fit.model.delay), subspace, grid, free,
+                               max_order, found[best])
             n = 0 if n in looked else n
         if not n:
             break
         looked.add(n)
-        fit = _best_of(n, found, thin, grid, subspace, free, known_delay, near, alike,
+        fit = _best_of(n, found, thin, grid, subspace, free, known_delay, near,
                        np.inf if order or not found else _rival(found, thin, free, n))
         if fit is None:
             continue
@@ -147,8 +148,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
-        if alike is not None and looked == {1} and not order:
-            best = max(best, _pointed(alike, (fit.model.delay,), subspace, grid, free, max_order))
+        if samples.rank > 1 and looked == {1} and not order and samples.effort.beyond(_SHORT):
+            best = max(best, _pointed((fit.model.delay,), subspace, grid, free, max_order))
     if found and not order:
         _without_modes(thin, found, free)
     if thin is samples or order not in (0, *found):
@@ -165,24 +166,26 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
     """Improve smaller orders by what the chosen one is without one of its modes."""
     chosen = 0
     while chosen != (chosen := choose(found)) and not samples.effort.beyond(SEARCH):
-        model = found[chosen].fit.model
-        for poles in _fewer(model.poles):
+        whole = found[chosen].fit
+        for poles, near in _fewer(whole):
             with suppress(np.linalg.LinAlgError):
-                fit = fit_at(samples, poles, model.delay, free, slopes=False)
+                fit = fit_at(samples, poles, whole.model.delay, free, near, slopes=False)
                 n = fit.model.n
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
                     found[n] = tried(samples, climb_roughly(samples, fit, free), free,
                                      found[n].pointed)
 
 
-def _fewer(poles: ComplexArray) -> Iterator[ComplexArray]:
+def _fewer(fit: Fit) -> Iterator[tuple[ComplexArray, Guess | None]]:
     """Yield poles without one of them, and with a real one instead of one of the pairs."""
-    for k, pole in enumerate(poles.tolist()):
-        left = np.delete(poles, k)
-        if len(left):
-            yield left
+    m = fit.model
+    for k, pole in enumerate(m.poles.tolist()):
+        rest = replace(m, poles=np.delete(m.poles, k), b=np.delete(m.b, k, 0),
+                       c=np.delete(m.c, k, 1), x0=np.delete(m.x0, k, 1))
+        if len(rest.poles):
+            yield rest.poles, Guess(rest, fit.power)
         if pole.imag > 0.0:
-            yield np.append(left, -abs(pole))
+            yield np.append(rest.poles, -abs(pole)), None
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
@@ -191,22 +194,8 @@ def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
                key=lambda n: abs(n - best), default=0)
 
 
-def _promised(alike: Alike, samples: Samples, free: Free, found: dict[int, Tried],
-              looked: Container[int], max_order: int) -> int:
-    """Return the smallest further order of which a start beats the best model found; 0: none."""
-    chosen = choose(found)
-    best = found[chosen]
-    for n in range(chosen + 1, max_order + 1):
-        if n not in looked and (start := alike.start(n)) is not None:
-            fit = _again(samples, start, free, slopes=False)
-            if beats(replace(best, fit=fit, power=samples.mean(fit.power),
-                             parameters=parameters(samples, fit, free)), best):
-                return n
-    return 0
-
-
-def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePoles,
-             grid: PoleGrid, free: Free, max_order: int, best: Tried | None = None) -> int:
+def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, free: Free,
+             max_order: int, best: Tried | None = None) -> int:
     """
     Return the smallest order, 3 or more, whose start is nearly as good as any; halved for.
 
@@ -219,7 +208,11 @@ def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePol
         start = min((s for d in delays for s in _by_subspace(n, subspace, grid, free, d)),
                     key=lambda s: s[0], default=None)
         with suppress(np.linalg.LinAlgError):
-            return start and fit_at(samples, *start[2:], free, slopes=False)
+            if start is not None:
+                fit = fit_at(samples, *start[2:], free, slopes=False)
+                for _ in range(_PASSES if samples.rank > 1 else 0):
+                    fit = _again(samples, fit, free, slopes=False)
+                return fit
         return None
 
     while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
@@ -230,17 +223,15 @@ def _pointed(alike: Alike | None, delays: Sequence[Array], subspace: SubspacePol
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
-    for start in (by_subspace, *([alike.start] if alike else ())):      # the quicker ones first
-        low, high, n = 3, max_order, max_order
-        while low <= high and not samples.effort.beyond(POINT):
-            if (fit := start(n)) is not None:
-                cost = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
-                costs[n] = min(cost, costs.get(n, np.inf))
-            if n in costs and costs[n] > min(costs.values()) + near:
-                low = n + 1
-            else:
-                high = n - 1
-            n = (low + high) // 2
+    low, high, n = 3, max_order, max_order
+    while low <= high and not samples.effort.beyond(POINT):
+        if (fit := by_subspace(n)) is not None:
+            costs[n] = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
+        if n in costs and costs[n] > min(costs.values()) + near:
+            low = n + 1
+        else:
+            high = n - 1
+        n = (low + high) // 2
     return min((n for n in costs if costs[n] <= min(costs.values()) + near), default=1)
 
 
@@ -374,7 +365,7 @@ def _delays(free: Free, known: Array) -> list[Array]:
 
 def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
              subspace: SubspacePoles, free: Free, known: Array, near: Sequence[Array],
-             alike: Alike | None, needed: float) -> Fit | None:
+             needed: float) -> Fit | None:
     """Return the best model of one order."""
     starts = sorted(_starts(n, found, grid, subspace, free, known, near), key=lambda s: s[0])
     kinds: dict[str, int] = {}
@@ -390,9 +381,9 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
             fits.append((kind, fit_at(samples, poles, delay, free)))
         except np.linalg.LinAlgError:
             continue
-    if alike is not None and not samples.effort.beyond(POINT) and (
-            start := alike.start(n)) is not None:
-        fits.append(('alike', _again(samples, start, free)))
+    for model, pole in _of_more_ranks(n, found, samples.rank):
+        with suppress(np.linalg.LinAlgError):
+            fits.append(('rank', fit_at(samples, np.append(model.poles, pole), model.delay, free)))
 
     def akaike(fit: Fit) -> float:
         return fit.cost + _AKAIKE * parameters(samples, fit, free)
@@ -403,6 +394,15 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         if samples.effort.beyond(SEARCH):
             break
     return min(reached, key=akaike, default=None)
+
+
+def _of_more_ranks(n: int, found: dict[int, Tried],
+                   most: int) -> Iterator[tuple[ModalModel, complex]]:
+    """Yield smaller models, and a pole whose residue may have one rank more: n states then."""
+    for model in (found[m].fit.model for m in (n - 1, n - 2) if m in found):
+        for pole, ranks in Counter(model.poles.tolist()).items():
+            if ranks < most and model.n + 1 + (pole.imag > 0.0) == n:
+                yield model, pole
 
 
 def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: float) -> Fit:
