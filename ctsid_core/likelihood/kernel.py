@@ -99,7 +99,8 @@ def _library() -> CDLL | None:
     try:
         found = CDLL(spec.origin)
         places = [_place(module, name) for module, name in (
-            (cython_lapack, 'dgeqrf'), (cython_lapack, 'dgelsy'))]
+            (cython_lapack, 'dtpqrt'), (cython_lapack, 'dgelsy'), (cython_lapack, 'dgeqp3'),
+            (cython_lapack, 'dormqr'))]
         found.ctsid_edition.restype = c_uint
         edition = int(found.ctsid_edition())
     except (OSError, KeyError, AttributeError):
@@ -118,6 +119,7 @@ def _library() -> CDLL | None:
     found.ctsid_solve.argtypes = [p, p, p, p, p]
     found.ctsid_errors.argtypes = [p, p, p, p, p, p]
     found.ctsid_jacobian.argtypes = [p, p, p, p, p, p, c_int, c_int, c_int, p]
+    found.ctsid_slopes.argtypes = [p, p, p, p, p, p, c_int, c_int, p]
     return found
 
 
@@ -223,13 +225,26 @@ class Kernel:
         """Return derivatives by so many numbers, and errors; arguments: see kernel.c."""
         height = int(layout.rows @ self._channels)
         found = np.zeros((count + 1, height))
-        numbers = _packed(model, power, dp.ravel().view(float), late.astype(float))
-        place = _at(values)
+        place, numbers = _at(values), _packed(model, power, dp.ravel().view(float),
+                                              late.astype(float))
         self._done(self._library.ctsid_jacobian(
             self._place, self._shape(layout, trim), layout.place, place,
             place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), height,
             _at(found)))
         return found[:-1].T, found[-1]
+
+    def slopes(self, layout: Layout, trim: bool, values: Array, model: ModalModel, power: Array,
+               dp: ComplexArray, late: NDArray[np.intp],
+               count: int) -> tuple[Array, Array, Array, float]:
+        """Return curvature, gradient and squares of so many numbers that move; see kernel.c."""
+        found = np.zeros(count * count + 2 * count + 1)
+        place, numbers = _at(values), _packed(model, power, dp.ravel().view(float),
+                                              late.astype(float))
+        self._done(self._library.ctsid_slopes(
+            self._place, self._shape(layout, trim), layout.place, place,
+            place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), _at(found)))
+        curvature, of_each = found[:count * count].reshape(count, count), found[-2 * count - 1:]
+        return curvature, of_each[:count], of_each[count:-1], float(of_each[-1])
 
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""

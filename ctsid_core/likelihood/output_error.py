@@ -113,12 +113,14 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     """
     best, damping, gain = _with_slopes(samples, start, free), _DAMPING, np.inf
     for taken in range(steps):
+        if gain < least:
+            break
         around = steps_around(samples, best.model)
         slopes = _slopes(samples, best, free, around)
         promise = slopes.promise(slopes.step(_LEAST_DAMPING))
         moved = None
         hope = max(_at_most(promise, samples), gain if taken else 0.0)
-        if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
+        if best.cost - 5.0 * hope > rival or promise < least:
             break
         for _ in range(6):
             step = slopes.step(damping)
@@ -185,19 +187,33 @@ class _Slopes:
 
 
 def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slopes:
-    """
-    Return where poles, dead times and, of several outputs, b and initial states should move.
+    """Return where poles, dead times and, of several outputs, b and initial states should move."""
+    model, (dp, late, places) = fit.model, _coordinates(samples, fit.model, free, around)
+    n = places.moving(samples.ny, len(samples.records))
+    curvature, gradient, squares, linear = _eliminated(samples, fit, free, around, n) \
+        if samples.kernel is None else samples.kernel.slopes(
+            fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late, n)
+    scale = np.sqrt(curvature.diagonal())
+    scale[~(scale > _RANK * np.sqrt(squares))] = np.inf
+    scale[_held(model, free, gradient, places, around)] = np.inf
+    return _Slopes(gradient / scale, curvature / scale / scale[:, np.newaxis], scale, linear,
+                   places)
 
-    What is linear is eliminated by a QR factorisation, not in the normal equations: beside a pole
+
+def _eliminated(samples: Samples, fit: Fit, free: Free, around: PoleSteps,
+                n: int) -> tuple[Array, Array, Array, float]:
+    """
+    Return the curvature of the first n numbers, what is linear else at its best, and the gradient.
+
+    Then the squares of the derivatives, and what is to be gained by what is linear alone.
+
+    It is eliminated by a QR factorisation, not in the normal equations: beside a pole
     near zero an offset, the free response and that to the mean of an input are alike to rounding
     there, and damping would hold them, and with them the pole.
     """
     rows, error, places = jacobian(samples, fit, free, around)
     several, width = samples.ny > 1, rows.shape[1]
-    n = places.poles + places.delays + (
-        places.b + len(samples.records) * places.x0 if several else 0)
-    moving, left, linear = np.empty((len(rows), n + 1), order='F'), [], 0.0
-    moving[:, :n], moving[:, n] = rows[:, :n], error
+    moving, left, linear = np.column_stack((rows[:, :n], error)), [], 0.0
     for i, of_output in enumerate(_rows_of_outputs(samples, fit.columns)):
         at = n + i * places.own
         own, turned = rows[of_output, at:at + places.own if several else width], moving[of_output]
@@ -213,13 +229,7 @@ def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slope
         left.append(turned[rank:])
     rest = np.concatenate(left)
     slopes = rest[:, :n]
-    gradient, curvature = slopes.T @ rest[:, n], slopes.T @ slopes
-    held = _held(fit.model, free, gradient, places, around)
-    scale = np.sqrt(curvature.diagonal())
-    scale[~(scale > _RANK * np.sqrt(np.sum(moving[:, :n] ** 2, axis=0)))] = np.inf
-    scale[held] = np.inf
-    return _Slopes(gradient / scale, curvature / scale / scale[:, np.newaxis], scale, linear,
-                   places)
+    return slopes.T @ slopes, slopes.T @ rest[:, n], np.sum(moving[:, :n] ** 2, axis=0), linear
 
 
 def _rows_of_outputs(samples: Samples, columns: Columns) -> Sequence[slice | NDArray[np.intp]]:
@@ -309,6 +319,10 @@ class Places:
     def count(self, ny: int, records: int) -> int:
         """Return how many there are."""
         return self.poles + self.delays + self.b + records * self.x0 + ny * self.own
+
+    def moving(self, ny: int, records: int) -> int:
+        """Return how many are not solved for alone: of several outputs b and initial states, too."""
+        return self.poles + self.delays + (self.b + records * self.x0 if ny > 1 else 0)
 
     def of_states(self, ny: int, records: int, trim: bool) -> Mask:
         """Return which columns are of initial states and trims."""
