@@ -143,7 +143,7 @@ WIDE static void phis(cplx p, const double *h, int number, int count, double f[]
         re[i] = far ? 0.0 : creal(p) * h[i];
         im[i] = far ? 0.0 : cimag(p) * h[i];
     }
-    int terms = terms_of(small ? size * largest : 0.999) + (count ? 0 : 2);
+    int terms = terms_of(small ? size * largest : 0.999);
     double(*top)[FEW] = f[count];
     for (int i = 0; i < number; i++) {
         top[0][i] = over_factorial(terms + count);
@@ -240,8 +240,9 @@ static void polynomial(const Drive *d, int channel, int place, double at, double
 typedef struct {
     const Drive *drive;
     int channel, first, end;        /* stamps first .. end - 1 are passed */
-    double delay, begin, u[DEGREES];
-    cplx *z, *s;                    /* (modes, end - first); s: derivatives, if they are wanted */
+    double start, delay, begin, u[DEGREES];
+    cplx *z, *s, *free;             /* (modes, end - first); s: derivatives, if they are wanted;
+                                       free: responses to initial states, kept by one input */
 } Entry;
 
 /* Where the state of a mode at a stamp is kept. */
@@ -271,14 +272,15 @@ WIDE static void pass_stamps(Entry *group, int inputs, const cplx *poles, int mo
             for (int c = 0; c < inputs; c++) {
                 Entry *e = group + c;
                 if (k < e->first || k >= e->end) continue;
+                size_t at = kept(e, l, k);
                 if (k == e->first) {
                     double since = d->stamps[k] - e->begin;
                     steps_of(poles[l], &since, 1, degree, slopes, &own);
-                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + kept(e, l, k),
-                         e->s + kept(e, l, k));
+                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + at, e->s + at);
+                    if (e->free) e->free[at] = own.keep;
                     continue;
                 }
-                size_t at = kept(e, l, k);
+                if (e->free) e->free[at] = by[now].keep * e->free[at - 1];
                 take(by + now, degree, d->pieces + (size_t)e->channel * (d->count + 1) + k, apart,
                      slopes, e->z[at - 1], slopes ? e->s[at - 1] : 0.0, e->z + at, e->s + at);
             }
@@ -381,6 +383,17 @@ WIDE static void read_inputs(const Samples *s, const Shape *shape, const Entry *
                 parts[1][0][i] = creal(bent);
                 if (l >= shape->real) parts[1][1][i] = cimag(bent);
             }
+            for (int i = 0; i < number && e->free; i++) {
+                cplx free = by[i].keep;
+                if (!spots.start[i]) free *= e->free[kept(e, l, spots.place[i] - 1)];
+                for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {
+                    double value = imag ? cimag(free) : creal(free);
+                    table[(size_t)place_in(s, shape, 0, imag, l, s->nu) * ld + i] = value;
+                    if (slopes)
+                        table[(size_t)place_in(s, shape, 1, imag, l, s->nu) * ld + i] =
+                            (times[i] - e->start) * value;
+                }
+            }
         }
     }
     for (int c = 0; c < inputs && (shape->direct || slopes); c++)
@@ -392,11 +405,10 @@ WIDE static void read_inputs(const Samples *s, const Shape *shape, const Entry *
 }
 
 /* Write the columns of some samples of a stream, outputs beside. */
-WIDE static void fill(const Samples *s, const Shape *shape, const Record *record, const Entry *entries,
-                 const cplx *poles, const Stream *stream, int from, int count, double *table,
-                 int ld) {
+WIDE static void fill(const Samples *s, const Shape *shape, const Entry *entries, const cplx *poles,
+                      const Stream *stream, int from, int count, double *table, int ld) {
     const double *times = stream->times + from;
-    int width = width_of(s, shape), modes = shape->real + shape->pairs;
+    int width = width_of(s, shape);
     for (int j = 0; j < s->nu;) {
         int same = 1;
         while (j + same < s->nu && entries[j + same].drive == entries[j].drive
@@ -406,28 +418,6 @@ WIDE static void fill(const Samples *s, const Shape *shape, const Record *record
                         table + i, ld);
         j += same;
     }
-    double h[FEW], grown[1][2][FEW];
-    for (int l = 0; l < modes; l++) {
-        cplx free = 1.0;
-        for (int i = 0; i < count; i++) {
-            double since = times[i] - record->start;
-            int now = i % FEW;
-            if (now == 0) {             /* from here in steps: an exponential takes long */
-                for (int k = 0; k < least(FEW, count - i); k++)
-                    h[k] = k ? times[i + k] - times[i + k - 1] : 0.0;
-                phis(poles[l], h, least(FEW, count - i), 0, grown);
-                free = l < shape->real ? exp(creal(poles[l]) * since) : cexp(poles[l] * since);
-            } else {
-                free *= grown[0][0][now] + I * grown[0][1][now];
-            }
-            for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {
-                double value = imag ? cimag(free) : creal(free);
-                table[(size_t)place_in(s, shape, 0, imag, l, s->nu) * ld + i] = value;
-                if (shape->slopes)
-                    table[(size_t)place_in(s, shape, 1, imag, l, s->nu) * ld + i] = since * value;
-            }
-        }
-    }
     for (int i = 0; i < count; i++) table[(size_t)(width - 1) * ld + i] = 1.0;
     for (int k = 0; k < stream->channels; k++)
         for (int i = 0; i < count; i++)
@@ -436,8 +426,8 @@ WIDE static void fill(const Samples *s, const Shape *shape, const Record *record
 }
 
 /* The triangle of a stream's columns: blocks of rows, that stay in the cache, one after another. */
-static int turned(const Samples *s, const Shape *shape, const Record *record,
-                  const Entry *entries, const cplx *poles, const Stream *stream, double *table) {
+static int turned(const Samples *s, const Shape *shape, const Entry *entries, const cplx *poles,
+                  const Stream *stream, double *table) {
     int columns = width_of(s, shape) + stream->channels, ld = least(ROWS, stream->count), info;
     int none = 0, panel = least(PANEL, columns);
     double *block = malloc(sizeof(double) * (size_t)columns * (ld + 2 * PANEL));
@@ -446,7 +436,7 @@ static int turned(const Samples *s, const Shape *shape, const Record *record,
     memset(table, 0, sizeof(double) * columns * columns);
     for (int from = 0; from < stream->count; from += ROWS) {
         int count = least(ROWS, stream->count - from);
-        fill(s, shape, record, entries, poles, stream, from, count, block, ld);
+        fill(s, shape, entries, poles, stream, from, count, block, ld);
         tpqrt(&count, &columns, &none, &panel, table, &columns, block, &ld, factors, &panel, work,
               &info);
     }
@@ -481,13 +471,13 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             const Drive *d = s->drive + record->drive + k;
             for (int c = 0; c < d->width; c++, j++) {
                 Entry *e = entries + j;
-                *e = (Entry){.drive = d, .channel = c, .delay = delay[j],
+                *e = (Entry){.drive = d, .channel = c, .start = record->start, .delay = delay[j],
                              .begin = record->start - delay[j]};
                 e->first = place_of(d->stamps, d->count, e->begin);
                 e->end = most(place_of(d->stamps, d->count, last - delay[j]), e->first);
                 polynomial(d, c, e->first, e->begin, e->u);
                 first[r * s->nu + j] = e->u[0];
-                room += (size_t)modes * (e->end - e->first) * (1 + shape->slopes);
+                room += (size_t)modes * (e->end - e->first) * (1 + shape->slopes + !j);
             }
         }
         cplx *states = malloc(sizeof(cplx) * (room + 1)), *at = states;
@@ -501,6 +491,10 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             e->z = at;
             e->s = at + size * shape->slopes;       /* never written without slopes */
             at += size * (1 + shape->slopes);
+            if (!j) {
+                e->free = at;
+                at += size;
+            }
         }
         for (int j = 0; j < s->nu; j += entries[j].drive->width)
             pass_stamps(entries + j, entries[j].drive->width, p, modes, shape->slopes);
@@ -508,9 +502,9 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             const Stream *stream = s->stream + record->stream + k;
             int columns = width_of(s, shape) + stream->channels;
             if (*rows < stream->count)
-                failed = turned(s, shape, record, entries, p, stream, tables);
+                failed = turned(s, shape, entries, p, stream, tables);
             else
-                fill(s, shape, record, entries, p, stream, 0, stream->count, tables,
+                fill(s, shape, entries, p, stream, 0, stream->count, tables,
                      most(stream->count, 1));
             tables += (size_t)*rows * columns;
         }

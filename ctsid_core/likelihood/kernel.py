@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ctsid_core.model.modal import Drive
 
 VARIABLE = 'CTSID_KERNEL'
+_NOTHING = ctypes.c_char * 0
 _HIGHEST = 6          # degree of inputs between their stamps; DEGREES in kernel.c is more
 
 
@@ -81,6 +82,7 @@ class Layout:
     shape: Shape
     rows: NDArray[np.intc]  # how many rows each stream has: of a triangle as many as columns
     size: int               # how many numbers there are in all tables
+    work: float             # of an evaluation (`effort.py`)
 
     @cached_property
     def place(self) -> int:
@@ -141,8 +143,8 @@ def _place(module: Any, name: str) -> int:
 
 
 def _at(array: NDArray[Any]) -> int:
-    place: int = array.__array_interface__['data'][0]
-    return place
+    """Return where an array is that may be written; of NumPy's own ways the best takes 2 us."""
+    return ctypes.addressof(_NOTHING.from_buffer(array))
 
 
 class Timed(NamedTuple):
@@ -159,7 +161,7 @@ class Kernel:
     def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
         self._kept: list[object] = []
-        self._shapes: dict[tuple[Shape, bool], tuple[_Shape, ctypes.Array[c_int]]] = {}
+        self._shapes: dict[tuple[Shape, bool], int] = {}
         drives: list[_Drive] = []
         streams: list[_Stream] = []
         rows: list[_Record] = []
@@ -184,7 +186,7 @@ class Kernel:
     def _keep(self, values: Array) -> int:
         kept = np.ascontiguousarray(values, dtype=float)
         self._kept.append(kept)
-        return _at(kept)
+        return int(kept.ctypes.data)            # it may be read only
 
     def columns(self, layout: Layout, poles: ComplexArray, delay: Array) -> Array:
         """Return all tables in Fortran's order, and the inputs at the start of each record."""
@@ -254,8 +256,9 @@ class Kernel:
             modes = (c_int * len(group))(*group)
             shape = _Shape(ctypes.addressof(modes), len(group),
                            sum(pole < layout.shape.real for pole in group), *numbers, trim)
-            self._shapes[key] = shape, modes
-        return ctypes.addressof(self._shapes[key][0])
+            self._kept += shape, modes
+            self._shapes[key] = ctypes.addressof(shape)
+        return self._shapes[key]
 
     @staticmethod
     def _done(failed: int) -> None:

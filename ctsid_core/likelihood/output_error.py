@@ -92,9 +92,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     poles = canonical(poles, samples.rank)
     columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough, slopes=slopes)
     power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
-    kept = near is not None and len(near.model.poles) == len(poles) and \
-        bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))
-    if kept and near is not None:
+    if near is not None and (near.model.poles.imag > 0.0).tolist() == (poles.imag > 0.0).tolist():
         m = near.model
         start = ModalModel(poles, m.b, m.c, m.x0, m.D, m.y0, delay)
     else:
@@ -290,7 +288,8 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
             break
         fraction *= 0.5
     delay = model.delay.copy()
-    delay[late] = np.clip(delay[late] + fraction * step[n:n + places.delays], 0.0, free.longest)
+    delay[late] = np.minimum(np.maximum(
+        delay[late] + fraction * step[n:n + places.delays], 0.0), free.longest)
     if not np.isfinite(poles).all():
         return None
     if samples.rank > 1:
@@ -321,7 +320,7 @@ class Places:
         return self.poles + self.delays + self.b + records * self.x0 + ny * self.own
 
     def moving(self, ny: int, records: int) -> int:
-        """Return how many are not solved for alone: of several outputs b and initial states, too."""
+        """Return how many move together: of several outputs b and initial states, too."""
         return self.poles + self.delays + (self.b + records * self.x0 if ny > 1 else 0)
 
     def of_states(self, ny: int, records: int, trim: bool) -> Mask:
@@ -367,7 +366,7 @@ def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:
     """Return complex coefficients of modes from real ones, all real parts before imaginary."""
     m = len(poles)
     found = rows[:m].astype(complex)
-    found[poles.imag > 0.0] += 1j * rows[m:]
+    found[2 * m - len(rows):].imag = rows[m:]
     return found
 
 
@@ -454,15 +453,16 @@ def _by_delay(t: Triangle, model: ModalModel, i: int, first: Array,
 
 def _with_linear(model: ModalModel, step: Array, places: Places, free: Free) -> ModalModel:
     """Return the model with all that is linear moved."""
-    ny, nu, records, n = len(model.c), model.b.shape[1], len(model.x0), model.n
-    b, x0, own = np.split(step[places.poles + places.delays:], np.cumsum((
-        places.b, records * places.x0)))
-    c, D, y0 = np.split(own.reshape(ny, -1), np.cumsum((n, nu * free.feedthrough)), axis=1)
-    return replace(model, b=model.b + _complex(b.reshape(-1, nu), model.poles),
-                   x0=model.x0 + _complex(x0.reshape(records, -1).T, model.poles).T,
-                   c=model.c + _complex(c.T, model.poles).T,
-                   D=model.D + D if D.size else model.D,
-                   y0=model.y0 + y0.T if y0.size else model.y0)
+    p, n, records = model.poles, model.n, len(model.x0)
+    at = places.poles + places.delays + places.b
+    end, direct = at + records * n, places.own - records * free.trim
+    b, x0 = step[at - places.b:at].reshape(n, model.b.shape[1]), step[at:end].reshape(records, n)
+    own = step[end:].reshape(len(model.c), places.own)
+    return ModalModel(
+        p, model.b + _complex(b, p), model.c + _complex(own[:, :n].T, p).T,
+        model.x0 + _complex(x0.T, p).T,
+        model.D + own[:, n:direct].reshape(model.D.shape) if free.feedthrough else model.D,
+        model.y0 + own[:, direct:].T if free.trim else model.y0, model.delay)
 
 
 def free_start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns,
@@ -599,7 +599,7 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     power = np.ones((records, ny))
     model = replace(model, x0=np.zeros((records, len(model.poles)), dtype=complex),
                     y0=np.zeros_like(power))
-    for _ in range(2):
+    for _ in range(2 if ny > 1 else 1):     # outputs share them, by the noise of each
         model = _solve(samples, Fit(model, columns, power, np.inf), free,
                        lambda places: places.of_states(ny, records, free.trim))
         power = _powers(samples, model, columns)
