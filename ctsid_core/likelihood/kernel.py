@@ -9,7 +9,7 @@ serve where there is no C compiler, or CTSID_KERNEL is 0. Both give the same but
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import ctypes
 from ctypes import CDLL, Structure, c_double, c_int, c_uint, c_void_p
 from dataclasses import dataclass
@@ -227,12 +227,9 @@ class Kernel:
         """Return derivatives by so many numbers, and errors; arguments: see kernel.c."""
         height = int(layout.rows @ self._channels)
         found = np.zeros((count + 1, height))
-        place, numbers = _at(values), _packed(model, power, dp.ravel().view(float),
-                                              late.astype(float))
-        self._done(self._library.ctsid_jacobian(
-            self._place, self._shape(layout, trim), layout.place, place,
-            place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), height,
-            _at(found)))
+        self._derive(self._library.ctsid_jacobian, layout, trim, values,
+                     _packed(model, power, dp.ravel().view(float), late.astype(float)),
+                     len(dp), len(late), height, _at(found))
         return found[:-1].T, found[-1]
 
     def slopes(self, layout: Layout, trim: bool, values: Array, model: ModalModel, power: Array,
@@ -240,13 +237,17 @@ class Kernel:
                count: int) -> tuple[Array, Array, Array, float]:
         """Return curvature, gradient and squares of so many numbers that move; see kernel.c."""
         found = np.zeros(count * count + 2 * count + 1)
-        place, numbers = _at(values), _packed(model, power, dp.ravel().view(float),
-                                              late.astype(float))
-        self._done(self._library.ctsid_slopes(
-            self._place, self._shape(layout, trim), layout.place, place,
-            place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), _at(found)))
+        self._derive(self._library.ctsid_slopes, layout, trim, values,
+                     _packed(model, power, dp.ravel().view(float), late.astype(float)),
+                     len(dp), len(late), _at(found))
         curvature, of_each = found[:count * count].reshape(count, count), found[-2 * count - 1:]
         return curvature, of_each[:count], of_each[count:-1], float(of_each[-1])
+
+    def _derive(self, function: Callable[..., int], layout: Layout, trim: bool, values: Array,
+                numbers: Array, *more: int) -> None:
+        place = _at(values)
+        self._done(function(self._place, self._shape(layout, trim), layout.place, place,
+                            place + values.itemsize * layout.size, _at(numbers), *more))
 
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""

@@ -17,13 +17,14 @@ Denmark (damping).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgeqp3, dgesv, dormqr
+from scipy.linalg import qr
+from scipy.linalg.lapack import dgesv
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
@@ -201,51 +202,33 @@ def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slope
 def _eliminated(samples: Samples, fit: Fit, free: Free, around: PoleSteps,
                 n: int) -> tuple[Array, Array, Array, float]:
     """
-    Return the curvature of the first n numbers, what is linear else at its best, and the gradient.
+    Return curvature and gradient of the first n numbers, the others at their best; and more.
 
-    Then the squares of the derivatives, and what is to be gained by what is linear alone.
-
-    It is eliminated by a QR factorisation, not in the normal equations: beside a pole
-    near zero an offset, the free response and that to the mean of an input are alike to rounding
-    there, and damping would hold them, and with them the pole.
+    The squares of the derivatives, and what is to be gained by what is linear alone. That is
+    eliminated by a QR factorisation, not in the normal equations: beside a pole near zero an
+    offset, the free response and that to the mean of an input are alike to rounding there, and
+    damping would hold them, and with them the pole.
     """
     rows, error, places = jacobian(samples, fit, free, around)
-    several, width = samples.ny > 1, rows.shape[1]
-    moving, left, linear = np.column_stack((rows[:, :n], error)), [], 0.0
-    for i, of_output in enumerate(_rows_of_outputs(samples, fit.columns)):
-        at = n + i * places.own
-        own, turned = rows[of_output, at:at + places.own if several else width], moving[of_output]
-        if not own.size:
-            left.append(turned)
-            continue
-        factors, _, tau, _, _ = dgeqp3(_scaled(own), overwrite_a=1)
-        size = np.abs(factors.diagonal())
-        rank = int(np.count_nonzero(size > _RANK * size[:1]))
-        if rank:
-            turned = dormqr('L', 'T', factors[:, :rank], tau[:rank], turned, turned.size)[0]
-        linear += float(turned[:rank, n] @ turned[:rank, n])
-        left.append(turned[rank:])
-    rest = np.concatenate(left)
+    several, width, linear = samples.ny > 1, rows.shape[1], 0.0
+    moving = np.column_stack((rows[:, :n], error))
+    rest, channels = moving.copy(), [range(s.channels.start, s.channels.stop)
+                                     for r in samples.records for s in r.streams]
+    output = np.repeat(np.concatenate(channels), np.repeat(
+        fit.columns.layout.rows, [len(own) for own in channels]))
+    for i in range(samples.ny):
+        of_output, at = np.flatnonzero(output == i), n + i * places.own
+        own = rows[of_output, at:at + places.own if several else width]
+        if own.size:
+            Q, R, _ = qr(own / (np.linalg.norm(own, axis=0) + 1e-300), mode='economic',
+                         pivoting=True)
+            size = np.abs(R.diagonal())
+            Q = Q[:, size > _RANK * size[:1]]
+            told = Q.T @ moving[of_output]
+            rest[of_output] -= Q @ told
+            linear += float(told[:, n] @ told[:, n])
     slopes = rest[:, :n]
     return slopes.T @ slopes, slopes.T @ rest[:, n], np.sum(moving[:, :n] ** 2, axis=0), linear
-
-
-def _rows_of_outputs(samples: Samples, columns: Columns) -> Sequence[slice | NDArray[np.intp]]:
-    """Return which rows of a Jacobian are of each output."""
-    if samples.ny == 1:
-        return (slice(None),)
-    channels = [range(s.channels.start, s.channels.stop) for r in samples.records
-                for s in r.streams]
-    output = np.repeat(np.concatenate(channels), np.repeat(
-        columns.layout.rows, [len(own) for own in channels]))
-    return [np.flatnonzero(output == i) for i in range(samples.ny)]
-
-
-def _scaled(columns: Array) -> Array:
-    """Return columns of size 1, in Fortran's order."""
-    size = np.linalg.norm(columns, axis=0)
-    size[~(size > 0.0)] = 1.0
-    return np.asfortranarray(columns / size)
 
 
 def _coordinates(samples: Samples, model: ModalModel, free: Free,

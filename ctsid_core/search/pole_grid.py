@@ -103,15 +103,14 @@ class PoleGrid:
         if key not in self._beside:
             columns = columns_of(self.samples, poles, delay, direct=self._feedthrough,
                                  turned=False, slopes=False)
-            self._beside[key] = []
-            for own in columns.tables:
-                self._beside[key].append([])
-                for known, y in own:
-                    known = known if self._trim else known[:, :-1]
-                    size = np.sqrt(np.einsum('ij,ij->j', known, known))
-                    basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
-                    self._beside[key][-1].append((basis, y - basis @ (basis.T @ y)))
+            self._beside[key] = [[self._basis(*table) for table in own] for own in columns.tables]
         return self._beside[key]
+
+    def _basis(self, known: Array, y: Array) -> tuple[Array, Array]:
+        known = known if self._trim else known[:, :-1]
+        size = np.linalg.norm(known, axis=0)
+        basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
+        return basis, y - basis @ (basis.T @ y)
 
 
 def _explained(own: Array, basis: Array, left: Array) -> Array:
