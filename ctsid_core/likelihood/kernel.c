@@ -260,32 +260,38 @@ WIDE static void pass_stamps(Entry *group, int inputs, const cplx *poles, int mo
         low = least(low, group[c].first);
         high = most(high, group[c].end);
     }
-    for (int l = 0; l < modes; l++) {
-        for (int k = low; k < high; k++) {
-            int now = (k - low) % FEW;
-            if (now == 0) {
-                int number = least(FEW, high - k);
-                for (int i = 0; i < number; i++)
-                    h[i] = k + i > low ? d->stamps[k + i] - d->stamps[k + i - 1] : 0.0;
-                steps_of(poles[l], h, number, degree, slopes, by);
-            }
+    for (int l = 0; l < modes; l++)
+        for (int from = low; from < high; from += FEW) {
+            int number = least(FEW, high - from);
+            for (int i = 0; i < number; i++)
+                h[i] = from + i > low ? d->stamps[from + i] - d->stamps[from + i - 1] : 0.0;
+            steps_of(poles[l], h, number, degree, slopes, by);
             for (int c = 0; c < inputs; c++) {
                 Entry *e = group + c;
-                if (k < e->first || k >= e->end) continue;
-                size_t at = kept(e, l, k);
-                if (k == e->first) {
+                int k = most(from, e->first), end = least(from + number, e->end);
+                const double *u = d->pieces + (size_t)e->channel * (d->count + 1);
+                cplx z = 0.0, bent = 0.0, free = 1.0;
+                if (k < end && k == e->first) {
                     double since = d->stamps[k] - e->begin;
                     steps_of(poles[l], &since, 1, degree, slopes, &own);
-                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + at, e->s + at);
-                    if (e->free) e->free[at] = own.keep;
-                    continue;
+                    take(&own, degree, e->u, 1, slopes, z, bent, &z, &bent);
+                    free = own.keep;
+                } else if (k < end) {
+                    size_t before = kept(e, l, k - 1);
+                    if (e->free) free = by[k - from].keep * e->free[before];
+                    take(by + k - from, degree, u + k, apart, slopes, e->z[before],
+                         slopes ? e->s[before] : 0.0, &z, &bent);
                 }
-                if (e->free) e->free[at] = by[now].keep * e->free[at - 1];
-                take(by + now, degree, d->pieces + (size_t)e->channel * (d->count + 1) + k, apart,
-                     slopes, e->z[at - 1], slopes ? e->s[at - 1] : 0.0, e->z + at, e->s + at);
+                for (size_t at = kept(e, l, k); k < end; at++) {
+                    e->z[at] = z;
+                    if (slopes) e->s[at] = bent;
+                    if (e->free) e->free[at] = free;
+                    if (++k == end) break;
+                    take(by + k - from, degree, u + k, apart, slopes, z, bent, &z, &bent);
+                    free *= by[k - from].keep;
+                }
             }
         }
-    }
 }
 
 static int wide_of(const Samples *s) { return s->nu + 1; }

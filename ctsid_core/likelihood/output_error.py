@@ -582,7 +582,7 @@ def fit_states(samples: Samples, model: ModalModel, free: Free,
     power = np.ones((records, ny))
     model = replace(model, x0=np.zeros((records, len(model.poles)), dtype=complex),
                     y0=np.zeros_like(power))
-    for _ in range(2 if ny > 1 else 1):     # outputs share them, by the noise of each
+    for _ in range(2):
         model = _solve(samples, Fit(model, columns, power, np.inf), free,
                        lambda places: places.of_states(ny, records, free.trim))
         power = _powers(samples, model, columns)
