@@ -271,14 +271,16 @@ WIDE static void pass_stamps(Entry *group, int inputs, const cplx *poles, int mo
                 int k = most(from, e->first), end = least(from + number, e->end);
                 const double *u = d->pieces + (size_t)e->channel * (d->count + 1);
                 cplx z = 0.0, bent = 0.0, free = 1.0;
+                if (k < end && e->free) {       /* from here in steps: an exponential takes long */
+                    cplx x = poles[l] * (d->stamps[k] - e->begin);
+                    free = cimag(x) == 0.0 ? exp(creal(x)) : cexp(x);
+                }
                 if (k < end && k == e->first) {
                     double since = d->stamps[k] - e->begin;
                     steps_of(poles[l], &since, 1, degree, slopes, &own);
                     take(&own, degree, e->u, 1, slopes, z, bent, &z, &bent);
-                    free = own.keep;
                 } else if (k < end) {
                     size_t before = kept(e, l, k - 1);
-                    if (e->free) free = by[k - from].keep * e->free[before];
                     take(by + k - from, degree, u + k, apart, slopes, e->z[before],
                          slopes ? e->s[before] : 0.0, &z, &bent);
                 }
