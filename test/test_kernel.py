@@ -12,7 +12,14 @@ import pytest
 from ctsid_core.likelihood import kernel
 from ctsid_core.likelihood.kernel import Shape
 from ctsid_core.likelihood.mode_columns import _layout, columns_of
-from ctsid_core.likelihood.output_error import Free, climb, fit_at, jacobian
+from ctsid_core.likelihood.output_error import (
+    Free,
+    _slopes,
+    climb,
+    fit_at,
+    jacobian,
+    steps_around,
+)
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.signals.record import Record, Signal
@@ -96,6 +103,12 @@ def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, p
     assert places == others
     np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9 * np.max(np.abs(b)))
     np.testing.assert_allclose(e, f, rtol=1e-7, atol=1e-9 * np.linalg.norm(f) + 1e-9)
+    mine, theirs = (_slopes(s, one, free, steps_around(s, one.model)) for s in (compiled, plain))
+    np.testing.assert_allclose(mine.curvature, theirs.curvature, atol=1e-8)
+    np.testing.assert_allclose(mine.scale, theirs.scale, rtol=1e-8)
+    size = np.linalg.norm(f)
+    np.testing.assert_allclose(mine.gradient, theirs.gradient, atol=1e-9 * size)
+    assert mine.linear == pytest.approx(theirs.linear, rel=1e-7, abs=1e-9 * size ** 2)
 
 
 @pytest.mark.parametrize('direct', [False, True])

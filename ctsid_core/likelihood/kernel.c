@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 /*
- * One evaluation of the likelihood, compiled: twins of four functions of NumPy.
+ * One evaluation of the likelihood, compiled: twins of five functions of NumPy.
  *
  *     ctsid_columns  `mode_columns.py:columns_of`     records, poles, dead times -> triangles
  *     ctsid_solve    `output_error.py:_solved`        triangles -> all that is linear
  *     ctsid_errors   `output_error.py:errors_of`      columns -> measured less simulated outputs
  *     ctsid_jacobian `output_error.py:jacobian`       columns -> derivatives of the simulation
+ *     ctsid_slopes   `output_error.py:_eliminated`    columns -> those by what is not linear
  *
  * Names and formulas are those of the twins, which explain them. A table is one stream's columns
  * beside its outputs, column after column (Fortran's order), turned to a triangle or not. Nothing
@@ -76,13 +77,19 @@ static Model model_of(const Samples *s, const Shape *shape, double *numbers) {
     return m;
 }
 
-typedef void Geqrf(int *, int *, double *, int *, double *, double *, int *, int *);
+typedef void Tpqrt(int *, int *, int *, int *, double *, int *, double *, int *, double *, int *,
+                   double *, int *);
 typedef void Gelsy(int *, int *, int *, double *, int *, double *, int *, int *, double *, int *,
                    double *, int *, int *);
-static Geqrf *geqrf;
+typedef void Geqp3(int *, int *, double *, int *, int *, double *, double *, int *, int *);
+typedef void Ormqr(char *, char *, int *, int *, int *, double *, int *, double *, double *, int *,
+                   double *, int *, int *);
+static Tpqrt *tpqrt;
 static Gelsy *gelsy;
+static Geqp3 *geqp3;
+static Ormqr *ormqr;
 
-enum { PANEL = 32, ROWS = 1024, DEGREES = 8, FEW = 32 };
+enum { PANEL = 4, BLOCK = 32, ROWS = 1024, DEGREES = 8, FEW = 32 };
 static const double ROUNDING = 1e-24, RANK = 1e-13;
 
 #ifndef EDITION         /* checksum of this file, from setup.py: Python asks whether it is still this */
@@ -90,9 +97,11 @@ static const double ROUNDING = 1e-24, RANK = 1e-13;
 #endif
 unsigned ctsid_edition(void) { return EDITION; }
 
-void ctsid_lapack(void *qr, void *least_squares) {
-    geqrf = (Geqrf *)qr;
+void ctsid_lapack(void *qr, void *least_squares, void *pivoting, void *turning) {
+    tpqrt = (Tpqrt *)qr;
     gelsy = (Gelsy *)least_squares;
+    geqp3 = (Geqp3 *)pivoting;
+    ormqr = (Ormqr *)turning;
 }
 
 static int least(int a, int b) { return a < b ? a : b; }
@@ -134,7 +143,7 @@ WIDE static void phis(cplx p, const double *h, int number, int count, double f[]
         re[i] = far ? 0.0 : creal(p) * h[i];
         im[i] = far ? 0.0 : cimag(p) * h[i];
     }
-    int terms = terms_of(small ? size * largest : 0.999) + (count ? 0 : 2);
+    int terms = terms_of(small ? size * largest : 0.999);
     double(*top)[FEW] = f[count];
     for (int i = 0; i < number; i++) {
         top[0][i] = over_factorial(terms + count);
@@ -231,8 +240,9 @@ static void polynomial(const Drive *d, int channel, int place, double at, double
 typedef struct {
     const Drive *drive;
     int channel, first, end;        /* stamps first .. end - 1 are passed */
-    double delay, begin, u[DEGREES];
-    cplx *z, *s;                    /* (modes, end - first); s: derivatives, if they are wanted */
+    double start, delay, begin, u[DEGREES];
+    cplx *z, *s, *free;             /* (modes, end - first); s: derivatives, if they are wanted;
+                                       free: responses to initial states, kept by one input */
 } Entry;
 
 /* Where the state of a mode at a stamp is kept. */
@@ -250,31 +260,40 @@ WIDE static void pass_stamps(Entry *group, int inputs, const cplx *poles, int mo
         low = least(low, group[c].first);
         high = most(high, group[c].end);
     }
-    for (int l = 0; l < modes; l++) {
-        for (int k = low; k < high; k++) {
-            int now = (k - low) % FEW;
-            if (now == 0) {
-                int number = least(FEW, high - k);
-                for (int i = 0; i < number; i++)
-                    h[i] = k + i > low ? d->stamps[k + i] - d->stamps[k + i - 1] : 0.0;
-                steps_of(poles[l], h, number, degree, slopes, by);
-            }
+    for (int l = 0; l < modes; l++)
+        for (int from = low; from < high; from += FEW) {
+            int number = least(FEW, high - from);
+            for (int i = 0; i < number; i++)
+                h[i] = from + i > low ? d->stamps[from + i] - d->stamps[from + i - 1] : 0.0;
+            steps_of(poles[l], h, number, degree, slopes, by);
             for (int c = 0; c < inputs; c++) {
                 Entry *e = group + c;
-                if (k < e->first || k >= e->end) continue;
-                if (k == e->first) {
+                int k = most(from, e->first), end = least(from + number, e->end);
+                const double *u = d->pieces + (size_t)e->channel * (d->count + 1);
+                cplx z = 0.0, bent = 0.0, free = 1.0;
+                if (k < end && e->free) {       /* from here in steps: an exponential takes long */
+                    cplx x = poles[l] * (d->stamps[k] - e->begin);
+                    free = cimag(x) == 0.0 ? exp(creal(x)) : cexp(x);
+                }
+                if (k < end && k == e->first) {
                     double since = d->stamps[k] - e->begin;
                     steps_of(poles[l], &since, 1, degree, slopes, &own);
-                    take(&own, degree, e->u, 1, slopes, 0.0, 0.0, e->z + kept(e, l, k),
-                         e->s + kept(e, l, k));
-                    continue;
+                    take(&own, degree, e->u, 1, slopes, z, bent, &z, &bent);
+                } else if (k < end) {
+                    size_t before = kept(e, l, k - 1);
+                    take(by + k - from, degree, u + k, apart, slopes, e->z[before],
+                         slopes ? e->s[before] : 0.0, &z, &bent);
                 }
-                size_t at = kept(e, l, k);
-                take(by + now, degree, d->pieces + (size_t)e->channel * (d->count + 1) + k, apart,
-                     slopes, e->z[at - 1], slopes ? e->s[at - 1] : 0.0, e->z + at, e->s + at);
+                for (size_t at = kept(e, l, k); k < end; at++) {
+                    e->z[at] = z;
+                    if (slopes) e->s[at] = bent;
+                    if (e->free) e->free[at] = free;
+                    if (++k == end) break;
+                    take(by + k - from, degree, u + k, apart, slopes, z, bent, &z, &bent);
+                    free *= by[k - from].keep;
+                }
             }
         }
-    }
 }
 
 static int wide_of(const Samples *s) { return s->nu + 1; }
@@ -372,6 +391,17 @@ WIDE static void read_inputs(const Samples *s, const Shape *shape, const Entry *
                 parts[1][0][i] = creal(bent);
                 if (l >= shape->real) parts[1][1][i] = cimag(bent);
             }
+            for (int i = 0; i < number && e->free; i++) {
+                cplx free = by[i].keep;
+                if (!spots.start[i]) free *= e->free[kept(e, l, spots.place[i] - 1)];
+                for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {
+                    double value = imag ? cimag(free) : creal(free);
+                    table[(size_t)place_in(s, shape, 0, imag, l, s->nu) * ld + i] = value;
+                    if (slopes)
+                        table[(size_t)place_in(s, shape, 1, imag, l, s->nu) * ld + i] =
+                            (times[i] - e->start) * value;
+                }
+            }
         }
     }
     for (int c = 0; c < inputs && (shape->direct || slopes); c++)
@@ -383,11 +413,10 @@ WIDE static void read_inputs(const Samples *s, const Shape *shape, const Entry *
 }
 
 /* Write the columns of some samples of a stream, outputs beside. */
-WIDE static void fill(const Samples *s, const Shape *shape, const Record *record, const Entry *entries,
-                 const cplx *poles, const Stream *stream, int from, int count, double *table,
-                 int ld) {
+WIDE static void fill(const Samples *s, const Shape *shape, const Entry *entries, const cplx *poles,
+                      const Stream *stream, int from, int count, double *table, int ld) {
     const double *times = stream->times + from;
-    int width = width_of(s, shape), modes = shape->real + shape->pairs;
+    int width = width_of(s, shape);
     for (int j = 0; j < s->nu;) {
         int same = 1;
         while (j + same < s->nu && entries[j + same].drive == entries[j].drive
@@ -397,28 +426,6 @@ WIDE static void fill(const Samples *s, const Shape *shape, const Record *record
                         table + i, ld);
         j += same;
     }
-    double h[FEW], grown[1][2][FEW];
-    for (int l = 0; l < modes; l++) {
-        cplx free = 1.0;
-        for (int i = 0; i < count; i++) {
-            double since = times[i] - record->start;
-            int now = i % FEW;
-            if (now == 0) {             /* from here in steps: an exponential takes long */
-                for (int k = 0; k < least(FEW, count - i); k++)
-                    h[k] = k ? times[i + k] - times[i + k - 1] : 0.0;
-                phis(poles[l], h, least(FEW, count - i), 0, grown);
-                free = l < shape->real ? exp(creal(poles[l]) * since) : cexp(poles[l] * since);
-            } else {
-                free *= grown[0][0][now] + I * grown[0][1][now];
-            }
-            for (int imag = 0; imag < 1 + (l >= shape->real); imag++) {
-                double value = imag ? cimag(free) : creal(free);
-                table[(size_t)place_in(s, shape, 0, imag, l, s->nu) * ld + i] = value;
-                if (shape->slopes)
-                    table[(size_t)place_in(s, shape, 1, imag, l, s->nu) * ld + i] = since * value;
-            }
-        }
-    }
     for (int i = 0; i < count; i++) table[(size_t)(width - 1) * ld + i] = 1.0;
     for (int k = 0; k < stream->channels; k++)
         for (int i = 0; i < count; i++)
@@ -426,25 +433,22 @@ WIDE static void fill(const Samples *s, const Shape *shape, const Record *record
                 stream->y[(size_t)(from + i) * stream->channels + k];
 }
 
-/* The triangle of a stream's columns, from blocks of rows that stay in the cache. */
-static int turned(const Samples *s, const Shape *shape, const Record *record,
-                  const Entry *entries, const cplx *poles, const Stream *stream, double *table) {
-    int columns = width_of(s, shape) + stream->channels, block = most(ROWS, 2 * columns);
-    int ld = columns + least(block, stream->count), have = 0, info, room = PANEL * columns;
-    double *stack = malloc(sizeof(double) * ((size_t)ld * columns + columns + room));
-    if (!stack) return 1;
-    double *tau = stack + (size_t)ld * columns, *work = tau + columns;
-    for (int from = 0; from < stream->count; from += block) {
-        int count = least(block, stream->count - from), rows = have + count;
-        fill(s, shape, record, entries, poles, stream, from, count, stack + have, ld);
-        geqrf(&rows, &columns, stack, &ld, tau, work, &room, &info);
-        have = least(rows, columns);
-        for (int q = 0; q < have - 1; q++)
-            memset(stack + (size_t)q * ld + q + 1, 0, sizeof(double) * (have - 1 - q));
+/* The triangle of a stream's columns: blocks of rows, that stay in the cache, one after another. */
+static int turned(const Samples *s, const Shape *shape, const Entry *entries, const cplx *poles,
+                  const Stream *stream, double *table) {
+    int columns = width_of(s, shape) + stream->channels, ld = least(ROWS, stream->count), info;
+    int none = 0, panel = least(PANEL, columns);
+    double *block = malloc(sizeof(double) * (size_t)columns * (ld + 2 * PANEL));
+    if (!block) return 1;
+    double *factors = block + (size_t)ld * columns, *work = factors + (size_t)PANEL * columns;
+    memset(table, 0, sizeof(double) * columns * columns);
+    for (int from = 0; from < stream->count; from += ROWS) {
+        int count = least(ROWS, stream->count - from);
+        fill(s, shape, entries, poles, stream, from, count, block, ld);
+        tpqrt(&count, &columns, &none, &panel, table, &columns, block, &ld, factors, &panel, work,
+              &info);
     }
-    for (int q = 0; q < columns; q++)
-        memcpy(table + (size_t)q * columns, stack + (size_t)q * ld, sizeof(double) * columns);
-    free(stack);
+    free(block);
     return 0;
 }
 
@@ -475,13 +479,13 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             const Drive *d = s->drive + record->drive + k;
             for (int c = 0; c < d->width; c++, j++) {
                 Entry *e = entries + j;
-                *e = (Entry){.drive = d, .channel = c, .delay = delay[j],
+                *e = (Entry){.drive = d, .channel = c, .start = record->start, .delay = delay[j],
                              .begin = record->start - delay[j]};
                 e->first = place_of(d->stamps, d->count, e->begin);
                 e->end = most(place_of(d->stamps, d->count, last - delay[j]), e->first);
                 polynomial(d, c, e->first, e->begin, e->u);
                 first[r * s->nu + j] = e->u[0];
-                room += (size_t)modes * (e->end - e->first) * (1 + shape->slopes);
+                room += (size_t)modes * (e->end - e->first) * (1 + shape->slopes + !j);
             }
         }
         cplx *states = malloc(sizeof(cplx) * (room + 1)), *at = states;
@@ -495,6 +499,10 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             e->z = at;
             e->s = at + size * shape->slopes;       /* never written without slopes */
             at += size * (1 + shape->slopes);
+            if (!j) {
+                e->free = at;
+                at += size;
+            }
         }
         for (int j = 0; j < s->nu; j += entries[j].drive->width)
             pass_stamps(entries + j, entries[j].drive->width, p, modes, shape->slopes);
@@ -502,9 +510,9 @@ int ctsid_columns(const Samples *s, const Shape *shape, const double *given, con
             const Stream *stream = s->stream + record->stream + k;
             int columns = width_of(s, shape) + stream->channels;
             if (*rows < stream->count)
-                failed = turned(s, shape, record, entries, p, stream, tables);
+                failed = turned(s, shape, entries, p, stream, tables);
             else
-                fill(s, shape, record, entries, p, stream, 0, stream->count, tables,
+                fill(s, shape, entries, p, stream, 0, stream->count, tables,
                      most(stream->count, 1));
             tables += (size_t)*rows * columns;
         }
@@ -572,7 +580,7 @@ static void error_of(const Table *t, const Model *m, int k, double *error) {
 /* Coefficients of columns, of least norm in units of these: `least_squares.py:least_norm`. */
 static int least_squares(double *matrix, int rows, int columns, double *target, double *theta,
                          int ld) {
-    int rank, info, one = 1, room = 4 * columns + 1 + PANEL * (columns + 1);
+    int rank, info, one = 1, room = 4 * columns + 1 + BLOCK * (columns + 1);
     if (rows < 1) {
         memset(theta, 0, sizeof(double) * columns);
         return 0;
@@ -791,6 +799,58 @@ int ctsid_errors(const Samples *s, const Shape *shape, const int *rows, const do
 
 /* ---- derivatives ---------------------------------------------------------------------------- */
 
+/* Numbers that a model is derived by: coordinates of its poles, dead times, and the rest. */
+typedef struct {
+    const double *first, *dp, *late;    /* first: the inputs at the start */
+    int coordinates, delays;
+} Moves;
+
+/* Where the derivatives of one output of one stream go, column after column; NULL: nowhere. */
+typedef struct {
+    double *poles, *delays, *b, *x0, *c, *D, *y0, *error;
+} Places;
+
+/* All over the noise, added. */
+static void derivatives(const Table *t, const Model *m, const Moves *by, int channel, size_t ld,
+                        const Places *to) {
+    const Samples *s = t->s;
+    const Shape *shape = t->shape;
+    int r = t->stream->record, i = t->stream->first + channel, nu = s->nu, modes = shape->modes;
+    const cplx *p = (const cplx *)m->poles, *b = (cplx *)m->b, *turn = (const cplx *)by->dp;
+    const cplx *c = (cplx *)m->c + i * modes;
+    double weight = 1.0 / sqrt(fmax(m->power[r * s->ny + i], ROUNDING)), *J = to->poles;
+    for (int q = 0; q < by->coordinates; q++, J += ld)
+        for (int l = 0; l < modes; l++)
+            if (turn[q * modes + l] != 0.0)
+                add_driven(t, m, 1, l, weight * c[l] * turn[q * modes + l], 0, J);
+    J = to->delays;
+    for (int q = 0; q < by->delays; q++, J += ld) {
+        int j = (int)by->late[q];
+        cplx direct = 0.0;
+        for (int l = 0; l < modes; l++) {
+            cplx moved = weight * c[l] * b[l * nu + j];
+            direct += moved;
+            add_response(t, 0, l, nu, moved * by->first[r * nu + j], 0, J);
+            add_response(t, 0, l, j, -moved * p[l], 0, J);
+        }
+        add(t, input_place(t) + j, -creal(direct), J);
+        if (shape->direct) add(t, input_place(t) + nu + j, -weight * m->D[i * nu + j], J);
+    }
+    for (int imag = 0, row = 0; imag < 2; imag++)
+        for (int l = imag ? shape->single : 0; l < modes; l++, row++) {
+            for (int j = 0; j < nu; j++)
+                add_response(t, 0, l, j, weight * c[l], imag, to->b + (row * nu + j) * ld);
+            add_response(t, 0, l, nu, weight * c[l], imag,
+                         to->x0 + ((size_t)r * states_of(shape) + row) * ld);
+            if (to->c) add_driven(t, m, 0, l, weight, imag, to->c + row * ld);
+        }
+    for (int j = 0; j < nu * shape->direct; j++)
+        add(t, input_place(t) + j, weight, to->D + j * ld);
+    if (shape->trim) add(t, one_place(t), weight, to->y0 + (size_t)r * ld);
+    error_of(t, m, channel, to->error);
+    for (int row = 0; row < t->rows; row++) to->error[row] *= weight;
+}
+
 /*
  * numbers: a model with the power of its errors, then the derivatives of modes by the coordinates
  * of the poles, (coordinates, modes), then the inputs whose dead times are free. first: the inputs
@@ -800,60 +860,114 @@ int ctsid_errors(const Samples *s, const Shape *shape, const int *rows, const do
 int ctsid_jacobian(const Samples *s, const Shape *shape, const int *rows, const double *values,
                    const double *first, double *numbers, int coordinates, int delays, int height,
                    double *found) {
-    Model given = model_of(s, shape, numbers), *m = &given;
-    const double *dp = given.end;
-    const double *late = dp + 2 * (size_t)coordinates * shape->modes;
-    int modes = shape->modes, n = states_of(shape), nu = s->nu, ny = s->ny;
-    int nd = nu * shape->direct, own = n + nd + s->records * shape->trim;
-    size_t shared = coordinates + delays + n * nu, ld = height;
-    size_t last = shared + (size_t)s->records * n + (size_t)own * ny;
-    const cplx *p = (const cplx *)m->poles, *b = (cplx *)m->b, *turn = (const cplx *)dp;
+    Model m = model_of(s, shape, numbers);
+    Moves by = {first, m.end, m.end + 2 * (size_t)coordinates * shape->modes, coordinates, delays};
+    int n = states_of(shape), own = n + s->nu * shape->direct + s->records * shape->trim;
+    size_t ld = height;
     Table *tables = malloc(sizeof(Table) * (s->streams + 1));
     if (!tables) return 1;
     tables_of(s, shape, rows, values, tables);
-    for (int k = 0; k < s->streams; k++) {
-        const Table *t = tables + k;
-        int r = t->stream->record;
-        for (int channel = 0; channel < t->stream->channels; channel++, found += t->rows) {
-            int i = t->stream->first + channel;
-            const cplx *c = (cplx *)m->c + i * modes;
-            double weight = 1.0 / sqrt(fmax(m->power[r * ny + i], ROUNDING)), *J = found;
-            for (int q = 0; q < coordinates; q++, J += ld)
-                for (int l = 0; l < modes; l++)
-                    if (turn[q * modes + l] != 0.0)
-                        add_driven(t, m, 1, l, weight * c[l] * turn[q * modes + l], 0, J);
-            for (int q = 0; q < delays; q++, J += ld) {
-                int j = (int)late[q];
-                cplx direct = 0.0;
-                for (int l = 0; l < modes; l++) {
-                    cplx moved = weight * c[l] * b[l * nu + j];
-                    direct += moved;
-                    add_response(t, 0, l, nu, moved * first[r * nu + j], 0, J);
-                    add_response(t, 0, l, j, -moved * p[l], 0, J);
-                }
-                add(t, input_place(t) + j, -creal(direct), J);
-                if (shape->direct)
-                    add(t, input_place(t) + nu + j, -weight * m->D[i * nu + j], J);
-            }
-            for (int imag = 0; imag < 2; imag++)
-                for (int l = imag ? shape->single : 0; l < modes; l++)
-                    for (int j = 0; j < nu; j++, J += ld)
-                        add_response(t, 0, l, j, weight * c[l], imag, J);
-            J = found + (shared + (size_t)r * n) * ld;
-            for (int imag = 0; imag < 2; imag++)
-                for (int l = imag ? shape->single : 0; l < modes; l++, J += ld)
-                    add_response(t, 0, l, nu, weight * c[l], imag, J);
-            J = found + (last - (size_t)own * (ny - i)) * ld;
-            for (int imag = 0; imag < 2; imag++)
-                for (int l = imag ? shape->single : 0; l < modes; l++, J += ld)
-                    add_driven(t, m, 0, l, weight, imag, J);
-            for (int j = 0; j < nd; j++, J += ld) add(t, input_place(t) + j, weight, J);
-            if (shape->trim) add(t, one_place(t), weight, J + (size_t)r * ld);
-            J = found + last * ld;
-            error_of(t, m, channel, J);
-            for (int row = 0; row < t->rows; row++) J[row] *= weight;
+    for (int k = 0; k < s->streams; k++)
+        for (int q = 0; q < tables[k].stream->channels; q++, found += tables[k].rows) {
+            Places to = {.poles = found};
+            to.delays = to.poles + coordinates * ld;
+            to.b = to.delays + delays * ld;
+            to.x0 = to.b + (size_t)n * s->nu * ld;
+            to.c = to.x0 + (size_t)n * s->records * ld;
+            to.error = to.c + (size_t)own * s->ny * ld;
+            to.c += (size_t)own * (tables[k].stream->first + q) * ld;
+            to.D = to.c + n * ld;
+            to.y0 = to.D + (size_t)s->nu * shape->direct * ld;
+            derivatives(tables + k, &m, &by, q, ld, &to);
+        }
+    free(tables);
+    return 0;
+}
+
+/* In a fixed order, for else sums would depend on the processor. */
+WIDE static double product(const double *a, const double *b, int count) {
+    double sums[4] = {0.0};
+    int i = 0;
+    for (; i + 4 <= count; i += 4)
+        for (int k = 0; k < 4; k++) sums[k] += a[i + k] * b[i + k];
+    for (; i < count; i++) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+}
+
+/*
+ * found: of poles, dead times and, of several outputs, b and initial states the curvature, (n, n),
+ * and the gradient of half of -2 log likelihood, all that is linear else eliminated, and the
+ * squares of the derivatives; then the squares that what is linear alone explains. Arguments: see
+ * above.
+ */
+int ctsid_slopes(const Samples *s, const Shape *shape, const int *rows, const double *values,
+                 const double *first, double *numbers, int coordinates, int delays,
+                 double *found) {
+    Model m = model_of(s, shape, numbers);
+    Moves by = {first, m.end, m.end + 2 * (size_t)coordinates * shape->modes, coordinates, delays};
+    int states = states_of(shape), several = s->ny > 1, nd = s->nu * shape->direct;
+    int shared = states * (s->nu + s->records), moving = coordinates + delays + several * shared;
+    int own = (several ? states : shared) + nd + s->records * shape->trim, ld = 1, info;
+    int room = BLOCK * (own + moving + 2);
+    for (int k = 0; k < s->streams; k++) ld += rows[k];
+    Table *tables = malloc(sizeof(Table) * (s->streams + 1));
+    double *slopes = malloc(sizeof(double) * ((size_t)ld * (moving + 1 + own) + own + room));
+    int *pivots = malloc(sizeof(int) * (own + 1));
+    double *gradient = found + (size_t)moving * moving, *squares = gradient + moving;
+    if (!tables || !slopes || !pivots) {
+        free(tables);
+        free(slopes);
+        free(pivots);
+        return 1;
+    }
+    double *linear = slopes + (size_t)ld * (moving + 1), *tau = linear + (size_t)ld * own;
+    tables_of(s, shape, rows, values, tables);
+    for (int i = 0; i < s->ny; i++) {
+        int used = 0, rank = 0, all = moving + 1;
+        memset(slopes, 0, sizeof(double) * ld * (moving + 1 + own));
+        for (int k = 0; k < s->streams; k++) {
+            int channel = i - tables[k].stream->first;
+            if (channel < 0 || channel >= tables[k].stream->channels) continue;
+            Places to = {.poles = slopes + used};
+            to.delays = to.poles + (size_t)coordinates * ld;
+            to.b = several ? to.delays + (size_t)delays * ld : linear + used;
+            to.x0 = to.b + (size_t)states * s->nu * ld;
+            to.c = several ? linear + used : NULL;
+            to.D = linear + used + (size_t)ld * (several ? states : shared);
+            to.y0 = to.D + (size_t)nd * ld;
+            to.error = slopes + used + (size_t)moving * ld;
+            derivatives(tables + k, &m, &by, channel, ld, &to);
+            used += tables[k].rows;
+        }
+        for (int q = 0; q < moving; q++)
+            squares[q] += product(slopes + (size_t)q * ld, slopes + (size_t)q * ld, used);
+        for (int q = 0; q < own; q++) {
+            double *column = linear + (size_t)q * ld, sum = product(column, column, used);
+            double size = sum > 0.0 ? sqrt(sum) : 1.0;
+            for (int row = 0; row < used; row++) column[row] /= size;
+            pivots[q] = 0;
+        }
+        if (own && used) {
+            geqp3(&used, &own, linear, &ld, pivots, tau, tau + own, &room, &info);
+            while (rank < least(own, used)
+                   && fabs(linear[(size_t)rank * ld + rank]) > RANK * fabs(linear[0])) rank++;
+            if (rank)
+                ormqr("L", "T", &used, &all, &rank, linear, &ld, tau, slopes, &ld, tau + own,
+                      &room, &info);
+        }
+        double *error = slopes + (size_t)moving * ld;
+        squares[moving] += product(error, error, rank);
+        for (int q = 0; q < moving; q++) {
+            double *one = slopes + (size_t)q * ld + rank;
+            gradient[q] += product(one, error + rank, used - rank);
+            for (int p = 0; p <= q; p++)
+                found[q * moving + p] += product(one, slopes + (size_t)p * ld + rank, used - rank);
         }
     }
+    for (int q = 0; q < moving; q++)
+        for (int p = 0; p < q; p++) found[p * moving + q] = found[q * moving + p];
     free(tables);
+    free(slopes);
+    free(pivots);
     return 0;
 }

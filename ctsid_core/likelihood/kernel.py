@@ -9,7 +9,7 @@ serve where there is no C compiler, or CTSID_KERNEL is 0. Both give the same but
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import ctypes
 from ctypes import CDLL, Structure, c_double, c_int, c_uint, c_void_p
 from dataclasses import dataclass
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ctsid_core.model.modal import Drive
 
 VARIABLE = 'CTSID_KERNEL'
+_NOTHING = ctypes.c_char * 0
 _HIGHEST = 6          # degree of inputs between their stamps; DEGREES in kernel.c is more
 
 
@@ -81,6 +82,7 @@ class Layout:
     shape: Shape
     rows: NDArray[np.intc]  # how many rows each stream has: of a triangle as many as columns
     size: int               # how many numbers there are in all tables
+    work: float             # of an evaluation (`effort.py`)
 
     @cached_property
     def place(self) -> int:
@@ -99,7 +101,8 @@ def _library() -> CDLL | None:
     try:
         found = CDLL(spec.origin)
         places = [_place(module, name) for module, name in (
-            (cython_lapack, 'dgeqrf'), (cython_lapack, 'dgelsy'))]
+            (cython_lapack, 'dtpqrt'), (cython_lapack, 'dgelsy'), (cython_lapack, 'dgeqp3'),
+            (cython_lapack, 'dormqr'))]
         found.ctsid_edition.restype = c_uint
         edition = int(found.ctsid_edition())
     except (OSError, KeyError, AttributeError):
@@ -118,6 +121,7 @@ def _library() -> CDLL | None:
     found.ctsid_solve.argtypes = [p, p, p, p, p]
     found.ctsid_errors.argtypes = [p, p, p, p, p, p]
     found.ctsid_jacobian.argtypes = [p, p, p, p, p, p, c_int, c_int, c_int, p]
+    found.ctsid_slopes.argtypes = [p, p, p, p, p, p, c_int, c_int, p]
     return found
 
 
@@ -139,8 +143,8 @@ def _place(module: Any, name: str) -> int:
 
 
 def _at(array: NDArray[Any]) -> int:
-    place: int = array.__array_interface__['data'][0]
-    return place
+    """Return where an array is that may be written; of NumPy's own ways the best takes 2 us."""
+    return ctypes.addressof(_NOTHING.from_buffer(array))
 
 
 class Timed(NamedTuple):
@@ -157,7 +161,7 @@ class Kernel:
     def __init__(self, library: CDLL, records: Sequence[Timed], nu: int, ny: int) -> None:
         self._library, self.nu, self.ny = library, nu, ny
         self._kept: list[object] = []
-        self._shapes: dict[tuple[Shape, bool], tuple[_Shape, ctypes.Array[c_int]]] = {}
+        self._shapes: dict[tuple[Shape, bool], int] = {}
         drives: list[_Drive] = []
         streams: list[_Stream] = []
         rows: list[_Record] = []
@@ -182,7 +186,7 @@ class Kernel:
     def _keep(self, values: Array) -> int:
         kept = np.ascontiguousarray(values, dtype=float)
         self._kept.append(kept)
-        return _at(kept)
+        return int(kept.ctypes.data)            # it may be read only
 
     def columns(self, layout: Layout, poles: ComplexArray, delay: Array) -> Array:
         """Return all tables in Fortran's order, and the inputs at the start of each record."""
@@ -223,13 +227,27 @@ class Kernel:
         """Return derivatives by so many numbers, and errors; arguments: see kernel.c."""
         height = int(layout.rows @ self._channels)
         found = np.zeros((count + 1, height))
-        numbers = _packed(model, power, dp.ravel().view(float), late.astype(float))
-        place = _at(values)
-        self._done(self._library.ctsid_jacobian(
-            self._place, self._shape(layout, trim), layout.place, place,
-            place + values.itemsize * layout.size, _at(numbers), len(dp), len(late), height,
-            _at(found)))
+        self._derive(self._library.ctsid_jacobian, layout, trim, values,
+                     _packed(model, power, dp.ravel().view(float), late.astype(float)),
+                     len(dp), len(late), height, _at(found))
         return found[:-1].T, found[-1]
+
+    def slopes(self, layout: Layout, trim: bool, values: Array, model: ModalModel, power: Array,
+               dp: ComplexArray, late: NDArray[np.intp],
+               count: int) -> tuple[Array, Array, Array, float]:
+        """Return curvature, gradient and squares of so many numbers that move; see kernel.c."""
+        found = np.zeros(count * count + 2 * count + 1)
+        self._derive(self._library.ctsid_slopes, layout, trim, values,
+                     _packed(model, power, dp.ravel().view(float), late.astype(float)),
+                     len(dp), len(late), _at(found))
+        curvature, of_each = found[:count * count].reshape(count, count), found[-2 * count - 1:]
+        return curvature, of_each[:count], of_each[count:-1], float(of_each[-1])
+
+    def _derive(self, function: Callable[..., int], layout: Layout, trim: bool, values: Array,
+                numbers: Array, *more: int) -> None:
+        place = _at(values)
+        self._done(function(self._place, self._shape(layout, trim), layout.place, place,
+                            place + values.itemsize * layout.size, _at(numbers), *more))
 
     def _shape(self, layout: Layout, trim: bool) -> int:
         """Return where a shape is told in C; it is kept, for there are few."""
@@ -239,8 +257,9 @@ class Kernel:
             modes = (c_int * len(group))(*group)
             shape = _Shape(ctypes.addressof(modes), len(group),
                            sum(pole < layout.shape.real for pole in group), *numbers, trim)
-            self._shapes[key] = shape, modes
-        return ctypes.addressof(self._shapes[key][0])
+            self._kept += shape, modes
+            self._shapes[key] = ctypes.addressof(shape)
+        return self._shapes[key]
 
     @staticmethod
     def _done(failed: int) -> None:

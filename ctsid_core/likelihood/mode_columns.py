@@ -97,9 +97,9 @@ def columns_of(samples: Samples, poles: ComplexArray, delay: Array, *, direct: b
     if len(set(poles.tolist())) < len(poles):
         pole, rank = ranks_of(poles)
         group, poles = tuple(pole.tolist()), poles[rank == 0]
-    samples.effort.spend(evaluation_work(samples, len(poles), slopes=slopes, turned=turned))
-    real = int(np.count_nonzero(poles.imag == 0.0))
+    real = sum(p.imag == 0.0 for p in poles.tolist())
     layout = _layout(samples, Shape(group, real, len(poles) - real, direct, slopes), turned)
+    samples.effort.spend(layout.work)
     if samples.kernel is not None:
         return Columns(samples, layout, samples.kernel.columns(layout, poles, delay))
     tables, first, number = [], [], iter(layout.rows.tolist())
@@ -119,7 +119,8 @@ def _layout(samples: Samples, shape: Shape, turned: bool) -> Layout:
         rows = [min(len(s.times), k) if turned else len(s.times)
                 for s, k in zip(streams, columns, strict=True)]
         samples.layouts[key] = Layout(shape, np.array(rows, dtype=np.intc), sum(
-            n * k for n, k in zip(rows, columns, strict=True)))
+            n * k for n, k in zip(rows, columns, strict=True)), evaluation_work(
+            samples, shape.real + shape.pairs, slopes=shape.slopes, turned=turned))
     return samples.layouts[key]
 
 

@@ -17,13 +17,14 @@ Denmark (damping).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgeqp3, dgesv, dormqr
+from scipy.linalg import qr
+from scipy.linalg.lapack import dgesv
 
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import ROUNDING, Columns, Triangle, columns_of
@@ -92,9 +93,7 @@ def fit_at(samples: Samples, poles: ComplexArray, delay: Array, free: Free,
     poles = canonical(poles, samples.rank)
     columns = columns or columns_of(samples, poles, delay, direct=free.feedthrough, slopes=slopes)
     power = np.ones((len(samples.records), samples.ny)) if near is None else near.power
-    kept = near is not None and len(near.model.poles) == len(poles) and \
-        bool(np.array_equal(near.model.poles.imag > 0.0, poles.imag > 0.0))
-    if kept and near is not None:
+    if near is not None and (near.model.poles.imag > 0.0).tolist() == (poles.imag > 0.0).tolist():
         m = near.model
         start = ModalModel(poles, m.b, m.c, m.x0, m.D, m.y0, delay)
     else:
@@ -113,12 +112,14 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     """
     best, damping, gain = _with_slopes(samples, start, free), _DAMPING, np.inf
     for taken in range(steps):
+        if gain < least:
+            break
         around = steps_around(samples, best.model)
         slopes = _slopes(samples, best, free, around)
         promise = slopes.promise(slopes.step(_LEAST_DAMPING))
         moved = None
         hope = max(_at_most(promise, samples), gain if taken else 0.0)
-        if best.cost - 5.0 * hope > rival or min(promise, gain) < least:
+        if best.cost - 5.0 * hope > rival or promise < least:
             break
         for _ in range(6):
             step = slopes.step(damping)
@@ -185,59 +186,49 @@ class _Slopes:
 
 
 def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slopes:
-    """
-    Return where poles, dead times and, of several outputs, b and initial states should move.
-
-    What is linear is eliminated by a QR factorisation, not in the normal equations: beside a pole
-    near zero an offset, the free response and that to the mean of an input are alike to rounding
-    there, and damping would hold them, and with them the pole.
-    """
-    rows, error, places = jacobian(samples, fit, free, around)
-    several, width = samples.ny > 1, rows.shape[1]
-    n = places.poles + places.delays + (
-        places.b + len(samples.records) * places.x0 if several else 0)
-    moving, left, linear = np.empty((len(rows), n + 1), order='F'), [], 0.0
-    moving[:, :n], moving[:, n] = rows[:, :n], error
-    for i, of_output in enumerate(_rows_of_outputs(samples, fit.columns)):
-        at = n + i * places.own
-        own, turned = rows[of_output, at:at + places.own if several else width], moving[of_output]
-        if not own.size:
-            left.append(turned)
-            continue
-        factors, _, tau, _, _ = dgeqp3(_scaled(own), overwrite_a=1)
-        size = np.abs(factors.diagonal())
-        rank = int(np.count_nonzero(size > _RANK * size[:1]))
-        if rank:
-            turned = dormqr('L', 'T', factors[:, :rank], tau[:rank], turned, turned.size)[0]
-        linear += float(turned[:rank, n] @ turned[:rank, n])
-        left.append(turned[rank:])
-    rest = np.concatenate(left)
-    slopes = rest[:, :n]
-    gradient, curvature = slopes.T @ rest[:, n], slopes.T @ slopes
-    held = _held(fit.model, free, gradient, places, around)
+    """Return where poles, dead times and, of several outputs, b and initial states should move."""
+    model, (dp, late, places) = fit.model, _coordinates(samples, fit.model, free, around)
+    n = places.moving(samples.ny, len(samples.records))
+    curvature, gradient, squares, linear = _eliminated(samples, fit, free, around, n) \
+        if samples.kernel is None else samples.kernel.slopes(
+            fit.columns.layout, free.trim, fit.columns.values, model, fit.power, dp, late, n)
     scale = np.sqrt(curvature.diagonal())
-    scale[~(scale > _RANK * np.sqrt(np.sum(moving[:, :n] ** 2, axis=0)))] = np.inf
-    scale[held] = np.inf
+    scale[~(scale > _RANK * np.sqrt(squares))] = np.inf
+    scale[_held(model, free, gradient, places, around)] = np.inf
     return _Slopes(gradient / scale, curvature / scale / scale[:, np.newaxis], scale, linear,
                    places)
 
 
-def _rows_of_outputs(samples: Samples, columns: Columns) -> Sequence[slice | NDArray[np.intp]]:
-    """Return which rows of a Jacobian are of each output."""
-    if samples.ny == 1:
-        return (slice(None),)
-    channels = [range(s.channels.start, s.channels.stop) for r in samples.records
-                for s in r.streams]
+def _eliminated(samples: Samples, fit: Fit, free: Free, around: PoleSteps,
+                n: int) -> tuple[Array, Array, Array, float]:
+    """
+    Return curvature and gradient of the first n numbers, the others at their best; and more.
+
+    The squares of the derivatives, and what is to be gained by what is linear alone. That is
+    eliminated by a QR factorisation, not in the normal equations: beside a pole near zero an
+    offset, the free response and that to the mean of an input are alike to rounding there, and
+    damping would hold them, and with them the pole.
+    """
+    rows, error, places = jacobian(samples, fit, free, around)
+    several, width, linear = samples.ny > 1, rows.shape[1], 0.0
+    moving = np.column_stack((rows[:, :n], error))
+    rest, channels = moving.copy(), [range(s.channels.start, s.channels.stop)
+                                     for r in samples.records for s in r.streams]
     output = np.repeat(np.concatenate(channels), np.repeat(
-        columns.layout.rows, [len(own) for own in channels]))
-    return [np.flatnonzero(output == i) for i in range(samples.ny)]
-
-
-def _scaled(columns: Array) -> Array:
-    """Return columns of size 1, in Fortran's order."""
-    size = np.linalg.norm(columns, axis=0)
-    size[~(size > 0.0)] = 1.0
-    return np.asfortranarray(columns / size)
+        fit.columns.layout.rows, [len(own) for own in channels]))
+    for i in range(samples.ny):
+        of_output, at = np.flatnonzero(output == i), n + i * places.own
+        own = rows[of_output, at:at + places.own if several else width]
+        if own.size:
+            Q, R, _ = qr(own / (np.linalg.norm(own, axis=0) + 1e-300), mode='economic',
+                         pivoting=True)
+            size = np.abs(R.diagonal())
+            Q = Q[:, size > _RANK * size[:1]]
+            told = Q.T @ moving[of_output]
+            rest[of_output] -= Q @ told
+            linear += float(told[:, n] @ told[:, n])
+    slopes = rest[:, :n]
+    return slopes.T @ slopes, slopes.T @ rest[:, n], np.sum(moving[:, :n] ** 2, axis=0), linear
 
 
 def _coordinates(samples: Samples, model: ModalModel, free: Free,
@@ -280,7 +271,8 @@ def _moved(samples: Samples, fit: Fit, step: Array, places: Places, free: Free,
             break
         fraction *= 0.5
     delay = model.delay.copy()
-    delay[late] = np.clip(delay[late] + fraction * step[n:n + places.delays], 0.0, free.longest)
+    delay[late] = np.minimum(np.maximum(
+        delay[late] + fraction * step[n:n + places.delays], 0.0), free.longest)
     if not np.isfinite(poles).all():
         return None
     if samples.rank > 1:
@@ -309,6 +301,10 @@ class Places:
     def count(self, ny: int, records: int) -> int:
         """Return how many there are."""
         return self.poles + self.delays + self.b + records * self.x0 + ny * self.own
+
+    def moving(self, ny: int, records: int) -> int:
+        """Return how many move together: of several outputs b and initial states, too."""
+        return self.poles + self.delays + (self.b + records * self.x0 if ny > 1 else 0)
 
     def of_states(self, ny: int, records: int, trim: bool) -> Mask:
         """Return which columns are of initial states and trims."""
@@ -353,7 +349,7 @@ def _complex(rows: Array, poles: ComplexArray) -> ComplexArray:
     """Return complex coefficients of modes from real ones, all real parts before imaginary."""
     m = len(poles)
     found = rows[:m].astype(complex)
-    found[poles.imag > 0.0] += 1j * rows[m:]
+    found[2 * m - len(rows):].imag = rows[m:]
     return found
 
 
@@ -440,15 +436,16 @@ def _by_delay(t: Triangle, model: ModalModel, i: int, first: Array,
 
 def _with_linear(model: ModalModel, step: Array, places: Places, free: Free) -> ModalModel:
     """Return the model with all that is linear moved."""
-    ny, nu, records, n = len(model.c), model.b.shape[1], len(model.x0), model.n
-    b, x0, own = np.split(step[places.poles + places.delays:], np.cumsum((
-        places.b, records * places.x0)))
-    c, D, y0 = np.split(own.reshape(ny, -1), np.cumsum((n, nu * free.feedthrough)), axis=1)
-    return replace(model, b=model.b + _complex(b.reshape(-1, nu), model.poles),
-                   x0=model.x0 + _complex(x0.reshape(records, -1).T, model.poles).T,
-                   c=model.c + _complex(c.T, model.poles).T,
-                   D=model.D + D if D.size else model.D,
-                   y0=model.y0 + y0.T if y0.size else model.y0)
+    p, n, records = model.poles, model.n, len(model.x0)
+    at = places.poles + places.delays + places.b
+    end, direct = at + records * n, places.own - records * free.trim
+    b, x0 = step[at - places.b:at].reshape(n, model.b.shape[1]), step[at:end].reshape(records, n)
+    own = step[end:].reshape(len(model.c), places.own)
+    return ModalModel(
+        p, model.b + _complex(b, p), model.c + _complex(own[:, :n].T, p).T,
+        model.x0 + _complex(x0.T, p).T,
+        model.D + own[:, n:direct].reshape(model.D.shape) if free.feedthrough else model.D,
+        model.y0 + own[:, direct:].T if free.trim else model.y0, model.delay)
 
 
 def free_start(samples: Samples, poles: ComplexArray, delay: Array, columns: Columns,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 import math
 
 import numpy as np
@@ -113,13 +113,14 @@ class PoleSteps:
                           (complex(b / far if far else -far), other if other >= 0 else one)]
         bound = bounded(np.array([p for p, _ in found]), limit, fastest)
         order = [found[k][1] for k in in_order(bound)]
-        ends = np.cumsum(self.ranks)
-        return np.repeat(canonical(bound), [self.ranks[k] for k in order]), np.array(
+        ends = list(accumulate(self.ranks))
+        return np.array([p for p, k in zip(canonical(bound).tolist(), order, strict=True)
+                         for _ in range(self.ranks[k])], dtype=complex), np.array(
             [m for k in order for m in range(ends[k] - self.ranks[k], ends[k])], dtype=np.intp)
 
     def size_of(self, poles: ComplexArray) -> float:
         """Return the largest relative change of a pole's magnitude, as a logarithm."""
-        least = 0.1 * float(np.min(self.scale))
+        least = 0.1 * min(self.scale.tolist())
 
         def sizes(p: ComplexArray) -> list[float]:
             return sorted(math.log(max(abs(x), least)) for x in p.tolist()

@@ -58,6 +58,7 @@ class PoleGrid:
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
+        self._beside: dict[tuple[bytes, bytes], list[list[tuple[Array, Array]]]] = {}
         cells = _cells_of(samples, longest, finest, _CELLS)
         self._shapes = {real: [_Shape(c, self.poles[(self.poles.imag == 0.0) == real],
                                       samples.effort) for c in cells] for real in (True, False)}
@@ -89,17 +90,27 @@ class PoleGrid:
         samples.effort.spend(_LOOK + _PER_COLUMN * count * parts * (samples.nu + 1) * float(
             np.max(samples.counts.sum(axis=0))))
         squares = np.zeros((count, samples.ny))
-        columns = columns_of(samples, poles, delay, direct=self._feedthrough, turned=False,
-                             slopes=False)
-        for shape, record, own in zip(shapes, samples.records, columns.tables, strict=True):
-            for stream, (known, y) in zip(record.streams, own, strict=True):
-                known = known if self._trim else known[:, :-1]
-                size = np.linalg.norm(known, axis=0)
-                basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
-                left = y - basis @ (basis.T @ y)
+        for shape, record, own in zip(shapes, samples.records, self._known(poles, delay),
+                                      strict=True):
+            for stream, (basis, left) in zip(record.streams, own, strict=True):
                 squares[:, stream.channels] += np.sum(left ** 2, axis=0) - _explained(
                     shape.candidates(stream, delay), basis, left)
         return cost_of(squares, samples.counts.sum(axis=0))
+
+    def _known(self, poles: ComplexArray, delay: Array) -> list[list[tuple[Array, Array]]]:
+        """Return an orthonormal basis of what is known of each stream, and what that leaves."""
+        key = poles.tobytes(), delay.tobytes() if len(poles) or self._feedthrough else b''
+        if key not in self._beside:
+            columns = columns_of(self.samples, poles, delay, direct=self._feedthrough,
+                                 turned=False, slopes=False)
+            self._beside[key] = [[self._basis(*table) for table in own] for own in columns.tables]
+        return self._beside[key]
+
+    def _basis(self, known: Array, y: Array) -> tuple[Array, Array]:
+        known = known if self._trim else known[:, :-1]
+        size = np.linalg.norm(known, axis=0)
+        basis = np.linalg.qr(known / np.where(size > 0.0, size, 1.0))[0]
+        return basis, y - basis @ (basis.T @ y)
 
 
 def _explained(own: Array, basis: Array, left: Array) -> Array:
@@ -212,7 +223,8 @@ class _Cells:
 
     def places(self, times: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the edges before times (N,), and how far it is to the next ones, (N, 1)."""
-        at = np.clip((times - self._edges[0]) / self.step, 0.0, len(self._edges) - 1.001)
+        at = np.minimum(np.maximum((times - self._edges[0]) / self.step, 0.0),
+                        len(self._edges) - 1.001)
         place = at.astype(int)
         return place, (at - place)[:, np.newaxis]
 
@@ -235,12 +247,11 @@ class _Shape:
         """Return the columns of each pole: responses to the inputs and free, (m, q, N)."""
         times, cells = stream.times, self._cells
         found = np.empty((*self.size, len(delay) + 1, len(times)))
-        for d in np.unique(delay):
-            place, part = cells.places(times - d)
-            for j in np.flatnonzero(delay == d):
-                read = self.driven[j][place]
-                read += part * (self.driven[j][place + 1] - read)
-                found[:, :, j] = read.T.reshape(*self.size, -1)
+        places = {d: cells.places(times - d) for d in set(delay.tolist())}
+        for j, (place, part) in enumerate(places[d] for d in delay.tolist()):
+            read = self.driven[j][place]
+            read += part * (self.driven[j][place + 1] - read)
+            found[:, :, j] = read.T.reshape(*self.size, -1)
         found[:, :, -1] = self.free(stream, cells.record.start)
         return found.reshape(len(found), -1, len(times))
 
