@@ -31,6 +31,7 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
+from ctsid_core.search.by_order import SEARCH
 from ctsid_core.search.by_prediction import (
     AHEAD,
     HORIZONS,
@@ -160,7 +161,8 @@ def _covariances(solution: Solution, model: StateSpace,
                  moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
     """Return the covariance of the model of all channels, and of the moving ones."""
     try:
-        changes = entry_changes(*solution.source, far=solution.plant is None)
+        changes = entry_changes(*solution.source, far=solution.plant is None
+                                and not solution.samples.effort.beyond(SEARCH))
         if solution.plant is not None:
             changes = changes_of_plant(*solution.source[:2], changes)
     except np.linalg.LinAlgError:

@@ -440,8 +440,8 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
         elif before in found:
             model = found[before].fit.model
             options = [(model.poles, model.delay)]
-            if any(free.delays):
-                options.append((model.poles, np.where(free.delays, 0.5 * model.delay, known)))
+            if any(free.delays):            # that of one state less may stand for a lag
+                options.append((model.poles, known))
         else:
             continue
         errors = found[before].errors if before else grid.resonances.outputs
