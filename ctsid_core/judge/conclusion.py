@@ -228,10 +228,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
-        numbers=numbers, by_prediction=solution.by_prediction,
-        # Less than e within the records does not tell a mode that grows from one that does not.
-        unproven=solution.refit is not None and 0.0 < part.length * float(
-            np.max(model.poles.real, initial=0.0)) <= 1.0,
+        numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
         lead=_lead(lead, last), within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}' if part.several else '',

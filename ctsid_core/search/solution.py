@@ -58,6 +58,7 @@ class Solution:
     # Of a subspace method's regression; their drop shows the order
     singular_values: Array = field(default_factory=lambda: np.empty(0))
     condition: float = float('nan')
+    unproven: bool = False  # modes grow of which the samples do not show that they do
 
     @property
     def by_prediction(self) -> bool:

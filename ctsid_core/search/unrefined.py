@@ -16,7 +16,7 @@ import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.output_error import Fit, Free, fit_at, fit_states
+from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.model.estimate import Choice
@@ -67,8 +67,8 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
 
     used = made.settings.replace(delay=settings.delay, order=fit.model.n)
     return Solution(used, part, samples, fit, free, chosen.independent, table, tuple(choices),
-                    tuple(remarks), refit=refit, singular_values=made.singular_values,
-                    condition=made.condition)
+                    tuple(remarks), refit=refit, unproven=_unproven(samples, fit, free),
+                    singular_values=made.singular_values, condition=made.condition)
 
 
 def _likeliest(offered: Sequence[MethodModel], samples: Samples, own: Settings,
@@ -89,6 +89,28 @@ def _likeliest(offered: Sequence[MethodModel], samples: Samples, own: Settings,
         if best is None or cost < best[0]:
             best = cost, fit, one
     return None if best is None else (best[1], best[2], by_order)
+
+
+def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
+    """
+    Return whether modes grow of which the samples do not show that they do.
+
+    They do where the model is likelier than the best one near it of which none grows, by more than
+    the price of a number for each of these modes.
+    """
+    poles = fit.model.poles
+    growing = poles.real > 0.0
+    if not growing.any():
+        return False
+    try:
+        with np.errstate(over='ignore', invalid='ignore'):
+            mirrored = fit_at(samples, np.where(growing, -poles.conj(), poles), fit.model.delay,
+                              free)
+            steady = climb(samples, mirrored, replace(free, limit=0.0), least=ROUGHLY)
+    except np.linalg.LinAlgError:
+        return True
+    price = float(np.log(samples.counts.sum())) * int(np.sum(growing))
+    return not steady.cost - fit.cost > price
 
 
 def _fitted(one: MethodModel, samples: Samples, own: Settings, free: Free) -> Fit | None:
