@@ -221,7 +221,7 @@ def _eliminated(samples: Samples, fit: Fit, free: Free, around: PoleSteps,
         own = rows[of_output, at:at + places.own if several else width]
         if own.size:
             Q, R, _ = qr(own / (np.linalg.norm(own, axis=0) + 1e-300), mode='economic',
-                         pivoting=True)
+                         pivoting=True, check_finite=False)
             size = np.abs(R.diagonal())
             Q = Q[:, size > _RANK * size[:1]]
             told = Q.T @ moving[of_output]

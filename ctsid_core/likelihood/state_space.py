@@ -139,12 +139,12 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False) 
     values, vectors = np.linalg.eigh(power)
     root = np.zeros((len(turned), width))
     root[:, wanted] = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ turned
-    for k, j in enumerate(np.flatnonzero(free.delays) if far and not free.feedthrough else ()):
-        of_delay = root[:, places.poles + k]
-        size, white = (float(np.linalg.norm(x)) for x in (of_delay, turned[:, places.poles + k]))
-        if size > 0.0:
-            farther = _shown(samples, fit, free, int(j), white, far) / white - 1.0
-            root += farther * np.outer(of_delay, of_delay @ root) / size ** 2
+    late = slice(places.poles, places.poles + places.delays)
+    if far and not free.feedthrough and places.delays:
+        white = np.linalg.norm(turned[:, late], axis=0)
+        farther = np.array([_shown(samples, fit, free, int(j), w, far) / w - 1.0 if w else 0.0
+                            for j, w in zip(np.flatnonzero(free.delays), white, strict=True)])
+        root += root[:, late] * farther @ np.linalg.pinv(root[:, late]) @ root
     if free.feedthrough:
         alike = np.zeros((places.delays, width))
         alike[:, places.poles:places.poles + places.delays] = np.diag(
@@ -274,11 +274,10 @@ def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float,
     held = replace(free, delays=tuple(late and k != j for k, late in enumerate(free.delays)))
     for side in (1.0, -1.0):
         step, deviations, least, reach = 2.0 * change, 0.0, 0.0, 0.0
-        while deviations < 2.0:
-            delay = model.delay.copy()
-            delay[j] += side * step
-            if not 0.0 <= delay[j] <= free.longest:
-                break
+        room = free.longest - model.delay[j] if side > 0.0 else model.delay[j]
+        while deviations < 2.0 and least < room:
+            step, delay = min(step, room), model.delay.copy()
+            delay[j] = max(delay[j] + side * step, 0.0)
             before = deviations
             try:
                 start = fit_at(samples, model.poles, delay, held, fit, slopes=moving)

@@ -436,21 +436,24 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
     none = np.empty(0, dtype=complex)
     for before, real in ((n - 1, True), (n - 2, False)):
         if before == 0:
-            options = [(none, d) for d in (*_delays(free, known), *near)]
+            options = [('', none, d) for d in (*_delays(free, known), *near)]
         elif before in found:
             model = found[before].fit.model
-            options = [(model.poles, model.delay)]
-            if any(free.delays):            # that of one state less may stand for a lag
-                options.append((model.poles, known))
+            options = [('', model.poles, model.delay)]
+            if np.any(model.delay != known):
+                half = np.where(free.delays, 0.5 * model.delay, known)
+                # A dead time of fewer states may stand for a lag.
+                options += [('', model.poles, half), ('not late, ', model.poles, known)]
         else:
             continue
         errors = found[before].errors if before else grid.resonances.outputs
-        narrow = [] if real else [grid.resonances.best(errors, options[0][1])]
-        for poles, delay in options:
+        narrow = [] if real else [grid.resonances.best(errors, options[0][2])]
+        for kind, poles, delay in options:
+            kind += 'real' if real else 'pair'
             score, pole = grid.best(poles, delay, real)
-            yield score, 'real' if real else 'pair', np.append(poles, pole), delay
+            yield score, kind, np.append(poles, pole), delay
             for both in (np.append(poles, pole) for pole in narrow):
-                yield grid.score(both, delay), 'pair', both, delay
+                yield grid.score(both, delay), kind, both, delay
     close = min(found, key=lambda m: abs(m - n + 1), default=0)
     delay = found[close].fit.model.delay if close else known
     yield from _by_subspace(n, subspace, grid, free, delay)
