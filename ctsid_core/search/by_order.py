@@ -67,7 +67,7 @@ _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
 _STATES = 6           # of so many states, before it is known of how many,
 _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
-UNEXPLAINED = 0.05    # error that is not noise, over the motion, with which more may be told
+UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
 
