@@ -12,7 +12,7 @@ from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at, jaco
 from ctsid_core.likelihood.pole_steps import PoleSteps
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.gains import gains
-from ctsid_core.search.by_order import parameters
+from ctsid_core.search.by_order import _of_more_ranks, parameters, tried
 from ctsid_ros.studies.robots.experiment import stamps
 from ctsid_ros.studies.robots.inputs import drive
 from ctsid_ros.studies.robots.linear import Held, Linear
@@ -52,6 +52,17 @@ def test_every_axis_is_found_and_the_model_is_good(roots, kind, seed):
     truth = plant.response(omega)
     off = np.linalg.norm(found.model.frequency_response(omega) - truth, axis=(1, 2))
     assert np.all(off < 0.1 * np.linalg.norm(truth, axis=(1, 2)))
+
+
+def test_an_order_starts_from_one_rank_more_of_a_pole_that_is_there():
+    """What is one pole, a step apart from it leads elsewhere."""
+    poles = np.array([-5.0, -3.0 + 4.0j, -3.0 + 4.0j])
+    samples = samples_of([flown(axes(LAG), 'prbs', np.random.default_rng(5), 0.03)], [[None]])
+    free = Free(False, True, (False,) * 3, 1.0, -1e-6, 100.0)
+    found = {5: tried(samples, fit_at(samples, poles, np.zeros(3), free), free)}
+    assert [pole for _, pole in _of_more_ranks(6, found, 3)] == [-5.0]
+    assert [pole for _, pole in _of_more_ranks(7, found, 3)] == [-3.0 + 4.0j]
+    assert not list(_of_more_ranks(7, found, 2))
 
 
 def test_one_pole_of_several_ranks_tells_all_axes():

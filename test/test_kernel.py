@@ -111,6 +111,17 @@ def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, p
     assert mine.linear == pytest.approx(theirs.linear, rel=1e-7, abs=1e-9 * size ** 2)
 
 
+def test_what_a_pole_beside_zero_leaves_of_a_start_keeps_its_digits():
+    """Beside it free response and offset differ by 1e-6: what stamps multiply must not add up."""
+    t = np.arange(20000) * 1e-3
+    given = Record.from_arrays(t, np.sign(np.sin(3.0 * t)), t, np.cos(t), input_hold='zoh')
+    samples, p = samples_of([given], [[None]]), -1e-7
+    ((table, _),), = columns_of(samples, np.array([p + 0j]), np.zeros(1), direct=False,
+                                turned=False, slopes=False).tables
+    wanted = np.exp(p * (t - t[0]))
+    assert np.min(np.max(np.abs(table - wanted[:, np.newaxis]), axis=0)) < 2e-15
+
+
 @pytest.mark.parametrize('direct', [False, True])
 def test_stamps_that_coincide_are_read_alike(direct):
     """A sample at a stamp, or a dead time of whole intervals: the new value counts."""

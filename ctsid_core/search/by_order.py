@@ -3,9 +3,9 @@
 The search for order, poles and dead times, from order 1 upwards, on the raw samples.
 
 A model of order n starts from those of order n - 1 and n - 2 with the real pole, or the pair, that
-promises most (`pole_grid.py`), at dead times kept, halved and on a grid; with the resonance that
-the errors of order n - 2 point at; and from the poles of HD-PBSID. Each start finds what the other
-does not. The most promising ones of different kinds climb to the maximum of the likelihood.
+promises most (`pole_grid.py`), at dead times kept, halved, none and on a grid; with the resonance
+that the errors of order n - 2 point at; and from the poles of HD-PBSID. Each finds what others do
+not. The most promising ones of different kinds climb to the maximum of the likelihood.
 
 How much evidence there is for one more state depends on how many samples are independent:
 
