@@ -3,7 +3,7 @@
 The search for order, poles and dead times, from order 1 upwards, on the raw samples.
 
 A model of order n starts from those of order n - 1 and n - 2 with the real pole, or the pair, that
-promises most (`pole_grid.py`), at dead times kept, halved, none and on a grid; with the resonance
+promises most (`pole_grid.py`), at dead times kept, halved, zero or on a grid; with the resonance
 that the errors of order n - 2 point at; and from the poles of HD-PBSID. Each finds what others do
 not. The most promising ones of different kinds climb to the maximum of the likelihood.
 
@@ -441,9 +441,9 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             model = found[before].fit.model
             options = [('', model.poles, model.delay)]
             if np.any(model.delay != known):
-                half = np.where(free.delays, 0.5 * model.delay, known)
-                # A dead time of fewer states may stand for a lag.
-                options += [('', model.poles, half), ('not late, ', model.poles, known)]
+                options.append(('', model.poles, np.where(free.delays, 0.5 * model.delay, known)))
+                if before == 1:             # its dead time may stand for a lag
+                    options.append(('not late, ', model.poles, known))
         else:
             continue
         errors = found[before].errors if before else grid.resonances.outputs
