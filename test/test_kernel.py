@@ -119,7 +119,8 @@ def test_what_a_pole_beside_zero_leaves_of_a_start_keeps_its_digits():
     ((table, _),), = columns_of(samples, np.array([p + 0j]), np.zeros(1), direct=False,
                                 turned=False, slopes=False).tables
     wanted = np.exp(p * (t - t[0]))
-    assert np.min(np.max(np.abs(table - wanted[:, np.newaxis]), axis=0)) < 2e-15
+    away = np.min(np.max(np.abs(table - wanted[:, np.newaxis]), axis=0))
+    assert away < 32 * np.finfo(float).eps          # so many products, one after another
 
 
 @pytest.mark.parametrize('direct', [False, True])
