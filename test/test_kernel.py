@@ -111,6 +111,20 @@ def test_an_evaluation_is_that_of_numpy(nu, ny, hold, streams, records, count, p
     assert mine.linear == pytest.approx(theirs.linear, rel=1e-7, abs=1e-9 * size ** 2)
 
 
+def test_slopes_are_those_of_numpy_where_columns_are_alike():
+    """An input that stands still is an offset: what nothing determines takes no sample away."""
+    rng = np.random.default_rng(3)
+    t = np.arange(200) * 0.05
+    u = np.column_stack((rng.normal(size=200), np.ones(200)))
+    given = Record.from_arrays(t, u, t, rng.normal(size=(200, 2)), input_hold='zoh')
+    compiled, plain = both_ways(samples_of([given], [[None]]))
+    free = free_of(compiled, True)
+    one = fit_at(compiled, np.array([-2.0 + 0j, -30.0]), np.zeros(2), free)
+    mine, theirs = (_slopes(s, one, free, steps_around(s, one.model)) for s in (compiled, plain))
+    np.testing.assert_allclose(mine.curvature, theirs.curvature, atol=1e-8)
+    assert mine.linear == pytest.approx(theirs.linear, abs=1e-9)
+
+
 def test_what_a_pole_beside_zero_leaves_of_a_start_keeps_its_digits():
     """Beside it free response and offset differ by 1e-6: what stamps multiply must not add up."""
     t = np.arange(20000) * 1e-3

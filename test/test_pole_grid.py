@@ -37,6 +37,16 @@ def test_a_long_record_is_ranked_by_all_that_its_inputs_do():
     assert grid.score(POLES, none) < grid.score(POLES * (0.7 + 0.1j), none) - count
 
 
+def test_what_is_known_of_poles_is_known_for_their_dead_times_alone():
+    few = samples_of([long(0)], [[None]]).thinned(300)
+
+    def best(*delays):
+        grid = PoleGrid(few, feedthrough=False, trim=True, longest=1.0, fastest=100.0, finest=0.02)
+        return [grid.best(POLES[:1], np.full(3, d), True) for d in delays][-1]
+
+    assert best(0.0, 0.8) == best(0.8) != best(0.0)
+
+
 @pytest.mark.parametrize('damping', [0.002, 0.02])
 def test_errors_point_at_a_resonance_of_any_frequency(damping):
     """Two records of two inputs, one sample of six read: nearer than its width or 1 / length."""

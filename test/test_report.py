@@ -383,6 +383,10 @@ def test_windows_are_told_with_what_became_of_them():
     assert lines[4].split() == ['2', '3.0', '8.0', 'REJECT', '-', '-', '-', 'none:', 'GAPS']
     many = to_text([window_section([results[0]] * 300, 0)])
     assert '40 of 300 windows are shown' in many
+    six = StateSpace(np.diag(-np.arange(1.0, 7.0)), np.ones((6, 1)), np.ones((1, 6)))
+    rejected = replace(estimate(None, status=Status.CHANGED, start=3.0), rejected_model=six)
+    assert '2 more' in to_text([window_section([Result(Tracked(estimate(six)), np.ones(1))], 0)])
+    assert 'more' not in to_text([window_section([Result(Tracked(rejected), np.ones(1))], 0)])
 
 
 def test_weak_windows_are_counted_by_what_to_try():

@@ -7,10 +7,11 @@ from pathlib import Path
 import re
 
 import numpy as np
+from plants import flown
 import pytest
 from scipy.linalg import expm
 
-from ctsid_core import Record, identify
+from ctsid_core import Record, Settings, identify
 from ctsid_core.judge.rules import retested
 from ctsid_core.judge.unseen import as_judged, failure
 from ctsid_core.model.storage import load_estimate
@@ -92,6 +93,18 @@ def test_there_is_one_fit_on_unseen_data_and_simulate_has_the_same(tmp_path, cap
     main(['simulate', str(out / 'model.json'), str(csv), '--start', str(SPLIT), '--json',
           '--quiet'])
     assert json.loads(capsys.readouterr().out)['fit'] == pytest.approx(test['fit'], abs=0.2)
+
+
+def test_predictions_of_another_operating_point_have_its_offsets():
+    given = flown(np.random.default_rng(1), 0.1)
+    found = identify(given, Settings(feedthrough=False))
+    assert found.by_predictions
+    y = given.outputs[0]
+    moved = replace(given, outputs=(replace(y, values=y.values + 5.0 * np.std(y.values)),))
+    here = as_judged(found, found.model, given).fit
+    there = as_judged(found, found.model, moved, trim='refit').fit
+    np.testing.assert_allclose(there, here, atol=1.0)
+    assert as_judged(found, found.model, moved).fit < here - 1.0
 
 
 def test_a_plant_that_grows_is_tested_by_its_predictions(tmp_path, capsys):

@@ -20,11 +20,12 @@ from ctsid_core.signals.record import Record
 def as_judged(estimate: Estimate, model: StateSpace, record: Record, *,
               trim: Literal['model', 'refit'] = 'model') -> Validation:
     """Return a record beside a model, simulated or predicted: as the fits of its estimate are."""
-    if estimate.by_predictions:
+    if not estimate.by_predictions:
+        return simulation(model, record, trim=trim)
+    if trim == 'refit':
         offset = simulation(model, record, trim=trim).offset
         model = replace(model, y_trim=model.y_trim + offset)
-        return prediction(model, record, HORIZONS[AHEAD])
-    return simulation(model, record, trim=trim)
+    return prediction(model, record, HORIZONS[AHEAD])
 
 
 def failure(estimate: Estimate, found: Validation, record: Record) -> str:

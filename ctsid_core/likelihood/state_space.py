@@ -240,8 +240,7 @@ def _mean_around(values: ComplexArray, reach: int) -> ComplexArray:
     return np.asarray((total[2 * reach + 1:] - total[:-2 * reach - 1]) / (2 * reach + 1))
 
 
-def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int,
-          far: bool) -> Array:
+def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int, far: bool) -> Array:
     """
     Return rows that say what is known of dead times beyond the first order, (delays, k).
 
@@ -261,14 +260,13 @@ def _late(samples: Samples, fit: Fit, free: Free, moving: Array, at: int,
     return found
 
 
-def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float,
-           moving: bool) -> float:
+def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float, far: bool) -> float:
     """
     Return half the change of a dead time that costs 4 in -2 log likelihood [s].
 
-    The mean of both sides, all that is linear free and, if they are `moving`, poles and other dead
-    times. Where inputs are held, the likelihood may have two maxima, the truth in between: how it
-    is curved at one of them says little of how far the other is.
+    The mean of both sides, all that is linear free and, if it is asked how `far`, poles and other
+    dead times. Where inputs are held, the likelihood may have two maxima, the truth in between:
+    how it is curved at one of them says little of how far the other is.
     """
     model, found = fit.model, list[float]()
     held = replace(free, delays=tuple(late and k != j for k, late in enumerate(free.delays)))
@@ -280,8 +278,8 @@ def _shown(samples: Samples, fit: Fit, free: Free, j: int, change: float,
             delay[j] = max(delay[j] + side * step, 0.0)
             before = deviations
             try:
-                start = fit_at(samples, model.poles, delay, held, fit, slopes=moving)
-                one = climb_roughly(samples, start, held) if moving else start
+                start = fit_at(samples, model.poles, delay, held, fit, slopes=far)
+                one = climb_roughly(samples, start, held) if far else start
                 rise = one.cost - fit.cost
             except np.linalg.LinAlgError:
                 break

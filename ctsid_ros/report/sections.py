@@ -295,7 +295,7 @@ def window_section(results: Sequence[Result], start_ns: int, best: int = 0,
 def _window_row(index: int, result: Result, start_ns: int) -> tuple[str, ...]:
     estimate = result.estimate
     span = (f'{(t - start_ns) * 1e-9:.1f}' for t in (estimate.start_ns, estimate.end_ns))
-    found = modes_of(estimate)
+    found = modes_of(estimate) if estimate.model else []
     poles = ',  '.join(pole_text(m.pole, 3) for m in found[:_MOST_MODES]) if estimate.model \
         else f'none: {estimate.status.name}'
     poles += f',  {len(found) - _MOST_MODES} more' if len(found) > _MOST_MODES else ''
