@@ -26,6 +26,9 @@ import pytest
 from scipy.linalg import expm
 
 from ctsid_core import Grade, Record, Settings, Signal, StateSpace, identify
+from ctsid_core.likelihood.output_error import Free, climb, fit_at
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.likelihood.state_space import _shown, entry_changes
 from ctsid_core.model.validation import simulation
 from ctsid_ros.studies.robots.experiment import stamps
 from ctsid_ros.studies.robots.inputs import drive
@@ -483,3 +486,36 @@ def test_a_dead_time_beside_the_true_one_is_told_as_unsure_as_it_is(offset):
     print(np.round(1e3 * np.array([away, deviation]), 2))
     assert np.mean(np.abs(away) < 2.0 * np.array(deviation)) >= 0.9
     assert 0.6 < np.sqrt(np.mean(np.square(deviation)) / np.mean(np.square(away))) < 1.7
+
+
+def test_what_a_dead_time_moves_goes_with_it_as_far_as_it_goes():
+    """Of its deviation by the rise of the likelihood and by the curvature the rest has as much."""
+    samples, fit, free = _rolling(0.06, 0.003)
+    near, far = (entry_changes(samples, fit, free, far=one) for one in (False, True))
+    moved = [np.einsum('r,rij->ij', e.delay[:, 0], e.A) / np.sum(e.delay[:, 0] ** 2)
+             for e in (near, far)]
+    assert np.linalg.norm(far.delay) > 3.0 * np.linalg.norm(near.delay)
+    np.testing.assert_allclose(*moved, rtol=1e-6, atol=1e-6 * np.max(np.abs(moved)))
+
+
+def test_a_dead_time_goes_no_further_than_it_may():
+    """Half of what is left, if noise lets all of it be, and not a step that ends beyond."""
+    samples, fit, free = _rolling(0.06, 3.0)
+    late = float(fit.model.delay[0])
+    assert 0.0 < late
+    for change in (late, 3.0 * late):
+        reach = _shown(samples, fit, replace(free, longest=late), 0, change, False)
+        assert reach == pytest.approx(0.5 * late)
+
+
+def _rolling(late, noise):
+    """A roll rate, inputs held for two outputs; its likeliest model, and what was free."""
+    p = plant([[-12.0, 0.0], [20.0, -1.5]], [[12.0], [0.0]], [[0.0, 1.0]])
+    t_u, t_y = np.arange(0.0, 12.0, 0.02), np.arange(0.0054, 11.9, 0.01)
+    u = np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 50), 12)[:, np.newaxis]
+    y = held_response(p, t_u + late, u, t_y)
+    y = y + noise * np.std(y) * np.random.default_rng(1).standard_normal(y.shape)
+    samples = samples_of([Record.from_arrays(t_u, u, t_y, y, input_hold='zoh')], [[None]])
+    free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
+    start = fit_at(samples, np.array([-1.5, -12.0]), np.array([late]), free)
+    return samples, climb(samples, start, free), free

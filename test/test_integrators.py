@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Integrators whose input has a mean: a ramp, an offset and a free response that are alike."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, identify
 from ctsid_core.likelihood.output_error import Free, _slopes, climb, fit_at, steps_around
@@ -96,6 +99,18 @@ def test_a_part_held_out_goes_on_with_the_ramp_of_the_mean_of_the_input(seed):
     estimate = identify(swept(seed, 0.01), Settings(feedthrough=False))
     assert estimate.verdict.grade is Grade.GOOD
     np.testing.assert_allclose(estimate.held_out_fit, 99.0, atol=0.2)
+
+
+def test_an_integrator_in_the_wind_is_judged_by_how_it_simulates():
+    """With its pole at 0 it simulated nothing, and was judged by its predictions, and WEAK."""
+    rng, given = np.random.default_rng(918), swept(18, 0.005)
+    y = given.outputs[0]
+    wind = lfilter([1.0], [1.0, -0.98], rng.standard_normal(len(y.values)))
+    wind *= 0.5 * np.std(np.diff(y.values[::50], axis=0)) / np.std(wind)
+    found = identify(replace(given, outputs=(replace(y, values=y.values + wind[:, np.newaxis]),)),
+                     Settings(feedthrough=False))
+    assert [c.value for c in found.choices if c.name == 'domain'] == ['simulation']
+    assert -1e-5 < np.max((found.model or found.rejected_model).poles.real) < 0.0
 
 
 @pytest.mark.parametrize('seed', [2, 8, 12, 18])

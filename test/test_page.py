@@ -31,6 +31,7 @@ from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
 from ctsid_ros.replay.along import Windows, changes
+from ctsid_ros.report.comparison import Contender, pole_section
 from ctsid_ros.report.document import (
     Bullets,
     Command,
@@ -363,6 +364,8 @@ def test_a_pole_at_its_bound_is_told_as_an_integrator():
     assert frequency.startswith('0 ± ')
     assert (hertz, constant) == ('0', '-')
     assert told(-1e-3 + 1e-8j, found) == -1e-3
+    compared = pole_section([Contender('one', found)], 'model').parts[0]
+    assert compared.rows[0][1] == '0 (integrator)'
 
 
 def test_what_integrates_is_told_by_how_fast_it_moves():
