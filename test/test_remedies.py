@@ -33,7 +33,7 @@ BAD = np.array([np.nan, 0.9, 0.9])
 WORST = Evidence(
     input_names=('a', 'b'), output_names=('x', 'y', 'z'), fixed_inputs=(0,), fixed_outputs=(0,),
     stuck=(Stuck(1, 2.0, 9.0),), expected=np.full(3, np.nan), driven=np.zeros(3),
-    distance_to_controller=np.array([1.0, 0.1]), lead=np.zeros(2),
+    distance_to_controller=np.array([1.0, 0.1]), lead=np.zeros(2), apart=np.zeros(2),
     poles=np.array([-1.0 + 0.0j, np.nan]), change=Change(cost=50.0), where='about 3 s', worst='',
     numbers=replace(UNJUDGED, error=np.array([np.nan, 0.1, np.inf]), coloured_error=BAD,
                     held_out_error=BAD, response_uncertainty=np.full(3, 2.0),

@@ -566,6 +566,7 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     status, verdict = judge(Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
         expected=0.0 * one, driven=one, distance_to_controller=np.ones(1), lead=np.zeros(1),
+        apart=np.zeros(1),
         poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 1.5),
         where='about 3 s after the start of the window', worst=worst,
         numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
@@ -582,6 +583,7 @@ def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved,
     evidence = Evidence(
         input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
         expected=0.0 * one, driven=one, distance_to_controller=np.ones(1), lead=np.zeros(1),
+        apart=np.zeros(1),
         poles=np.array([-1.0 + 0j]), change=Change(), where='', worst='',
         doubt=('modes run', 'x: y'), numbers=replace(
             UNJUDGED, error=one, coloured_error=one, held_out_error=one,
@@ -590,6 +592,9 @@ def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved,
     _, verdict = judge(evidence)
     assert verdict.reason.startswith(first)
     assert verdict.reason.endswith(' If it is so, set `x: y`.') == first.startswith('Modes')
+    _, verdict = judge(replace(evidence, doubt=None, apart=np.full(1, known)))
+    assert ('for models of other orders that may be as right are 50 % away from it; move it'
+            in verdict.reason) == first.startswith('Modes')
     # What is known to be wrong with the samples needs no guess.
     _, verdict = judge(replace(evidence, faults=('Samples are mixed; stop one.',)))
     assert verdict.reason == 'Samples are mixed; stop one.'

@@ -14,7 +14,7 @@ from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
 from ctsid_core.judge.drift import Drift, drift_of
 from ctsid_core.judge.evidence import Evidence
-from ctsid_core.judge.excitation import excitations
+from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.lead import WITHIN, lead_of_outputs
@@ -58,16 +58,16 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     last = part.parts[part.last]
     model = _whole_model(last, m, solution.settings.delays(last.whole.nu), intensity)
     moving = StateSpace(m.A, m.B, m.C, m.D, delay=tuple(solution.delay.tolist()))
-    covariance, own = _covariances(solution, model, moving)
+    covariance = _covariance(solution, model)
     deviation = np.full(model.n, np.nan) if covariance is None else \
         pole_deviation(covariance, model)
     unseen = held_out(samples, fit, solution.free, solution.settings.share_held_out,
                       solution.refit, solution.predictor)
     simulated = solution.simulated
-    names = tuple(last.whole.input_names[j] for j in last.u)
     effort.check()
-    seen, unsure = excitations(samples, solution.delay, own, moving, names,
-                               min(_within(solution), samples.length))
+    apart = rivals_apart(samples, fit.model, solution.rivals)[:len(last.u)]
+    seen = excitations(samples, last, covariance, model, min(_within(solution), samples.length),
+                       apart)
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
     curves = curve_gains(*(simulated or (samples, fit, solution.free)))
@@ -80,8 +80,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     change = Change() if solution.refit or simulated is None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
     drift = _drift(solution) if change.cost <= NOTED else Drift()
-    evidence = _evidence(solution, errors, unseen, (change, drift), (seen, unsure), model, moving,
-                         deviation, curves, lead)
+    evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
+                         deviation, curves, lead, apart)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
     counts['corrupt_samples'] += float(solution.hidden)
@@ -157,22 +157,20 @@ def _with_trim(solution: Solution, record: int) -> Matrices:
     return replace(solution.plant, x_trim=np.zeros_like(solution.plant.x_trim), y_trim=level)
 
 
-def _covariances(solution: Solution, model: StateSpace,
-                 moving: StateSpace) -> tuple[Covariance | None, Covariance | None]:
-    """Return the covariance of the model of all channels, and of the moving ones."""
+def _covariance(solution: Solution, model: StateSpace) -> Covariance | None:
+    """Return the covariance of the model of all channels."""
     try:
         changes = entry_changes(*solution.source, far=solution.plant is None
                                 and not solution.samples.effort.beyond(SEARCH))
         if solution.plant is not None:
             changes = changes_of_plant(*solution.source[:2], changes)
     except np.linalg.LinAlgError:
-        return None, None
+        return None
     if not all(np.isfinite(block).all() for block in changes):
-        return None, None
+        return None
     part = solution.part.parts[solution.part.last]
-    return (Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model,
-                                  _rivals(solution, model)),
-            Covariance.of_entries(changes, moving))
+    return Covariance.of_entries(spread(changes, part.u, part.y, model.nu, model.ny), model,
+                                 _rivals(solution, model))
 
 
 def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
@@ -188,7 +186,7 @@ def _rivals(solution: Solution, model: StateSpace) -> tuple[Rival, ...]:
 def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
               changing: tuple[Change, Drift],
               seen: tuple[tuple[Excitation, ...], Array], model: StateSpace, moving: StateSpace,
-              deviation: Array, curves: Array, lead: Array) -> Evidence:
+              deviation: Array, curves: Array, lead: Array, apart: Array) -> Evidence:
     part, (change, drift) = solution.part, changing
     last = part.parts[part.last]
     whole = last.whole
@@ -230,7 +228,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
-        lead=_lead(lead, last), within=_within(solution), drift=drift,
+        lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
+        within=_within(solution), drift=drift,
         drifting=f' within record {part.numbers[drift.record]}' if part.several else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))
 

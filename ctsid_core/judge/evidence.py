@@ -28,6 +28,7 @@ class Evidence:
     driven: Array                   # (ny,): rms of what inputs explain, over the motion, or 0
     distance_to_controller: Array   # (nu,): see `ctsid_core.judge.feedback`
     lead: Array                     # (nu,): see `ctsid_core.judge.lead` [s]
+    apart: Array                    # (nu,): see `excitation.rivals_apart`
     poles: ComplexArray             # (n,)
     change: Change
     where: str                      # which window, or record, changed, and when

@@ -4,18 +4,23 @@ Where each input excites the plant, and how well the response to it is known the
 
 The standard deviation of the frequency response is averaged with the spectrum of the differenced
 response to an input, over omega: differenced, so that a single step, which is an edge, counts at
-all frequencies up to the plant's bandwidth; over omega, so that every octave counts alike. Rival
-models do not count: one with a resonance of its own, that noise alone supports, would outweigh all
-other frequencies in the mean.
+all frequencies up to the plant's bandwidth; over omega, so that every octave counts alike. Models
+that might be right instead count by how far apart they simulate what each input moves: what all
+inputs and the initial state move together they simulate alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctsid_core.bases.preparation import Usable
+from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.linear.matrix_functions import phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Covariance
 from ctsid_core.model.modal import steps_of
@@ -32,33 +37,35 @@ _TAPERED = 0.4        # of a record, at each of its ends
 _LOBE = 1.93          # lines that one sine has after the taper
 
 
-def excitations(samples: Samples, delay: Array, covariance: Covariance | None, moving: StateSpace,
-                names: tuple[str, ...], ahead: float) -> tuple[tuple[Excitation, ...], Array]:
+def excitations(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
+                ahead: float, apart: Array) -> tuple[tuple[Excitation, ...], Array]:
     """
     Return the excitation of each moving input, and how unsure the response of each output is.
 
-    Of inputs with delays (nu,) [s]: what further ones `samples` has does not count. The covariance
-    is that of the model of the moving channels, which is asked for what it does in a time `ahead`
-    [s]: of a simulation that is the record, of predictions how far they go.
+    Of the channels of `part`: what further inputs `samples` has does not count. Model and
+    covariance, of all channels, are asked for what the model does in a time `ahead` [s]: of a
+    simulation that is the record, of predictions how far they go. `apart`, (nu,): how far
+    `rivals_apart` are.
     """
-    omega, weight, lines, sent, acting = _input_spectra(samples, delay)
+    omega, weight, lines, sent, acting = _input_spectra(
+        samples, np.array(model.delay)[list(part.u)])
     # That tells a mean over a width of 1 / ahead, of modes that do not decay beside their growth.
-    width = 1.0 / ahead + np.max(moving.poles.real, initial=0.0)
-    response = replace(moving, A=moving.A - width * np.eye(moving.n)).frequency_response(
-        omega) / samples.size[:, np.newaxis]
-    variance, moved = _uncertain(samples, covariance, moving, omega, lines, width)
-    own = _uncorrelated(sent)
+    width = 1.0 / ahead + np.max(model.poles.real, initial=0.0)
+    response = _moving(replace(model, A=model.A - width * np.eye(model.n)).frequency_response(
+        omega), part) / samples.size[:, np.newaxis]
+    variance, moved = _uncertain(samples, part, covariance, model, omega, lines, width)
+    own, answer = _uncorrelated(sent), np.sum(np.abs(response) ** 2, axis=1)
     found = []
-    for j, name in enumerate(names):
-        seen = weight[:, j] * np.sum(np.abs(response[:, :, j]) ** 2, axis=1)
+    for j, place in enumerate(part.u):
+        name, seen = part.whole.input_names[place], weight[:, j] * answer[:, j]
         total = float(seen.sum())
         if not total > 0.0 or not np.isfinite(total):
             found.append(Excitation(name, frequencies=acting.count(j), own=float(own[j])))
             continue
-        part = np.cumsum(seen) / total
-        low, high = (float(omega[min(int(np.searchsorted(part, share)), len(omega) - 1)])
+        below = np.cumsum(seen) / total
+        low, high = (float(omega[min(int(np.searchsorted(below, share)), len(omega) - 1)])
                      for share in (_TAIL, 1.0 - _TAIL))
-        unsure = float(np.sqrt((weight[:, j, np.newaxis] * variance[:, :, j]).sum() / total)) \
+        unsure = float(np.hypot(np.sqrt(weight[:, j] @ variance[:, j] / total), apart[j])) \
             if own[j] > _ALONE else np.inf
         found.append(Excitation(name, low, high, acting.count(j, high), float(own[j]), unsure))
     seen = np.einsum('fij,jf->fi', response, lines)
@@ -67,31 +74,81 @@ def excitations(samples: Samples, delay: Array, covariance: Covariance | None, m
     return tuple(found), np.nan_to_num(by_output, nan=np.inf)
 
 
-def _uncertain(samples: Samples, covariance: Covariance | None, moving: StateSpace, omega: Array,
-               lines: ComplexArray, width: float) -> tuple[Array, Array]:
+def rivals_apart(samples: Samples, model: ModalModel,
+                 rivals: Sequence[tuple[float, ModalModel]]) -> Array:
     """
-    Return the variance of the response, (M, ny, nu), and that of each output's motion, (ny,).
+    Return how far apart models that might be right simulate what each input moves, (nu,).
+
+    Rms over that motion, each with its share. A constant and a ramp do not count: where a plant
+    integrates, trim and initial state stand for these.
+    """
+    if not rivals:
+        return np.zeros(samples.nu)
+    # From rest where all inputs are known, for dead times reach back by their own length.
+    samples = replace(samples, records=tuple(
+        replace(r, start=min(r.start, max(float(s.time[0]) for s in r.inputs)))
+        for r in samples.records))
+    own, found = list(_moved_by_inputs(samples, model)), np.zeros(samples.nu)
+    motion = np.sum([np.var(y, axis=0).sum(axis=0) * len(y) for _, y in own], axis=0)
+    for share, other in rivals:
+        samples.effort.check()
+        for (t, y), (_, rival) in zip(own, _moved_by_inputs(samples, other), strict=True):
+            line = np.linalg.qr(np.vander(t - t.mean(), 2))[0]
+            left = (rival - y).reshape(len(t), -1)
+            left -= line @ (line.T @ left)
+            found += share * np.sum(left.reshape(y.shape) ** 2, axis=(0, 1))
+    return np.asarray(np.sqrt(found / np.maximum(motion, 1e-300)))
+
+
+def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[Array, Array]]:
+    """
+    Yield the stamps of each stream, and what each input moves there, (N, channels, nu).
+
+    As it moves from what it is at the start of a record.
+    """
+    columns = columns_of(samples, model.poles, model.delay, direct=True, turned=False,
+                         slopes=False)
+    for record, triangles, u in zip(samples.records, columns.triangles, columns.first,
+                                    strict=True):
+        for s, t in zip(record.streams, triangles, strict=True):
+            since = s.times[:, np.newaxis] - record.start
+            held = since * phi(since * model.poles, 1)[1]
+            driven = (t.z[:, :, :-1] - held[:, :, np.newaxis] * u) * model.b
+            yield s.times, np.einsum('kmj,im->kij', driven, model.c[s.channels]).real \
+                + (t.u - u)[:, np.newaxis] * model.D[s.channels]
+
+
+def _uncertain(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
+               omega: Array, lines: ComplexArray, width: float) -> tuple[Array, Array]:
+    """
+    Return the variance of the response to each input, (M, nu), and that of outputs' motion, (ny,).
 
     Outputs over their size; infinite where nothing is known.
     """
-    variance = np.full((len(omega), samples.ny, len(lines)), np.inf)
-    moved, size = np.full(samples.ny, np.inf), samples.size
+    shape, size = (len(omega), len(lines)), samples.size
+    nothing = np.full(shape, np.inf), np.full(samples.ny, np.inf)
     if covariance is None:
-        return variance, moved
-    found, total = np.empty_like(variance), np.zeros(samples.ny)
+        return nothing
+    found, total = np.empty(shape), np.zeros(samples.ny)
     # Of many inputs and outputs all at once do not fit into the cache.
-    few = max(_AT_ONCE // max(len(covariance.entries.A) * variance[0].size, 1), 1)
+    few = max(_AT_ONCE // max(len(covariance.root) * model.nu * model.ny, 1), 1)
     for start in range(0, len(omega), few):
         samples.effort.check()
-        part = slice(start, start + few)
+        some = slice(start, start + few)
         try:
-            changes = covariance.response_changes(moving, omega[part], width)
+            changes = _moving(covariance.response_changes(model, omega[some], width), part)
         except np.linalg.LinAlgError:
-            return variance, moved
-        found[part] = np.sum(np.abs(changes) ** 2, axis=0) / size[:, np.newaxis] ** 2
-        total += np.sum(np.abs(np.einsum('rfij,jf->rfi', changes, lines[:, part])) ** 2,
-                        axis=(0, 1)) / size ** 2
+            return nothing
+        changes /= size[:, np.newaxis]
+        found[some] = np.sum(np.abs(changes) ** 2, axis=(0, 2))
+        total += np.sum(np.abs(np.einsum('rfij,jf->rfi', changes, lines[:, some])) ** 2,
+                        axis=(0, 1))
     return found, total
+
+
+def _moving(values: ComplexArray, part: Usable) -> ComplexArray:
+    """Return what belongs to moving outputs and inputs, the last axes of values of all."""
+    return values[..., list(part.y), :][..., list(part.u)]
 
 
 def _uncorrelated(u: Array) -> Array:

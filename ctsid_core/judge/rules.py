@@ -198,9 +198,13 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
             cure = alone if one.own < _UNCORRELATED else _more(one.uncertainty / KNOWN)
+            apart = e.apart[e.input_names.index(one.name)]
+            otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
+                f', for models of other orders that may be as right are {_percent(apart)} away '
+                'from it')
             yield Remedy.EXCITE, (
                 f'The response to input {one.name}{_within(e)} has a standard deviation of '
-                f'{_percent(one.uncertainty)}; {cure}.')
+                f'{_percent(one.uncertainty)}{otherwise}; {cure}.')
     for i in _largest_first(e.numbers.coloured_error, DISTURBED):
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
