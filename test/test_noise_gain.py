@@ -74,3 +74,16 @@ def test_messages_that_come_in_bursts_are_not_filled_up():
     step, (errors,) = uniform(samples, (((y[:, np.newaxis],),)))
     assert len(errors) <= 10 * len(t) + 1
     assert step * len(errors) == pytest.approx(t[-1], rel=1e-3)
+
+
+@pytest.mark.parametrize('late', [False, True])
+def test_a_sample_that_is_read_twice_tells_nothing_of_the_next(late):
+    """Lost in bursts, or stamped on receipt: white errors had a gain, and predictions were bad."""
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(3000)
+    t = np.sort(t + rng.uniform(0.0, 0.02, len(t))) if late else \
+        t[np.repeat(rng.random(300) > 0.3, 10)]
+    y = rng.standard_normal(len(t))
+    _, (errors,) = uniform(samples_of([Record.from_arrays(t, y, t, y)], [[None]]),
+                           ((y[:, np.newaxis],),))
+    assert abs(np.corrcoef(errors[1:, 0], errors[:-1, 0])[0, 1]) < 0.05

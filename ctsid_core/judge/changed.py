@@ -25,16 +25,20 @@ import numpy as np
 from ctsid_core.judge.curve import curves_of
 from ctsid_core.judge.slopes import SEARCHED, Own, only, slopes_of
 from ctsid_core.likelihood.output_error import (
-    ROUGHLY,
     Fit,
     Fitted,
     Free,
-    Residuals,
-    climb,
+    climb_roughly,
     fit_at,
     fit_states,
 )
-from ctsid_core.likelihood.residuals import independent, residuals, white_part
+from ctsid_core.likelihood.residuals import (
+    coloured_power,
+    independent,
+    mean_square,
+    residuals,
+    white_part,
+)
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 
@@ -105,7 +109,7 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         # What disturbs a record is its own, and so is its predictor.
         with suppress(np.linalg.LinAlgError):
             start = fit_at(one, fit.model.poles, fit.model.delay, free)
-            whole = climb(one, start, free, steps=_STEPS, least=ROUGHLY).model, free
+            whole = climb_roughly(one, start, free, steps=_STEPS).model, free
     found = _divisions(one, whole, whole, 0)
     if found.gain <= 0.0 or not _best(one, whole, found):
         return Change()
@@ -251,15 +255,15 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
             same = fit_states(side, model, free)
             starts = [fit_at(side, model.poles, model.delay, free, near)
                       for near in ((same, None) if samples.rank > 1 else (None,))]
-            other = climb(side, min(starts, key=lambda fit: fit.cost), free,
-                          steps=_STEPS, least=ROUGHLY)
+            other = climb_roughly(side, min(starts, key=lambda fit: fit.cost), free,
+                                  steps=_STEPS)
         except np.linalg.LinAlgError:
             return Change()
         one += residuals(side, same)
         larger += one[-1:] if whole is own else residuals(side, fit_states(side, *whole))
         two += residuals(side, min(same, other, key=lambda fit: fit.cost))
     parts = np.array([share, 1.0 - share] if share else [1.0])
-    before, after, rival = (np.array([_power((side,)) for side in both])
+    before, after, rival = (np.array([mean_square((side,)) for side in both])
                             for both in (one, two, larger))
     power, rest = parts @ rival, parts @ after
     n_eff = independent(tuple(two))
@@ -275,26 +279,12 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     where = int(np.argmax(parts @ before - rest))
     sizes = np.array([[len(e) for e in side for _ in range(e.shape[1])] for side in two])
     # No more is left than is known to be: less the deviation of a mean square.
-    chance = np.sqrt(2.0 / sizes.sum(axis=0)) * _power(tuple(two))
-    left = max(float((_coloured(tuple(two)) - chance)[where]), 0.0) / max(
-        float(_coloured(tuple(one))[where]), 1e-300)
+    chance = np.sqrt(2.0 / sizes.sum(axis=0)) * mean_square(tuple(two))
+    left = max(float((coloured_power(tuple(two)) - chance)[where]), 0.0) / max(
+        float(coloured_power(tuple(one))[where]), 1e-300)
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - fitted / len(sides), 1.0)
     missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))
     return Change(place, share, float(np.max(missed)), gain, left, *(
         (100.0 * (1.0 - float(np.sqrt(np.max(side[0])))),
          100.0 * (1.0 - float(np.sqrt(np.max(side[-1]))))) for side in (before, after)))
-
-
-def _power(errors: Residuals) -> Array:
-    """Return the mean square of the errors of each output, (ny,)."""
-    found: Array = np.concatenate([
-        np.mean(np.concatenate([own[k] for own in errors]) ** 2, axis=0)
-        for k in range(len(errors[0]))]) + 1e-300
-    return found
-
-
-def _coloured(errors: Residuals) -> Array:
-    """Return the mean square of what is not white noise, (ny,)."""
-    found: Array = np.maximum(_power(errors) - white_part(errors) ** 2, 0.0)
-    return found

@@ -23,7 +23,7 @@ from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
-from ctsid_core.likelihood.residuals import driven, residuals, white_part
+from ctsid_core.likelihood.residuals import coloured_power, driven, residuals, white_part
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
@@ -84,7 +84,6 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
-    counts['corrupt_samples'] += float(solution.hidden)
     accepted = status is Status.OK
     return Estimate(
         status=status, settings=solution.settings,
@@ -194,14 +193,12 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
     def everywhere(values: Array) -> Array:
         return _spread_out(values, last.y, whole.ny)
 
-    power = solution.fit.power.mean(axis=0)
-    white = white_part(errors)
     error: Array = np.sqrt(solution.samples.mean(solution.fit.power))
-    coloured = np.sqrt(np.maximum(power - white ** 2, 0.0))
+    coloured = np.sqrt(coloured_power(errors))
     if solution.by_prediction:
         error = solution.errors_ahead[AHEAD]
-        coloured = np.maximum(error, np.sqrt(np.maximum(error ** 2 - white ** 2, 0.0))
-                              / _moved(solution, errors))
+        coloured = np.maximum(error, np.sqrt(np.maximum(
+            error ** 2 - white_part(errors) ** 2, 0.0)) / _moved(solution, errors))
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.likelihood.output_error import ROUGHLY, Fitted, climb, fit_at
+from ctsid_core.likelihood.output_error import Fitted, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.model.simulation import free_response, respond
@@ -67,8 +67,7 @@ def _of_the_rest(simulated: Fitted, place: int, channel: int,
     samples, fit, free = simulated
     rest = _without(samples, place, channel, run)
     with suppress(np.linalg.LinAlgError):
-        fit = climb(rest, fit_at(rest, fit.model.poles, fit.model.delay, free), free,
-                    least=ROUGHLY)
+        fit = climb_roughly(rest, fit_at(rest, fit.model.poles, fit.model.delay, free), free)
     m = matrices_of(fit.model, samples.size)
     return (StateSpace(m.A, m.B, m.C, m.D, delay=tuple(fit.model.delay.tolist())),
             float(np.sqrt(fit.power[place, channel])) * float(samples.size[channel]))

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ctsid_core.likelihood.residuals import white_part
+from ctsid_core.likelihood.residuals import coloured_power
 from ctsid_core.model.estimate import Estimate
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction, simulation
@@ -48,7 +48,7 @@ def failure(estimate: Estimate, found: Validation, record: Record) -> str:
         e = (found.y - found.y_hat)[:, [i]]
         e = e[~np.isnan(e[:, 0])]
         with np.errstate(over='ignore', invalid='ignore'):      # a diverged simulation
-            coloured = np.mean(e ** 2) - white_part(((e,),))[0] ** 2
+            coloured = coloured_power(((e,),))[0]
         if not (np.isnan(found.fit[i]) or coloured <= (limit * motion[i]) ** 2):
             here, own = (np.round(fit[i], 1) + 0.0 for fit in (found.fit, estimate.fit))  # no -0.0
             told.append(f'{here} % of {record.output_names[i]} here, {own} % of its own data')

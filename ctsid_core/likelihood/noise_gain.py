@@ -38,6 +38,7 @@ _DOUBLINGS = 40       # of the samples that a filter has had, at most
 _LEAST = 0.02         # part of the errors' size that innovations must be smaller, to be worth K
 _FIXED_POINT = 20
 _SETTLED = 1e-6       # relative error of what K, or a filter, does from sample to sample
+_SAME = 1e-6          # of a step, that stamps are rounded by
 _LIMIT = 0.999        # largest magnitude of the predictor's modes, unless the plant's are larger
 _WORK, _PER_NUMBER = 1.5e7, 2e3         # work: at least, and for each entry of K and sample
 
@@ -232,6 +233,7 @@ def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
     """
     Return the errors of all outputs at uniform instants, as coarse as the slowest output.
 
+    Zero where there is no sample within half a step: one read twice would seem to tell the next.
     Samples that came in bursts are read at a few times as many instants, not at all between.
     """
     step, parts = max((cell(s.times) for r in samples.records for s in r.streams
@@ -243,6 +245,7 @@ def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
         v = np.empty((len(t), samples.ny))
         for s, e in zip(record.streams, own, strict=True):
             nearest = np.clip(np.searchsorted(s.times, t - 0.5 * step), 0, len(s.times) - 1)
-            v[:, s.channels] = e[nearest]
+            there = s.times[nearest] <= t + (0.5 + _SAME) * step
+            v[:, s.channels] = np.where(there[:, np.newaxis], e[nearest], 0.0)
         parts.append(v)
     return step, parts

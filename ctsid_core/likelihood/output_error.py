@@ -139,9 +139,10 @@ def climb(samples: Samples, start: Fit, free: Free, *, steps: int = STEPS,
     return best
 
 
-def climb_roughly(samples: Samples, start: Fit, free: Free, rival: float = np.inf) -> Fit:
+def climb_roughly(samples: Samples, start: Fit, free: Free, rival: float = np.inf,
+                  steps: int = _FEWER) -> Fit:
     """Take a model near the maximum of the likelihood, as far as it takes to compare it."""
-    return climb(samples, start, free, steps=_FEWER, least=ROUGHLY, rival=rival)
+    return climb(samples, start, free, steps=steps, least=ROUGHLY, rival=rival)
 
 
 def steps_around(samples: Samples, model: ModalModel) -> PoleSteps:

@@ -118,3 +118,18 @@ def white_part(errors: Residuals) -> Array:
         count = sum(len(e) - 2 for e in rows)
         found.append(np.sqrt(np.atleast_1d(total) / 6.0 / max(count, 1)))
     return np.concatenate(found)
+
+
+def mean_square(errors: Residuals) -> Array:
+    """Return the mean square of the errors of each output, (ny,); NaN of none."""
+    found = []
+    for stream in zip(*errors, strict=True):
+        rows = np.concatenate(stream)
+        found.append(np.sum(rows ** 2, axis=0) / (len(rows) or np.nan) + 1e-300)
+    return np.concatenate(found)
+
+
+def coloured_power(errors: Residuals) -> Array:
+    """Return the mean square of what is not white noise, (ny,)."""
+    found: Array = np.maximum(mean_square(errors) - white_part(errors) ** 2, 0.0)
+    return found

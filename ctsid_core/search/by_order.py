@@ -44,7 +44,7 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.parting import parted
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import independent, residuals, white_part
+from ctsid_core.likelihood.residuals import coloured_power, independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
@@ -99,8 +99,7 @@ class Tried:
     @property
     def unexplained(self) -> float:
         """Rms of errors that are not noise, over the motion."""
-        coloured = self.fit.power.mean(axis=0) - white_part(self.errors) ** 2
-        return float(np.sqrt(np.max(np.maximum(coloured, 0.0))))
+        return float(np.sqrt(np.max(coloured_power(self.errors))))
 
     @property
     def rms(self) -> float:

@@ -8,11 +8,12 @@ well, or all but jump.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
@@ -27,33 +28,27 @@ from ctsid_core.signals.spikes import MAD
 _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
 
-Corrupt = list[list[Mask | None]]
 
-
-def corrupt_rows(part: Joint) -> Corrupt:
+def corrupt_rows(part: Joint) -> list[list[Mask | None]]:
     """Return which rows of each output signal of each record have a corrupt sample."""
     return [[f.mask.any(axis=1) if f.any else None for f in p.corrupt_y] for p in part.parts]
 
 
-def hide_outliers(part: Joint, corrupt: Corrupt, samples: Samples, fit: Fit) -> int:
-    """Mark the rows whose errors stand out, and return how many there are."""
-    count = 0
-    for errors, p, marks, record in zip(residuals(samples, fit), part.parts, corrupt,
-                                        samples.records, strict=True):
-        for k, (e, s, signal) in enumerate(zip(errors, record.streams, p.record.outputs,
-                                               strict=True)):
-            if not _stand_out(e).any():
-                continue
-            seen = spikes(s.times, e, closely=True)
-            if not seen.any:
-                continue
-            rows = np.searchsorted(signal.time, s.times[seen.mask.any(axis=1)])
-            mask = marks[k]
-            if mask is None:
-                mask = np.zeros(len(signal.time), dtype=bool)
-            mask[rows] = True
-            marks[k], count = mask, count + len(rows)
-    return count
+def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
+    """Return the records with samples corrupt whose errors stand out, or the same if none do."""
+    parts = []
+    for errors, p, record in zip(residuals(samples, fit), part.parts, samples.records,
+                                 strict=True):
+        found = list(p.corrupt_y)
+        for k, (e, s, signal, spiky) in enumerate(zip(errors, record.streams, p.record.outputs,
+                                                      p.corrupt_y, strict=True)):
+            if _stand_out(e).any() or spiky.too_many:
+                seen, mask = spikes(s.times, e, closely=True), spiky.mask.copy()
+                mask[np.searchsorted(signal.time, s.times)] |= seen.mask
+                found[k] = replace(spiky, mask=mask, too_many=tuple(
+                    j for j in spiky.too_many if j in seen.too_many))
+        parts.append(replace(p, corrupt_y=tuple(found)))
+    return replace(part, parts=tuple(parts)) if _differ(parts, part) else part
 
 
 def _stand_out(errors: Array) -> Mask:
@@ -116,6 +111,11 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
             mask[:, list(left.too_many)] = False
             honest.append(mask)
         parts.append(p.with_honest(honest))
-    return replace(part, parts=tuple(parts)) if any(
-        (new.mask != old.mask).any() for p, q in zip(parts, part.parts, strict=True)
-        for new, old in zip(p.corrupt_y, q.corrupt_y, strict=True)) else None
+    return replace(part, parts=tuple(parts)) if _differ(parts, part) else None
+
+
+def _differ(parts: Sequence[Usable], part: Joint) -> bool:
+    """Return whether other samples are corrupt in them."""
+    return any(new.too_many != old.too_many or (new.mask != old.mask).any()
+               for p, q in zip(parts, part.parts, strict=True)
+               for new, old in zip(p.corrupt_y, q.corrupt_y, strict=True))

@@ -10,17 +10,16 @@ import numpy as np
 
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import (
-    ROUGHLY,
     Fit,
     Fitted,
     Free,
-    climb,
+    climb_roughly,
     errors_of,
     fit_at,
     fit_states,
     jacobian,
 )
-from ctsid_core.likelihood.residuals import independent, residuals
+from ctsid_core.likelihood.residuals import independent, mean_square, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import GAUGE, modal_of
 from ctsid_core.linear.least_squares import orthonormal
@@ -74,12 +73,11 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         if predictor is None:
             # From the residues of the whole: of poles that are alike no others tell them.
             near = fit_states(early, fit.model, free)
-            return climb(early, fit_at(early, fit.model.poles, fit.model.delay, free, near), free,
-                         least=ROUGHLY)
+            return climb_roughly(
+                early, fit_at(early, fit.model.poles, fit.model.delay, free, near), free)
         joint, top, own = predictor
         rest = part(joint.thinned(_SEARCHED))
-        top = climb(rest, fit_at(rest, top.model.poles, top.model.delay, own), own,
-                    least=ROUGHLY)
+        top = climb_roughly(rest, fit_at(rest, top.model.poles, top.model.delay, own), own)
         m = plant_of(top, rest, 0, free.limit)
         # Two integrators hardly differ; here six digits are enough.
         plant = None if m is None else modal_of(m, early, top.model.delay[:samples.nu], SOUND)
@@ -189,10 +187,4 @@ def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
 
 
 def _rms(samples: Samples, fit: Fit) -> Array:
-    squares, count = np.zeros(samples.ny), np.zeros(samples.ny)
-    for errors, record in zip(residuals(samples, fit), samples.records, strict=True):
-        for e, s in zip(errors, record.streams, strict=True):
-            squares[s.channels] += np.sum(e ** 2, axis=0)
-            count[s.channels] += len(e)
-    found: Array = np.sqrt(squares / np.where(count > 0.0, count, np.nan))
-    return found
+    return np.asarray(np.sqrt(mean_square(residuals(samples, fit))))

@@ -40,7 +40,6 @@ class Solution:
     # From the samples of the first part to the model that the same method makes of them; None:
     # output error from the poles of the whole
     refit: Callable[[Samples], Fit | None] | None = None
-    hidden: int = 0     # samples that stood out in its errors and were left out
     # Of a model that was found by its predictions: `samples`, `fit` and `free` are those of its
     # predictor, with the outputs' own past among the inputs. None: the model is that of `fit`
     plant: Matrices | None = None

@@ -56,7 +56,7 @@ from ctsid_core.search.by_prediction import (
     prediction_errors,
     solve_by_prediction,
 )
-from ctsid_core.search.corrupt import Corrupt, corrupt_rows, hide_outliers
+from ctsid_core.search.corrupt import corrupt_rows, without_outliers
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.settings import Settings, longest_sought, slowest_sought
@@ -84,20 +84,19 @@ Seen = Callable[..., Samples]           # the samples, outputs left out for so l
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """Return the model of records, or None if they are too short for any."""
     own = own_delays(part, settings)
-    corrupt = corrupt_rows(part)
     records = [p.record for p in part.parts]
-    most = affordable(samples_of(records, corrupt, effort=effort))
+    most = affordable(samples_of(records, corrupt_rows(part), effort=effort))
 
     def seen(ahead: float = 0.0) -> Samples:
-        return samples_of(records, corrupt, ahead, effort).thinned(most)
+        return samples_of(records, corrupt_rows(part), ahead, effort).thinned(most)
 
     samples = seen()
     free = replace(free_of(samples, own), feedthrough=False)
     given = np.array(own.delays(samples.nu))
-    predicted = None if own.feedthrough else _predicted(part, settings, corrupt, samples, free)
+    predicted = None if own.feedthrough else _predicted(part, settings, samples, free)
     # A plant that grows predictions tell at once: of closed loops many states simulate the record.
     if predicted is not None and _growth(predicted, samples) > _GROWS and (
-            solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
+            solved := _as_likely(part, settings, seen, samples, free, predicted)):
         return solved
     subspace = _Subspace(part, own, effort)
     samples, found = search_orders(samples, free, subspace.poles, order=settings.order,
@@ -116,27 +115,31 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
     if predicted is not None and _growth(predicted, samples) < -_GROWS and np.any(
             np.abs(best.fit.model.poles.real) * samples.length < _GROWS) and (
-            solved := _as_likely(part, settings, corrupt, seen, samples, free, predicted)):
+            solved := _as_likely(part, settings, seen, samples, free, predicted)):
         return solved
     if own.feedthrough:
         with_D, free = _direct(part, seen, samples, found, best, free, subspace, settings, counted)
         others, best = _with(others, best, with_D), with_D
-    samples, best, hidden = _without_outliers(part, corrupt, samples, best, free, seen)
+    cleaner = without_outliers(part, samples, best.fit)
+    if cleaner is not part:
+        part = cleaner
+        samples = seen()
+        best = climbed(samples, best, free)
     disturbed, grows = None, False
     if own.feedthrough and not effort.beyond(SEARCH) and \
             (left := best.unexplained) > UNEXPLAINED:
-        predicted = _predicted(part, settings, corrupt, samples, free)
+        predicted = _predicted(part, settings, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
         if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     if predicted is not None and (solved := _likelier(
-            part, settings, corrupt, seen, samples, best, free, predicted)):
-        return replace(solved, hidden=hidden)
+            part, settings, seen, samples, best, free, predicted)):
+        return solved
     reached = climbed(samples, best, free)
     best, free = without_needless(samples, reached, free, LEAST)
     if disturbed is not None and (solved := _disturbed(
-            part, settings, corrupt, seen, samples, best, disturbed, free, found, hidden)):
+            part, settings, seen, samples, best, disturbed, free, found)):
         return solved
     others = _with(others, reached, best)
     late = float(np.max(best.fit.model.delay, initial=0.0))
@@ -155,13 +158,12 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
-                    hidden=hidden, smaller=smaller, rivals=_rivals(others), singular_values=values,
+                    smaller=smaller, rivals=_rivals(others), singular_values=values,
                     condition=condition)
 
 
-def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
-               best: Tried, found: PredictionFit, free: Free, orders: dict[int, Tried],
-               hidden: int) -> Solution | None:
+def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
+               found: PredictionFit, free: Free, orders: dict[int, Tried]) -> Solution | None:
     """
     Return the plant that predictions found, as it simulates, if these are likelier.
 
@@ -170,12 +172,12 @@ def _disturbed(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, sa
     are known best.
     """
     plant = _plant_of(part, samples, found, free)
-    if plant is None or not _predicts_better(part, corrupt, samples, best, found):
+    if plant is None or not _predicts_better(part, samples, best, found):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
     return replace(
-        solved, hidden=hidden, simulating=(solved.samples, best.fit, free),
+        solved, simulating=(solved.samples, best.fit, free),
         smaller=_smaller(solved.samples, orders, best, replace(free, feedthrough=False)))
 
 
@@ -344,16 +346,6 @@ def _left_out(found: Container[int], order: int, settings: Settings,
             '`budget`, or set `order`',)
 
 
-def _without_outliers(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried, free: Free,
-                      seen: Seen) -> tuple[Samples, Tried, int]:
-    """Return samples and model without what stands out in its errors, and how many do."""
-    hidden = hide_outliers(part, corrupt, samples, best.fit)
-    if hidden:
-        samples = seen()
-        best = climbed(samples, best, free)
-    return samples, best, hidden
-
-
 def _direct(part: Joint, seen: Seen, samples: Samples, found: dict[int, Tried], best: Tried,
             free: Free, subspace: _Subspace, settings: Settings,
             counted: int) -> tuple[Tried, Free]:
@@ -456,22 +448,22 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     return tuple(found)
 
 
-def _predicted(part: Joint, settings: Settings, corrupt: Corrupt, samples: Samples,
+def _predicted(part: Joint, settings: Settings, samples: Samples,
                free: Free) -> PredictionFit | None:
     """Return the model that predicts best."""
     own = own_delays(part, settings)
     return solve_by_prediction(
         samples, replace(free, delays=own.unknown_delays(samples.nu)), order=settings.order,
         max_order=settings.max_order, known_delay=np.array(own.delays(samples.nu)),
-        last=_compared(part, corrupt, part.last))
+        last=_compared(part, part.last))
 
 
-def _compared(part: Joint, corrupt: Corrupt, place: int) -> Compared:
-    return Compared(place, part.parts[place].record, tuple(corrupt[place]))
+def _compared(part: Joint, place: int) -> Compared:
+    return Compared(place, part.parts[place].record, tuple(corrupt_rows(part)[place]))
 
 
-def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, samples: Samples,
-               free: Free, found: PredictionFit) -> Solution | None:
+def _as_likely(part: Joint, settings: Settings, seen: Seen, samples: Samples, free: Free,
+               found: PredictionFit) -> Solution | None:
     """Return the plant that predictions found, if likelier than the best simulation near it."""
     poles = bounded(np.linalg.eigvals(found.matrices.A).astype(complex), free.limit, np.inf)
     thin, near = samples.thinned(SEARCHED), None
@@ -480,18 +472,17 @@ def _as_likely(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen, sa
         top = climb_roughly(thin, start, free)
         near = tried(samples, fit_at(samples, top.model.poles, top.model.delay, free, top), free)
     return None if near is None else _likelier(
-        part, settings, corrupt, seen, samples, near, free, found)
+        part, settings, seen, samples, near, free, found)
 
 
-def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
-              samples: Samples, best: Tried, free: Free,
-              found: PredictionFit) -> Solution | None:
+def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
+              free: Free, found: PredictionFit) -> Solution | None:
     """
     Return the plant that predictions found where they are likelier than a simulation's.
 
     If it simulates, that is what it is judged by, else by predictions.
     """
-    if not _predicts_better(part, corrupt, samples, best, found):
+    if not _predicts_better(part, samples, best, found):
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
@@ -509,7 +500,7 @@ def _likelier(part: Joint, settings: Settings, corrupt: Corrupt, seen: Seen,
             samples, plant.simulated.fit, plant.free))
 
 
-def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Tried,
+def _predicts_better(part: Joint, samples: Samples, best: Tried,
                      found: PredictionFit) -> bool:
     """
     Return whether the plant that predictions found predicts better than a simulation's.
@@ -528,7 +519,7 @@ def _predicts_better(part: Joint, corrupt: Corrupt, samples: Samples, best: Trie
     asked = growth <= _GROWS and not np.any(
         (poles.imag > 0.0) & (np.abs(poles.real) * samples.length < _GROWS))
     for place, counts in enumerate(samples.counts):
-        record, last = samples.records[place], _compared(part, corrupt, place)
+        record, last = samples.records[place], _compared(part, place)
         # Nor do outputs count that no simulation knows the inputs of.
         cut = replace(last, record=replace(last.record, start=record.start))
         rival = replace(matrices_of(best.fit.model, samples.size, place), K=noisy.K)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
-from ctsid_core.likelihood.output_error import ROUGHLY, Fit, Free, climb, fit_at, fit_states
+from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.model.estimate import Choice
@@ -106,7 +106,7 @@ def _unproven(samples: Samples, fit: Fit, free: Free) -> bool:
         with np.errstate(over='ignore', invalid='ignore'):
             mirrored = fit_at(samples, np.where(growing, -poles.conj(), poles), fit.model.delay,
                               free)
-            steady = climb(samples, mirrored, replace(free, limit=0.0), least=ROUGHLY)
+            steady = climb_roughly(samples, mirrored, replace(free, limit=0.0))
     except np.linalg.LinAlgError:
         return True
     price = float(np.log(samples.counts.sum())) * int(np.sum(growing))
