@@ -27,7 +27,7 @@ import warnings
 import numpy as np
 from scipy.linalg import logm
 
-from ctsid_core.likelihood.mode_columns import columns_of
+from ctsid_core.likelihood.mode_columns import columns_of, least_cost
 from ctsid_core.likelihood.noise_gain import continuous_gain, predicted_states
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -37,6 +37,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
     fit_states,
 )
+from ctsid_core.likelihood.pole_steps import canonical
 from ctsid_core.likelihood.samples import Samples, slowest
 from ctsid_core.likelihood.state_space import matrices_of
 from ctsid_core.linear.matrix_functions import change_of, exponentials, phi
@@ -61,11 +62,12 @@ from ctsid_core.signals.record import Record, Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead
 AHEAD = 1                   # place of the one whose fit is reported
+_NOISES = 8                 # powers of noise in a plant, as far as its filters are tried, ...
+_HALVINGS = 2               # ... and how often closer ones are
 _PLANT, _AHEAD = 2e7, 7e3   # work of a plant, and of its predictions for each sample
 _FINAL = 2                  # orders that are climbed with all samples
 _JITTER = 0.1               # of a sample interval: of stamps
-_FORGETS = 30.0             # times e, that predictors forget their start within the record: 3
-                            # within the tenth that starts them
+_FORGETS = 10.0             # times e, that predictors forget their start within the record
 _QUICK = 0.05               # radians in a sample interval: the slowest that climbs from it find
 _DIVERGED = 2.0             # error of a prediction over the motion, from which on it is none
 _PARALLEL = 1e5             # condition of eigenvectors, beyond which they lose digits
@@ -184,13 +186,13 @@ def _orders(joint: Samples, begun: dict[int, Fit], free: Free,
 
 
 def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
-    """Return the best predictor near a start, as quick as it or slower; None: no plant."""
-    # Slower than what the regression sees only from there: else states fit what is before the
+    """Return the best predictor near a start or near a filter of its plant; None: no plant."""
+    # Slower than what the regression sees are filters alone: else states fit what is before the
     # record, and mislead elsewhere.
     quick = replace(free, limit=min(free.limit, -_QUICK / held_interval(joint)))
     best = _nearby(joint, start, quick, last)
-    other = None if best is None or joint.effort.beyond(SEARCH) else \
-        _nearby(joint, best.found.fit, free, last)
+    filtered = None if best is None or joint.effort.beyond(SEARCH) else _filter(joint, best, free)
+    other = _nearby(joint, filtered, free, last) if filtered is not None else None
     return min((one for one in (best, other) if one is not None),
                key=lambda one: one.information, default=None)
 
@@ -203,6 +205,51 @@ def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> Predictio
         top = start
     return _judged(joint, top, free, last) \
         or (None if top is start else _judged(joint, start, free, last))
+
+
+def _filter(joint: Samples, one: PredictionFit, free: Free) -> Fit | None:
+    """
+    Return the likeliest Kalman filter of a plant that noise moves as its inputs do, if likelier.
+
+    The noise at each input has the same effect on the outputs, over the frequencies looked at.
+    Predictors may be slower than the past of the regression, and climbs end before they are
+    there. With no noise in the plant poles are its own, those that grow mirrored.
+    """
+    m, n = one.matrices, len(one.matrices.A)
+    C = m.C / joint.size[:, np.newaxis]
+    omega = np.geomspace(1.0 / joint.length, 1.0 / held_interval(joint), _NOISES)
+    try:
+        responses = C @ np.linalg.solve(1j * omega[:, np.newaxis, np.newaxis] * np.eye(n) - m.A,
+                                        m.B[np.newaxis])
+    except np.linalg.LinAlgError:
+        return None
+    size = np.maximum(np.linalg.norm(responses, axis=(0, 1)), 1e-300)
+    moved, seen = (m.B / size) @ (m.B / size).T, C.T @ C
+    known: dict[float, tuple[float, ComplexArray]] = {}
+    delay = one.found.fit.model.delay
+
+    def at(noise: float) -> float:
+        if noise not in known:
+            both = np.linalg.eigvals(np.block([[m.A.T, -seen], [-noise * moved, -m.A]]))
+            poles = np.sort_complex(both)[:n]
+            stable = bool(np.all(poles.real < free.limit))          # not if any is no number
+            known[noise] = least_cost(columns_of(
+                joint, canonical(poles), delay, direct=False, slopes=False), free.trim) \
+                if stable else np.inf, poles
+        return known[noise][0]
+
+    noises = np.sort(np.linalg.norm(responses / size, 2, axis=(1, 2)) ** -2.0)
+    step = np.sqrt(noises[1:] / noises[:-1]).mean()
+    best = min((0.0, *noises.tolist()), key=at)
+    for _ in range(_HALVINGS):
+        best = min((best / step, best, best * step), key=at)
+        step = np.sqrt(step)
+    if not np.isfinite(at(best)):
+        return None
+    with suppress(np.linalg.LinAlgError):
+        fit = fit_at(joint, known[best][1], delay, free)
+        return fit if fit.cost < one.found.fit.cost else None
+    return None
 
 
 def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,

@@ -108,7 +108,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
-    order = settings.order or _neighbour(found, counted)
+    order = settings.order or _by_colour(found, counted)
     others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
@@ -249,22 +249,30 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         predictor=(found.samples, found.found.fit, found.free))
 
 
-def _neighbour(found: dict[int, Tried], chosen: int) -> int:
+def _by_colour(found: dict[int, Tried], chosen: int) -> int:
     """
-    Return the chosen order, or the one beside it that is likelier in noise of any colour.
+    Return the chosen order, or one beside it that is likelier in noise of any colour.
 
     What a disturbance or a curve of the plant leaves is hardly independent, however it is counted,
     but its own past tells most of it; and a state too few, for which a dead time stands in, shows
-    in what is new before it shows in the fit.
+    in what is new before it shows in the fit. If it leaves a vibration all smaller ones are asked.
     """
-    matters = found[chosen].power > LEAST ** 2
+    own = found[chosen]
+    matters = own.power > LEAST ** 2
     if not matters.any():
         return chosen
-    own = found[chosen]
-    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
-        n <= chosen or explains(own, found[n]) or bool(np.any(
-            found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
+    least = 1 if _vibrates(own, matters) else chosen - 1
+    return min((n for n, one in found.items() if least <= n <= chosen or n == chosen + 1 and (
+        explains(own, one) or bool(np.any(
+            one.fit.model.delay < 0.5 * own.fit.model.delay)))),
                key=lambda n: _in_colour(found[n], matters))
+
+
+def _vibrates(one: Tried, matters: Mask) -> bool:
+    """Return whether less of errors is new than seems independent: a narrow band soon turns."""
+    counts = one.samples.counts.sum(axis=0)
+    new = counts * np.exp(coloured_costs(one.errors) / counts) / one.power
+    return bool(np.any((new < one.independent) & matters))
 
 
 def _in_colour(one: Tried, matters: Mask) -> float:
@@ -438,7 +446,8 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
              beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
-    why = f', and one {"more" if beside > 0 else "less"}, because neighbouring errors are alike'
+    many = 'one more' if beside > 0 else f'{-beside} less'
+    why = f', and {many}, because neighbouring errors are alike'
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the fewest states: more would explain no more than chance '
         'does' + (why if beside else ''))]
