@@ -154,19 +154,19 @@ def test_what_other_orders_tell_otherwise_is_not_known(family, seed, number):
     """
     They were GOOD, with 56 to 70 % of another flight, of 77 to 92 that are reachable.
 
-    Their own deviations were 1 to 6 % of the response; other orders, as likely, were 24 to 48 %
+    Their own deviations were 1 to 6 % of the response; other orders, as likely, were 14 to 34 %
     away from them.
     """
     given = experiment(family, seed, number)
     found = identify(given.record, given.settings)
     assert np.mean(simulated(found.model or found.rejected_model, given.test)) < 75.0
     assert found.verdict.grade is not Grade.GOOD
-    assert found.verdict.excitation[0].uncertainty > 0.2
+    assert 'models of other orders that may be as right' in found.verdict.reason
 
 
 @pytest.mark.parametrize(('family', 'seed', 'number'), [
-    ('motor-position', 68, 0), *slow(('sliding-mass', 67, 3))])
-def test_how_others_tell_a_ramp_apart_from_trim_is_no_doubt(family, seed, number):
+    ('motor-position', 68, 0), ('sliding-mass', 70, 2), *slow(('sliding-mass', 67, 3))])
+def test_how_others_tell_a_drift_apart_from_the_start_is_no_doubt(family, seed, number):
     """Rivals of an integrator have slow poles: trim and initial state make up for those."""
     given = experiment(family, seed, number)
     found = identify(given.record, given.settings)
@@ -177,7 +177,7 @@ def test_how_others_tell_a_ramp_apart_from_trim_is_no_doubt(family, seed, number
 
 @pytest.mark.parametrize('pole', [-2.0, 0.0])
 def test_rivals_are_as_far_apart_as_what_they_simulate(pole):
-    """One gain of two is a quarter more, with a share of a quarter; of an integrator, too."""
+    """One gain of two is a quarter more, with a share of a quarter: its lines and decays apart."""
     t = np.arange(0.0, 10.0, 0.02)
     u = np.random.default_rng(1).standard_normal((500, 2)).repeat(10, axis=0)[:500]
     record = Record.from_arrays(t, u, t, t + 1.0, input_hold='zoh')
@@ -185,7 +185,7 @@ def test_rivals_are_as_far_apart_as_what_they_simulate(pole):
     own = ModalModel(np.array([pole + 0j]), np.array([[1.0, 2.0]]) + 0j, np.ones((1, 1)) + 0j,
                      np.zeros((1, 1)) + 0j, np.zeros((1, 2)), np.zeros((1, 1)), np.zeros(2))
     more = replace(own, b=own.b * [[1.25, 1.0]])
-    moved, line = np.zeros(500), np.vander(t, 2)
+    moved, line = np.zeros(500), np.column_stack((np.vander(t, 2), np.exp(pole * t)))
     for k in range(499):
         moved[k + 1] = np.exp(0.02 * pole) * moved[k] + (u[k, 0] - u[0, 0]) * (
             np.expm1(0.02 * pole) / pole if pole else 0.02)

@@ -20,6 +20,7 @@ from ctsid_core.bases.preparation import Usable
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.samples import RecordSamples, Samples
+from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.matrix_functions import phi
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.covariance import Covariance
@@ -31,6 +32,7 @@ from ctsid_core.signals.record import Signal
 _TAIL = 0.01          # of the weight that lies below, and above, the excited band
 _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
+_SAME = 1e-8          # relative singular value below which responses are alike
 _POINTS = 4096        # of the uniform grid of time, at most
 _LINES = 200          # of the spectrum of the inputs, the strongest
 _TAPERED = 0.4        # of a record, at each of its ends
@@ -79,8 +81,8 @@ def rivals_apart(samples: Samples, model: ModalModel,
     """
     Return how far apart models that might be right simulate what each input moves, (nu,).
 
-    Rms over that motion, each with its share. A constant and a ramp do not count: where a plant
-    integrates, trim and initial state stand for these.
+    Rms over that motion, each with its share. Lines and decays of the model do not count: trim and
+    initial state stand for these.
     """
     if not rivals:
         return np.zeros(samples.nu)
@@ -93,9 +95,11 @@ def rivals_apart(samples: Samples, model: ModalModel,
     for share, other in rivals:
         samples.effort.check()
         for (t, y), (_, rival) in zip(own, _moved_by_inputs(samples, other), strict=True):
-            line = np.linalg.qr(np.vander(t - t.mean(), 2))[0]
+            decays = np.exp(np.outer(t - t[0], model.poles[model.poles.imag == 0.0].real))
+            known = np.hstack((np.vander((t - t[0]) / samples.length, 2), decays))
+            known = known @ orthonormal(known, _SAME)
             left = (rival - y).reshape(len(t), -1)
-            left -= line @ (line.T @ left)
+            left -= known @ (known.T @ left)
             found += share * np.sum(left.reshape(y.shape) ** 2, axis=(0, 1))
     return np.asarray(np.sqrt(found / np.maximum(motion, 1e-300)))
 
@@ -111,6 +115,8 @@ def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[Arra
     for record, triangles, u in zip(samples.records, columns.triangles, columns.first,
                                     strict=True):
         for s, t in zip(record.streams, triangles, strict=True):
+            if not len(s.times):
+                continue
             since = s.times[:, np.newaxis] - record.start
             held = since * phi(since * model.poles, 1)[1]
             driven = (t.z[:, :, :-1] - held[:, :, np.newaxis] * u) * model.b
