@@ -7,7 +7,17 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import PLANTS, asynchronous, held, held_response, match, noisy, paper, random_plant
+from plants import (
+    PLANTS,
+    asynchronous,
+    held,
+    held_response,
+    match,
+    noisy,
+    paper,
+    plant,
+    random_plant,
+)
 import pytest
 from scipy.linalg import expm
 
@@ -247,3 +257,17 @@ def test_only_a_smooth_input_can_be_corrupt(hold, count):
     part = usable(replace(record, inputs=(replace(signal, values=values, hold=hold),)),
                   Settings())
     assert np.count_nonzero(part.corrupt_u[0].mask) == count
+
+
+@pytest.mark.parametrize('budget', [0.8, 0.0])
+def test_pulses_that_an_output_follows_at_once_are_no_spikes(budget):
+    """Within a budget no second search gives them back: D was 0, and 58 samples corrupt."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
+    u, at = np.zeros(2000), rng.integers(5, 1990, 30)
+    u[at] = 3.0 * rng.standard_normal(30)
+    u[at + 1] = u[at]
+    y = held_response(plant([[-20.0]], [[6.0]], [[1.0]], [[1.0]]), t, u[:, np.newaxis], t)[:, 0]
+    found = identify(Record.from_arrays(t, u, t, y + 0.02 * rng.standard_normal(2000),
+                                        input_hold='zoh'), Settings(budget=budget))
+    assert found.statistics['corrupt_samples'] == 0.0
+    assert found.model.D[0, 0] == pytest.approx(1.0, abs=0.01)

@@ -11,6 +11,7 @@ import numpy as np
 from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
+from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.settings import Settings
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import Record, Signal, channel_slices
@@ -102,8 +103,9 @@ def usable(record: Record, settings: Settings,
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
-    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT)
-    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE)
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
+    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
+                                   _held_at(record, outputs, settings))
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
@@ -141,11 +143,24 @@ def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[s
     return (replace(record, outputs=tuple(outputs)) if notes else record), tuple(notes)
 
 
-def _despiked(signals: list[Signal], holds: tuple[str, ...],
-              sure: float) -> tuple[list[Signal], tuple[Spikes, ...]]:
+def _held_at(record: Record, signals: list[Signal],
+             settings: Settings) -> tuple[Array | None, ...]:
+    """Return the held inputs, after their dead times, at the stamps of each signal."""
+    if not settings.feedthrough:
+        return (None,) * len(signals)
+    delays = settings.delays(record.nu)
+    held = [(signal, delays[channels]) for signal, channels in zip(
+        record.inputs, channel_slices(record.inputs), strict=True) if signal.hold == 'zoh']
+    late = sum((own for _, own in held), ())
+    return tuple(input_polynomials([u for u, _ in held], late, s.time)[0] for s in signals)
+
+
+def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
+              inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
-    found = tuple(spikes(s.time, s.values, sure) if s.hold in holds else no_spikes(s.values)
-                  for s in signals)
+    found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
+                  no_spikes(s.values)
+                  for s, direct in zip(signals, inputs, strict=True))
     return [replace(s, values=own.instead) if own.any else s
             for s, own in zip(signals, found, strict=True)], found
 

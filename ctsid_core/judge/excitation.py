@@ -86,30 +86,35 @@ def rivals_apart(samples: Samples, model: ModalModel,
     """
     if not rivals:
         return np.zeros(samples.nu)
-    # From rest where all inputs are known, for dead times reach back by their own length.
+    # From rest before the longest dead time, as far as inputs are known.
+    late = max(float(np.max(m.delay)) for m in (model, *(other for _, other in rivals)))
     samples = replace(samples, records=tuple(
-        replace(r, start=min(r.start, max(float(s.time[0]) for s in r.inputs)))
+        replace(r, start=min(r.start, max(*(float(s.time[0]) for s in r.inputs), r.start - late)))
         for r in samples.records))
     own, found = list(_moved_by_inputs(samples, model)), np.zeros(samples.nu)
-    motion = np.sum([np.var(y, axis=0).sum(axis=0) * len(y) for _, y in own], axis=0)
+    motion = np.sum([np.var(y, axis=0).sum(axis=0) * weight for weight, _, y in own], axis=0)
     for share, other in rivals:
         samples.effort.check()
-        for (t, y), (_, rival) in zip(own, _moved_by_inputs(samples, other), strict=True):
+        for (weight, t, y), (_, _, rival) in zip(own, _moved_by_inputs(samples, other),
+                                                 strict=True):
             decays = np.exp(np.outer(t - t[0], model.poles[model.poles.imag == 0.0].real))
             known = np.hstack((np.vander((t - t[0]) / samples.length, 2), decays))
             known = known @ orthonormal(known, _SAME)
             left = (rival - y).reshape(len(t), -1)
             left -= known @ (known.T @ left)
-            found += share * np.sum(left.reshape(y.shape) ** 2, axis=(0, 1))
+            found += share * weight * np.mean(left.reshape(y.shape) ** 2, axis=0).sum(axis=0)
     return np.asarray(np.sqrt(found / np.maximum(motion, 1e-300)))
 
 
-def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[Array, Array]]:
+def _moved_by_inputs(samples: Samples,
+                     model: ModalModel) -> Iterator[tuple[float, Array, Array]]:
     """
     Yield the stamps of each stream, and what each input moves there, (N, channels, nu).
 
-    As it moves from what it is at the start of a record.
+    As it moves from what it is where states begin. Before them the share of the stream in all
+    samples of its outputs.
     """
+    total = samples.counts.sum(axis=0)
     columns = columns_of(samples, model.poles, model.delay, direct=True, turned=False,
                          slopes=False)
     for record, triangles, u in zip(samples.records, columns.triangles, columns.first,
@@ -120,8 +125,9 @@ def _moved_by_inputs(samples: Samples, model: ModalModel) -> Iterator[tuple[Arra
             since = s.times[:, np.newaxis] - record.start
             held = since * phi(since * model.poles, 1)[1]
             driven = (t.z[:, :, :-1] - held[:, :, np.newaxis] * u) * model.b
-            yield s.times, np.einsum('kmj,im->kij', driven, model.c[s.channels]).real \
+            moved = np.einsum('kmj,im->kij', driven, model.c[s.channels]).real \
                 + (t.u - u)[:, np.newaxis] * model.D[s.channels]
+            yield len(s.times) / float(total[s.channels][0]), s.times, moved
 
 
 def _uncertain(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,

@@ -239,13 +239,16 @@ def uniform(samples: Samples, errors: Residuals) -> tuple[float, list[Array]]:
     step, parts = max((cell(s.times) for r in samples.records for s in r.streams
                        if len(s.times) > 1), default=samples.interval), []
     for record, own in zip(samples.records, errors, strict=True):
+        if not all(len(s.times) for s in record.streams):
+            continue
         first = max(s.times[0] for s in record.streams)
         last = min(s.times[-1] for s in record.streams)
         t = first + step * np.arange(max(int((last - first) / step), 1))
         v = np.empty((len(t), samples.ny))
         for s, e in zip(record.streams, own, strict=True):
-            nearest = np.clip(np.searchsorted(s.times, t - 0.5 * step), 0, len(s.times) - 1)
-            there = s.times[nearest] <= t + (0.5 + _SAME) * step
+            nearest = np.clip(np.searchsorted(s.times, t - (0.5 + _SAME) * step), 0,
+                              len(s.times) - 1)
+            there = s.times[nearest] < t + (0.5 - _SAME) * step
             v[:, s.channels] = np.where(there[:, np.newaxis], e[nearest], 0.0)
         parts.append(v)
     return step, parts

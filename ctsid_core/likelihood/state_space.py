@@ -189,6 +189,8 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
     for own in whole.columns.triangles:
         for t in own:
             samples.effort.check()
+            if not t.count:
+                continue
             shape = len(t.channels), t.count
             block = slice(at, at + shape[0] * shape[1])
             at = block.stop

@@ -57,7 +57,7 @@ SEARCHED = 1000       # samples of a stream that the search looks at
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
-_AKAIKE = 2.0         # price of a parameter
+AKAIKE = 2.0         # price of a parameter
 _SHORT = 0.05         # of a budget that order 1 has taken: one by one others would not be reached
 _PASSES = 4           # in which b and c of a start are found, one after the other
 SEARCH = 0.6          # of a budget that the search may take
@@ -338,8 +338,8 @@ def beats(one: Tried, other: Tried) -> bool:
 def advantage(one: Tried, other: Tried) -> float:
     """Return by how much Akaike's criterion prefers the other one, by independent samples."""
     if other.parameters >= one.parameters:
-        return criterion(one, other, _AKAIKE)
-    return -criterion(other, one, _AKAIKE)
+        return criterion(one, other, AKAIKE)
+    return -criterion(other, one, AKAIKE)
 
 
 def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> float:
@@ -385,7 +385,7 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
             fits.append(('rank', fit_at(samples, np.append(model.poles, pole), model.delay, free)))
 
     def akaike(fit: Fit) -> float:
-        return fit.cost + _AKAIKE * parameters(samples, fit, free)
+        return fit.cost + AKAIKE * parameters(samples, fit, free)
     reached: list[Fit] = []
     for start in _different(fits, each):
         best = min(map(akaike, reached), default=np.inf)
@@ -409,10 +409,10 @@ def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: floa
     def climb_on(fit: Fit) -> Fit:
         own = parameters(samples, fit, free)
         return climb_roughly(samples, fit, free, min(needed - price(samples) * own,
-                                                     best - _AKAIKE * own))
-    if (apart := parted(samples, start, free, _AKAIKE)) is None:
+                                                     best - AKAIKE * own))
+    if (apart := parted(samples, start, free, AKAIKE)) is None:
         start = climb_on(start)
-        apart = parted(samples, start, free, _AKAIKE)
+        apart = parted(samples, start, free, AKAIKE)
     return start if apart is None else climb_on(apart)
 
 

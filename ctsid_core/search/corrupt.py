@@ -42,7 +42,7 @@ def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
         found = list(p.corrupt_y)
         for k, (e, s, signal, spiky) in enumerate(zip(errors, record.streams, p.record.outputs,
                                                       p.corrupt_y, strict=True)):
-            if _stand_out(e).any() or spiky.too_many:
+            if len(e) and (_stand_out(e).any() or spiky.too_many):
                 seen, mask = spikes(s.times, e, closely=True), spiky.mask.copy()
                 mask[np.searchsorted(signal.time, s.times)] |= seen.mask
                 found[k] = replace(spiky, mask=mask, too_many=tuple(

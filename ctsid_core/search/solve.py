@@ -14,6 +14,7 @@ import numpy as np
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
+from ctsid_core.likelihood.mode_columns import ROUNDING
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -29,6 +30,7 @@ from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
 from ctsid_core.search.by_order import (
+    AKAIKE,
     LEAST,
     MORE,
     SEARCH,
@@ -109,7 +111,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
     order = settings.order or _by_colour(found, counted)
-    others = [(advantage(found[order], one), one) for n, one in found.items() if n != order]
+    others = [((advantage if order == counted else _likelier_in_colour)(found[order], one), one)
+              for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
@@ -251,7 +254,7 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
 
 def _by_colour(found: dict[int, Tried], chosen: int) -> int:
     """
-    Return the chosen order, or one beside it that is likelier in noise of any colour.
+    Return the chosen order, or another one that is likelier in noise of any colour.
 
     What a disturbance or a curve of the plant leaves is hardly independent, however it is counted,
     but its own past tells most of it; and a state too few, for which a dead time stands in, shows
@@ -269,16 +272,34 @@ def _by_colour(found: dict[int, Tried], chosen: int) -> int:
 
 
 def _vibrates(one: Tried, matters: Mask) -> bool:
-    """Return whether less of errors is new than seems independent: a narrow band soon turns."""
-    counts = one.samples.counts.sum(axis=0)
-    new = counts * np.exp(coloured_costs(one.errors) / counts) / one.power
-    return bool(np.any((new < one.independent) & matters))
+    """
+    Return whether less than half of errors is new of what seems independent.
+
+    Of a narrow band: their autocorrelation soon changes its sign, their own past tells most.
+    """
+    new = np.zeros(len(matters))
+    for own, counts in zip(one.errors, one.samples.counts, strict=True):
+        power = np.concatenate([len(e) * np.var(e, axis=0) if len(e) else np.ones(e.shape[1])
+                                for e in own])
+        new += counts ** 2 * np.exp(coloured_costs((own,)) / np.maximum(counts, 1.0)) \
+            / np.maximum(power, ROUNDING)
+    return bool(np.any((new < 0.5 * one.independent) & matters))
 
 
-def _in_colour(one: Tried, matters: Mask) -> float:
-    """Return Schwarz's criterion with errors of any colour, of the outputs that matter."""
+def _in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
+    """
+    Return Schwarz's criterion with errors of any colour, of the outputs that matter.
+
+    Unless `each` says what a parameter costs.
+    """
     costs = np.where(matters, coloured_costs(one.errors), 0.0)
-    return float(costs.sum()) + price(one.samples) * one.parameters
+    return float(costs.sum()) + (each or price(one.samples)) * one.parameters
+
+
+def _likelier_in_colour(one: Tried, other: Tried) -> float:
+    """Return by how much Akaike's criterion prefers the other one, errors of any colour."""
+    matters = np.maximum(one.power, other.power) > LEAST ** 2
+    return _in_colour(one, matters, AKAIKE) - _in_colour(other, matters, AKAIKE)
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:

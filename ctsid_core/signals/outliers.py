@@ -21,6 +21,7 @@ from ctsid_core.signals.spikes import (
     Channel,
     distance,
     find,
+    followed,
     resolution,
     standing_out,
     weights_of,
@@ -51,13 +52,15 @@ def no_spikes(values: Array) -> Spikes:
     return Spikes(np.zeros(values.shape, dtype=bool), values, np.zeros(values.shape))
 
 
-def spikes(time: Array, values: Array, sure: float = SURE, *, closely: bool = False) -> Spikes:
+def spikes(time: Array, values: Array, sure: float = SURE, *,
+           inputs: Array | None = None, closely: bool = False) -> Spikes:
     """
     Find the corrupt samples of channels (N, m) that share their increasing stamps (N,).
 
-    They lie beyond `sure` robust standard deviations; `closely`: look for small bursts even if no
-    sample stands out. Of white Gaussian noise with 10000 samples, about one record in 170 has a
-    suspect; it then has to pass the judgement, too.
+    They lie beyond `sure` robust standard deviations; `inputs` (N, nu) are held ones, that
+    channels may follow at once; `closely`: look for small bursts even if no sample stands out. Of
+    white Gaussian noise with 10000 samples, about one record in 170 has a suspect; it then has to
+    pass the judgement, too.
     """
     if len(time) < FEWEST:
         return no_spikes(values)
@@ -66,15 +69,21 @@ def spikes(time: Array, values: Array, sure: float = SURE, *, closely: bool = Fa
     too_many, instead = [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
-        if not (standing_out(off, scale, sure) or closely):
+        stands_out, direct = standing_out(off, scale, sure), None
+        if stands_out and inputs is not None and inputs.shape[1]:
+            direct = followed(row, inputs, weights)
+            off, scale, _ = distance(row - direct, weights)
+            stands_out = standing_out(off, scale, sure)
+        if not (stands_out or closely):
             continue
-        found, filled = find(Channel(time, weights, sure, resolution(row)), row)
+        found, filled = find(Channel(time, weights, sure, resolution(row)),
+                             row if direct is None else row - direct)
         if np.count_nonzero(found) > MOST * len(row):
             too_many.append(j)
         elif found.any():
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
-            instead[:, j] = np.where(found, filled, row)
+            instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
     return Spikes(mask, instead, values - instead, tuple(too_many))
 
 

@@ -11,7 +11,8 @@ there by itself, because no smooth curve joins its two sides.
 
 Sources: the median absolute deviation and its use against spikes are Hampel's (1974), J. American
 Statistical Association 69; a test against a fit without the suspects is that of Barnett and Lewis,
-Outliers in Statistical Data, chapter 7.
+Outliers in Statistical Data, chapter 7; the estimator that ignores them is Huber's (1964), Annals
+of Mathematical Statistics 35.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ _WHITE = 1.15           # the median predicts if it scatters less than this time
 _ROUNDS = 4             # smaller spikes come to light when the larger ones are gone
 _SHARP = 0.3            # of how far off a run is, that its edges show
 _REST = 0.3             # of what stands out before, that may do so without the run
+_REWEIGHTED = 8         # rounds of reweighted least squares
 MAD = 1.4826            # of a median absolute deviation: that of a normal distribution
 _STILL = 0.25           # part of differences that vanish, beyond which the others give the scale
 
@@ -153,6 +155,25 @@ def _local(off: Array, scale: float) -> Array:
     padded = np.pad(own, 1, mode='edge')
     largest = np.maximum(np.maximum(padded[:-2], padded[2:]), np.maximum(own, scale))
     return np.repeat(largest, width + (np.arange(count) < longer))
+
+
+def followed(x: Array, inputs: Array, weights: Array) -> Array:
+    """
+    Return what of a channel follows inputs at once, and jumps as they do.
+
+    Their gain is found from the jumps by Huber's estimator: spikes have little say.
+    """
+    gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
+    columns = np.array([_prediction_residual(u, weights) / gain for u in inputs.T]).T
+    off = _prediction_residual(x, weights) / gain
+    weight = np.ones(len(off))
+    for _ in range(_REWEIGHTED):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(columns * root[:, np.newaxis], off * root, rcond=1e-10)[0]
+        rest = np.abs(off - columns @ found)
+        limit = max(2.0 * MAD * float(np.median(rest)), np.finfo(float).tiny)
+        weight = limit / np.maximum(rest, limit)
+    return np.asarray(inputs @ found)
 
 
 def resolution(x: Array) -> float:
