@@ -467,8 +467,10 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
              beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
-    many = 'one more' if beside > 0 else f'{-beside} less'
-    why = f', and {many}, because neighbouring errors are alike'
+    many = 'one' if abs(beside) == 1 else f'{abs(beside)}'
+    why = f', and {many} {"more" if beside > 0 else "less"}, because ' + (
+        'neighbouring errors are alike' if abs(beside) == 1 else 'a narrow band seems to be more '
+        'independent samples than it is')
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the fewest states: more would explain no more than chance '
         'does' + (why if beside else ''))]
