@@ -81,8 +81,8 @@ def rivals_apart(samples: Samples, model: ModalModel,
     """
     Return how far apart models that might be right simulate what each input moves, (nu,).
 
-    Rms over that motion, each with its share. Lines and decays of the model do not count: trim and
-    initial state stand for these.
+    Rms over that motion, each with its share. Lines and decays of both models do not count: trim
+    and initial state stand for these.
     """
     if not rivals:
         return np.zeros(samples.nu)
@@ -95,9 +95,10 @@ def rivals_apart(samples: Samples, model: ModalModel,
     motion = np.sum([np.var(y, axis=0).sum(axis=0) * weight for weight, _, y in own], axis=0)
     for share, other in rivals:
         samples.effort.check()
+        both = np.concatenate((model.poles, other.poles))
         for (weight, t, y), (_, _, rival) in zip(own, _moved_by_inputs(samples, other),
                                                  strict=True):
-            decays = np.exp(np.outer(t - t[0], model.poles[model.poles.imag == 0.0].real))
+            decays = np.exp(np.outer(t - t[0], both[both.imag == 0.0].real))
             known = np.hstack((np.vander((t - t[0]) / samples.length, 2), decays))
             known = known @ orthonormal(known, _SAME)
             left = (rival - y).reshape(len(t), -1)

@@ -111,7 +111,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
     order = settings.order or _by_colour(found, counted)
-    others = [((advantage if order == counted else _likelier_in_colour)(found[order], one), one)
+    others = [(_advantage(found[order], one, order != counted), one)
               for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
@@ -296,10 +296,13 @@ def _in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
     return float(costs.sum()) + (each or price(one.samples)) * one.parameters
 
 
-def _likelier_in_colour(one: Tried, other: Tried) -> float:
-    """Return by how much Akaike's criterion prefers the other one, errors of any colour."""
+def _advantage(one: Tried, other: Tried, coloured: bool) -> float:
+    """Return by how much Akaike's criterion prefers the other one; with errors `coloured`, too."""
+    found = advantage(one, other)
+    if not coloured:
+        return found
     matters = np.maximum(one.power, other.power) > LEAST ** 2
-    return _in_colour(one, matters, AKAIKE) - _in_colour(other, matters, AKAIKE)
+    return min(found, _in_colour(one, matters, AKAIKE) - _in_colour(other, matters, AKAIKE))
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:
