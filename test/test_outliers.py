@@ -271,3 +271,18 @@ def test_pulses_that_an_output_follows_at_once_are_no_spikes(budget):
                                         input_hold='zoh'), Settings(budget=budget))
     assert found.statistics['corrupt_samples'] == 0.0
     assert found.model.D[0, 0] == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_only_the_model_tells_joins_what_neighbours_have_told():
+    """One sample is 300 deviations off, another one 15: held jumps of the input hide that."""
+    rng, t = np.random.default_rng(2), np.arange(0.0, 20.0, 0.02)
+    u = np.repeat(rng.standard_normal(200), 5)
+    y = held_response(plant([[-6.0]], [[6.0]], [[1.0]]), t, u[:, np.newaxis], t)[:, 0]
+    y += 0.01 * rng.standard_normal(1000)
+    y[[300, 700]] += 3.0, 0.15
+    record = Record.from_arrays(t, u, t, y, input_hold='zoh')
+    first = usable(record, Settings(feedthrough=False)).corrupt_y[0].mask
+    assert np.flatnonzero(first).tolist() == [300]
+    found = identify(record, Settings(feedthrough=False))
+    assert found.statistics['corrupt_samples.y1'] == 2.0
+    assert any(n.endswith('were not used: at 6, 14 s') for n in found.notes)
