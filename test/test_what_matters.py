@@ -20,8 +20,7 @@ from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
-from ctsid_core.search.by_order import tried
-from ctsid_core.search.solve import _vibrates, free_of
+from ctsid_core.search.solve import free_of
 from ctsid_core.settings import LONGEST_DELAY
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.reachable import models, outputs
@@ -66,33 +65,6 @@ def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed
     assert fits[0] > fits[1] + 1.0
     chosen, = (c for c in found.choices if c.name == 'order')
     assert 'because neighbouring errors are alike' in chosen.why
-
-
-def vibrating(seed, share=0.0):
-    """
-    Return a roll rate, dy/dt = 15 u - 5 y, moved by 3-2-1-1 for 10 s.
-
-    A vibration has this share of its motion, and a frequency that wanders around 24 Hz.
-    """
-    rng, h = np.random.default_rng(seed), 0.01
-    t = h * np.arange(1000)
-    moves = np.repeat([0.0, 1.0, -1.0, 1.0, -1.0, 0.0], [10, 30, 20, 10, 10, 20])
-    u = moves[np.arange(1000) // 4 % 100] * rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.2)
-    y = held_response(plant([[-5.0]], [[15.0]], [[1.0]]), t, u[:, np.newaxis], t)[:, 0]
-    wandering = 0.06 * np.sin(0.5 * np.pi * t + rng.uniform(0.0, 6.0)) \
-        + 0.002 * np.cumsum(rng.standard_normal(1000))
-    vibration = np.sqrt(2.0) * np.sin(h * np.cumsum(150.0 * np.exp(wandering)))
-    noise = share * vibration + (share > 0.0) * 0.05 * rng.standard_normal(1000)
-    return Record.from_arrays(t, u, t, y + np.std(y) * noise, input_hold='zoh')
-
-
-@pytest.mark.parametrize(('seed', 'share'), [(4, 0.15), (10, 0.3), *slow((8, 0.15), (15, 0.3))])
-def test_a_vibration_buys_no_states_and_is_no_change_of_the_plant(seed, share):
-    """Independent samples bought up to nine, WEAK; three of these were called CHANGED."""
-    found = identify(vibrating(seed, share))
-    assert found.verdict.grade is Grade.GOOD
-    assert found.model.n <= 5
-    assert simulated(found.model, vibrating(seed + 100))[0] > 97.5
 
 
 def test_what_is_left_of_an_output_that_is_all_explained_buys_no_state():
@@ -193,6 +165,17 @@ def test_rivals_are_as_far_apart_as_what_they_simulate(pole):
     left = 0.25 * (moved - line @ np.linalg.lstsq(line, moved, None)[0])
     assert rivals_apart(samples, own, [(0.25, more), (0.5, own)]) == pytest.approx(
         [0.5 * np.sqrt(np.mean(left ** 2)) / np.std(moved), 0.0], abs=1e-9)
+
+
+def test_a_jump_just_before_a_record_is_the_same_to_all_rivals():
+    """It is within the dead time of one, and before that of the other: 100 % apart it was."""
+    t_u = np.array([-1.0, -0.0005, 4.0])
+    t, u = np.arange(0.0, 10.0, 0.02), np.array([[0.0], [1.0], [0.0]])
+    record = Record((Signal(t_u, u, 'zoh'),), (Signal(t, np.cos(t)[:, np.newaxis]),), 0.0, t[-1])
+    own = ModalModel(np.array([-2.0 + 0j]), np.ones((1, 1)) + 0j, np.ones((1, 1)) + 0j,
+                     np.zeros((1, 1)) + 0j, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1))
+    later = replace(own, delay=np.array([0.001]))
+    assert rivals_apart(samples_of([record], [[None]]), own, [(1.0, later)])[0] < 0.01
 
 
 def test_a_small_jump_is_noted_and_does_not_reject():
@@ -432,25 +415,6 @@ def test_what_a_controller_makes_of_gusts_is_no_lead():
     """An input that is computed from outputs follows them: a lead explains a little of that."""
     given = experiment('rates-1x1', 1, 2)
     assert 'utputs answer' not in identify(given.record, given.settings).verdict.reason
-
-
-@pytest.mark.parametrize('errors', [[1.0], [1.0, 10.0], [0.0, -0.3]])
-def test_only_a_narrow_band_vibrates(errors):
-    """White errors, of one record or two with other noise, and such as soon turn, did in 94 %."""
-    t = np.arange(0.0, 20.0, 0.02)
-    rng, records = np.random.default_rng(3), []
-    for size in errors:
-        u = np.repeat(rng.standard_normal(100), 10)
-        y = held_response(plant([[-2.0]], [[2.0]], [[1.0]]), t, u[:, np.newaxis], t)[:, 0]
-        noise = rng.standard_normal(1000)
-        if min(errors) < 0.0:
-            noise[1:] -= 0.3 * noise[:-1]
-        records.append(Record.from_arrays(t, u, t, y + 0.02 * (abs(size) or 1.0) * noise,
-                                          input_hold='zoh'))
-    samples = samples_of(records, [[None]] * len(records))
-    free = free_of(samples, Settings(feedthrough=False, delay=0.0))
-    fit = climb(samples, fit_at(samples, np.array([-1.9 + 0j]), np.zeros(1), free), free)
-    assert not _vibrates(tried(samples, fit, free), np.array([True]))
 
 
 def test_a_record_that_a_dead_time_leaves_nothing_of():

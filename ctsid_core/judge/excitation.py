@@ -86,10 +86,9 @@ def rivals_apart(samples: Samples, model: ModalModel,
     """
     if not rivals:
         return np.zeros(samples.nu)
-    # From rest before the longest dead time, as far as inputs are known.
-    late = max(float(np.max(m.delay)) for m in (model, *(other for _, other in rivals)))
+    # From rest before any input is known to move: else a jump is within a dead time of some alone.
     samples = replace(samples, records=tuple(
-        replace(r, start=min(r.start, max(*(float(s.time[0]) for s in r.inputs), r.start - late)))
+        replace(r, start=min(r.start, *(float(s.time[0]) for s in r.inputs)))
         for r in samples.records))
     own, found = list(_moved_by_inputs(samples, model)), np.zeros(samples.nu)
     motion = np.sum([np.var(y, axis=0).sum(axis=0) * weight for weight, _, y in own], axis=0)

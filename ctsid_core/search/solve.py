@@ -14,7 +14,6 @@ import numpy as np
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import ROUNDING
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import (
     Fit,
@@ -110,7 +109,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         return None
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
-    order = settings.order or _by_colour(found, counted)
+    order = settings.order or _neighbour(found, counted)
     others = [(_advantage(found[order], one, order != counted), one)
               for n, one in found.items() if n != order]
     notes = _left_out(found, order, settings, effort)
@@ -252,38 +251,22 @@ def _as_it_simulates(part: Joint, settings: Settings, seen: Seen, samples: Sampl
         predictor=(found.samples, found.found.fit, found.free))
 
 
-def _by_colour(found: dict[int, Tried], chosen: int) -> int:
+def _neighbour(found: dict[int, Tried], chosen: int) -> int:
     """
-    Return the chosen order, or another one that is likelier in noise of any colour.
+    Return the chosen order, or the one beside it that is likelier in noise of any colour.
 
     What a disturbance or a curve of the plant leaves is hardly independent, however it is counted,
     but its own past tells most of it; and a state too few, for which a dead time stands in, shows
-    in what is new before it shows in the fit. If it leaves a vibration all smaller ones are asked.
+    in what is new before it shows in the fit.
     """
-    own = found[chosen]
-    matters = own.power > LEAST ** 2
+    matters = found[chosen].power > LEAST ** 2
     if not matters.any():
         return chosen
-    least = 1 if _vibrates(own, matters) else chosen - 1
-    return min((n for n, one in found.items() if least <= n <= chosen or n == chosen + 1 and (
-        explains(own, one) or bool(np.any(
-            one.fit.model.delay < 0.5 * own.fit.model.delay)))),
+    own = found[chosen]
+    return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
+        n <= chosen or explains(own, found[n]) or bool(np.any(
+            found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
                key=lambda n: _in_colour(found[n], matters))
-
-
-def _vibrates(one: Tried, matters: Mask) -> bool:
-    """
-    Return whether less than half of errors is new of what seems independent.
-
-    Of a narrow band: their autocorrelation soon changes its sign, their own past tells most.
-    """
-    new = np.zeros(len(matters))
-    for own, counts in zip(one.errors, one.samples.counts, strict=True):
-        power = np.concatenate([len(e) * np.var(e, axis=0) if len(e) else np.ones(e.shape[1])
-                                for e in own])
-        new += counts ** 2 * np.exp(coloured_costs((own,)) / np.maximum(counts, 1.0)) \
-            / np.maximum(power, ROUNDING)
-    return bool(np.any((new < 0.5 * one.independent) & matters))
 
 
 def _in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
@@ -470,10 +453,7 @@ def _table(settings: Settings, found: dict[int, Tried], chosen: Tried) -> tuple[
 def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
              beside: int) -> tuple[Choice, ...]:
     """Return what was chosen, and why."""
-    many = 'one' if abs(beside) == 1 else f'{abs(beside)}'
-    why = f', and {many} {"more" if beside > 0 else "less"}, because ' + (
-        'neighbouring errors are alike' if abs(beside) == 1 else 'a narrow band seems to be more '
-        'independent samples than it is')
+    why = f', and one {"more" if beside > 0 else "less"}, because neighbouring errors are alike'
     found = [] if settings.order else [Choice(
         'order', best.fit.model.n, 'the fewest states: more would explain no more than chance '
         'does' + (why if beside else ''))]
