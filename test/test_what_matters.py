@@ -167,6 +167,17 @@ def test_rivals_are_as_far_apart_as_what_they_simulate(pole):
         [0.5 * np.sqrt(np.mean(left ** 2)) / np.std(moved), 0.0], abs=1e-9)
 
 
+def test_what_an_input_moves_at_once_tells_rivals_apart_too():
+    """D alone, of 1 and of 1.3."""
+    t = np.arange(0.0, 10.0, 0.02)
+    u = np.random.default_rng(2).standard_normal(500)
+    samples = samples_of([Record.from_arrays(t, u, t, np.cos(t), input_hold='zoh')], [[None]])
+    own = ModalModel(np.array([-1.0 + 0j]), np.zeros((1, 1)) + 0j, np.ones((1, 1)) + 0j,
+                     np.zeros((1, 1)) + 0j, np.ones((1, 1)), np.zeros((1, 1)), np.zeros(1))
+    apart = rivals_apart(samples, own, [(1.0, replace(own, D=own.D * 1.3))])
+    assert apart[0] == pytest.approx(0.3, abs=0.003)
+
+
 def test_a_jump_just_before_a_record_is_the_same_to_all_rivals():
     """It is within the dead time of one, and before that of the other: 100 % apart it was."""
     t_u = np.array([-1.0, -0.0005, 4.0])
