@@ -185,13 +185,17 @@ def test_poles_that_cannot_be_moved_one_by_one_are_refused():
 
 
 def test_all_corners_of_six_poles_do_not_take_long():
-    rng = np.random.default_rng(0)
-    many = StateSpace(np.diag(-2.0 ** np.arange(-1, 5)), rng.standard_normal((6, 2)),
-                      rng.standard_normal((2, 6)), delay=(0.01, 0.02))
-    start = thread_time()
-    found = design(many, 0.03 * abs(many.poles), Weights((1.0, 1.0), (1.0, 1.0)), 0.05)
-    assert found.gains is not None, found.verdict
-    assert thread_time() - start < 2.0  # 0.5 s on a server
+    """In units of what four poles take, which have a ninth of the corners: 7 to 9 of them."""
+    rng, seconds = np.random.default_rng(0), []
+    for count in (4, 4, 6):
+        many = StateSpace(np.diag(-2.0 ** np.arange(-1, count - 1)),
+                          rng.standard_normal((count, 2)), rng.standard_normal((2, count)),
+                          delay=(0.01, 0.02))
+        start = thread_time()
+        found = design(many, 0.03 * abs(many.poles), Weights((1.0, 1.0), (1.0, 1.0)), 0.05)
+        seconds.append(thread_time() - start)
+        assert found.gains is not None, found.verdict
+    assert seconds[2] < 20.0 * min(seconds[:2])
 
 
 def test_sure_model_is_accepted():
