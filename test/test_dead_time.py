@@ -520,3 +520,20 @@ def _rolling(late, noise):
     free = Free(False, True, (True,), 1.0, -1e-6, 100.0)
     start = fit_at(samples, np.array([-1.5, -12.0]), np.array([late]), free)
     return samples, climb(samples, start, free), free
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_record_that_a_dead_time_leaves_nothing_of():
+    """3 s beside 40 s, a dead time of 4 s: it ended in an error of NumPy."""
+    rng, records = np.random.default_rng(3), []
+    for length, late in ((40.0, 200), (3.0, 0)):
+        t = np.arange(0.0, length, 0.02)
+        u = np.repeat(rng.standard_normal(len(t) // 20 + 1), 20)[:len(t)]
+        y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t,
+                          np.concatenate((np.full(late, u[0]), u))[:len(t), np.newaxis], t)[:, 0]
+        records.append(Record((Signal(t, u[:, np.newaxis], 'zoh'),), (Signal(
+            t[:-5], y[:-5, np.newaxis] + 0.05 * rng.standard_normal((len(t) - 5, 1))),),
+                              0.0, t[-1]))
+    found = identify(records)
+    assert found.model.delay[0] == pytest.approx(4.0, abs=0.05)
+    assert found.model.poles[0].real == pytest.approx(-3.0, rel=0.1)

@@ -7,7 +7,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from ctsid_core.likelihood.noise_gain import _filtering, continuous_gain, noise_gain, uniform
 from ctsid_core.likelihood.samples import samples_of
-from ctsid_core.signals.record import Record
+from ctsid_core.signals.record import Record, Signal
 
 STEP = 0.02
 
@@ -87,3 +87,18 @@ def test_a_sample_that_is_read_twice_tells_nothing_of_the_next(late):
     _, (errors,) = uniform(samples_of([Record.from_arrays(t, y, t, y)], [[None]]),
                            ((y[:, np.newaxis],),))
     assert abs(np.corrcoef(errors[1:, 0], errors[:-1, 0])[0, 1]) < 0.05
+
+
+def test_a_sample_half_a_step_from_two_instants_is_read_once():
+    """Outputs at 10 Hz, one half an interval before the other, a third of its samples lost."""
+    rng = np.random.default_rng(0)
+    t = 0.1 * np.arange(3000)
+    kept = rng.random(3000) > 0.3
+    kept[[0, -1]] = True
+    y = rng.standard_normal((np.count_nonzero(kept), 1))
+    record = Record((Signal(t, t[:, np.newaxis], 'zoh'),), (
+        Signal(t[kept], y), Signal(t + 0.05, t[:, np.newaxis])), 0.0, t[-1] + 0.05)
+    _, (errors,) = uniform(samples_of([record], [[None] * 2]), ((y, np.zeros((3000, 1))),))
+    seen = errors[errors[:, 0] != 0.0, 0]
+    assert len(seen) >= np.count_nonzero(kept) - 2
+    assert len(np.unique(seen)) == len(seen)

@@ -286,3 +286,19 @@ def test_what_only_the_model_tells_joins_what_neighbours_have_told():
     found = identify(record, Settings(feedthrough=False))
     assert found.statistics['corrupt_samples.y1'] == 2.0
     assert any(n.endswith('were not used: at 6, 14 s') for n in found.notes)
+
+
+def test_pulses_that_a_model_explains_are_not_told_to_be_too_many_spikes():
+    """A fast lag, 60 pulses of 2 samples: 6 % of the samples lie far from their neighbours."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.01)
+    u, at = np.zeros(2000), rng.choice(np.arange(5, 1990, 3), 60, replace=False)
+    u[at] = 3.0 * rng.standard_normal(60)
+    u[at + 1] = u[at]
+    y = held_response(plant([[-150.0]], [[150.0]], [[1.0]]), t, u[:, np.newaxis], t + 0.004)[:, 0]
+    record = Record.from_arrays(t, u, t + 0.004, y + 0.02 * rng.standard_normal(2000),
+                                input_hold='zoh')
+    settings = Settings(feedthrough=False)
+    assert usable(record, settings).corrupt_y[0].too_many == (0,)
+    found = identify(record, settings)
+    assert found.statistics['corrupt_samples'] == 0.0
+    assert not any('lie far from their neighbours' in note for note in found.notes)

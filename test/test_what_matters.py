@@ -53,10 +53,10 @@ def test_an_order_that_is_given_is_fitted_as_well_as_by_brute_force(family, orde
     assert fit > reached - 0.3
 
 
-@pytest.mark.parametrize(('family', 'seed', 'number', 'counted', 'order'), [
-    ('backlash', 22, 4, 3, 4), *slow(('gain-drift', 16, 3, 1, 2))])
+@pytest.mark.parametrize(('family', 'seed', 'number', 'counted', 'order', 'rivals'), [
+    ('backlash', 22, 4, 3, 4, {4}), ('gain-drift', 16, 3, 1, 2, {3})])
 def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed, number, counted,
-                                                                    order):
+                                                                    order, rivals):
     """A state is not bought for a disturbance, nor missed for a plant's curve that is coloured."""
     given = experiment(family, seed, number)
     found, other = identify(given.record), identify(given.record, Settings(order=counted))
@@ -65,6 +65,8 @@ def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed
     assert fits[0] > fits[1] + 1.0
     chosen, = (c for c in found.choices if c.name == 'order')
     assert 'because neighbouring errors are alike' in chosen.why
+    # What the colour refused might not be right instead, however many samples seem independent.
+    assert {rival.model.n for rival in found.covariance.rivals} == rivals
 
 
 def test_what_is_left_of_an_output_that_is_all_explained_buys_no_state():
@@ -137,15 +139,16 @@ def test_what_other_orders_tell_otherwise_is_not_known(family, seed, number):
     assert 'models of other orders that may be as right' in found.verdict.reason
 
 
-@pytest.mark.parametrize(('family', 'seed', 'number'), [
-    ('motor-position', 68, 0), ('sliding-mass', 70, 2), *slow(('sliding-mass', 67, 3))])
-def test_how_others_tell_a_drift_apart_from_the_start_is_no_doubt(family, seed, number):
+@pytest.mark.parametrize(('family', 'seed', 'number', 'fit'), [
+    ('motor-position', 68, 0, 98.0), ('sliding-mass', 70, 2, 98.0), *slow(
+        ('sliding-mass', 67, 3, 98.0), ('sliding-mass', 70, 5, 96.0))])
+def test_how_others_tell_a_drift_apart_from_the_start_is_no_doubt(family, seed, number, fit):
     """Rivals of an integrator have slow poles: trim and initial state make up for those."""
     given = experiment(family, seed, number)
     found = identify(given.record, given.settings)
     assert found.covariance.rivals
     assert found.verdict.grade is Grade.GOOD
-    assert np.mean(simulated(found.model, given.test)) > 98.0
+    assert np.mean(simulated(found.model, given.test)) > fit
 
 
 @pytest.mark.parametrize('pole', [-2.0, 0.0])
@@ -167,6 +170,21 @@ def test_rivals_are_as_far_apart_as_what_they_simulate(pole):
         [0.5 * np.sqrt(np.mean(left ** 2)) / np.std(moved), 0.0], abs=1e-9)
 
 
+def test_outputs_tell_rivals_apart_alike_however_often_they_are_sampled():
+    """Two outputs of one lag, the gain of one in doubt: of 50 or of 500 samples."""
+    u, found = np.random.default_rng(3).standard_normal((500, 1)), []
+    t = np.arange(0.0, 10.0, 0.02)
+    for step in (1, 10):
+        times = (t, t[::step])
+        record = Record((Signal(t, u, 'zoh'),), tuple(
+            Signal(k, np.sin(k)[:, np.newaxis]) for k in times), 0.0, t[-1])
+        own = ModalModel(np.array([-1.0 + 0j]), np.ones((1, 1)) + 0j, np.ones((2, 1)) + 0j,
+                         np.zeros((1, 1)) + 0j, np.zeros((2, 1)), np.zeros((1, 2)), np.zeros(1))
+        other = replace(own, c=own.c * [[1.0], [1.5]])
+        found.append(rivals_apart(samples_of([record], [[None] * 2]), own, [(1.0, other)])[0])
+    assert found[1] == pytest.approx(found[0], rel=0.1)
+
+
 def test_what_an_input_moves_at_once_tells_rivals_apart_too():
     """D alone, of 1 and of 1.3."""
     t = np.arange(0.0, 10.0, 0.02)
@@ -183,7 +201,7 @@ def test_a_jump_just_before_a_record_is_the_same_to_all_rivals():
     t_u = np.array([-1.0, -0.0005, 4.0])
     t, u = np.arange(0.0, 10.0, 0.02), np.array([[0.0], [1.0], [0.0]])
     record = Record((Signal(t_u, u, 'zoh'),), (Signal(t, np.cos(t)[:, np.newaxis]),), 0.0, t[-1])
-    own = ModalModel(np.array([-2.0 + 0j]), np.ones((1, 1)) + 0j, np.ones((1, 1)) + 0j,
+    own = ModalModel(np.array([-1.0 + 3j]), np.ones((1, 1)) + 0j, np.ones((1, 1)) + 0j,
                      np.zeros((1, 1)) + 0j, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1))
     later = replace(own, delay=np.array([0.001]))
     assert rivals_apart(samples_of([record], [[None]]), own, [(1.0, later)])[0] < 0.01
@@ -426,19 +444,3 @@ def test_what_a_controller_makes_of_gusts_is_no_lead():
     """An input that is computed from outputs follows them: a lead explains a little of that."""
     given = experiment('rates-1x1', 1, 2)
     assert 'utputs answer' not in identify(given.record, given.settings).verdict.reason
-
-
-def test_a_record_that_a_dead_time_leaves_nothing_of():
-    """3 s beside 40 s, a dead time of 4 s: it ended in an error of NumPy."""
-    rng, records = np.random.default_rng(3), []
-    for length, late in ((40.0, 200), (3.0, 0)):
-        t = np.arange(0.0, length, 0.02)
-        u = np.repeat(rng.standard_normal(len(t) // 20 + 1), 20)[:len(t)]
-        y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t,
-                          np.concatenate((np.full(late, u[0]), u))[:len(t), np.newaxis], t)[:, 0]
-        records.append(Record((Signal(t, u[:, np.newaxis], 'zoh'),), (Signal(
-            t[:-5], y[:-5, np.newaxis] + 0.05 * rng.standard_normal((len(t) - 5, 1))),),
-                              0.0, t[-1]))
-    found = identify(records)
-    assert found.model.delay[0] == pytest.approx(4.0, abs=0.05)
-    assert found.model.poles[0].real == pytest.approx(-3.0, rel=0.1)

@@ -179,8 +179,9 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             f'and of the outputs raise the fit by {e.numbers.curve_gain[i]:.1f} %, so something '
             'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
             'less.')
-    moving = [x for j, x in enumerate(e.numbers.excitation) if j not in e.fixed_inputs]
-    for one in moving:
+    moving = [both for j, both in enumerate(zip(e.numbers.excitation, e.apart, strict=False))
+              if j not in e.fixed_inputs]
+    for one, _ in moving:
         if one.frequencies < min(len(e.poles), _SINES) + _LEAKS:
             count = round(one.frequencies)
             yield Remedy.EXCITE, (
@@ -192,13 +193,12 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
                 f'Nearly all of the response to input {one.name} is at '
                 f'{one.low / (2.0 * np.pi):.2g} Hz, which fits many models; excite more '
                 'frequencies (a sweep, steps, noise).')
-    for one in sorted(moving, key=lambda x: np.nan_to_num(x.uncertainty, nan=np.inf),
-                      reverse=True):
+    for one, apart in sorted(moving, key=lambda both: np.nan_to_num(
+            both[0].uncertainty, nan=np.inf), reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = 'move it independently of the other inputs (only ' \
                 f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
             cure = alone if one.own < _UNCORRELATED else _more(one.uncertainty / KNOWN)
-            apart = e.apart[e.input_names.index(one.name)]
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
                 f', for models of other orders that may be as right are {_percent(apart)} away '
                 'from it')

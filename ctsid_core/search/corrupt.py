@@ -29,9 +29,9 @@ _STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looke
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
 
 
-def corrupt_rows(part: Joint) -> list[list[Mask | None]]:
-    """Return which rows of each output signal of each record have a corrupt sample."""
-    return [[f.mask.any(axis=1) if f.any else None for f in p.corrupt_y] for p in part.parts]
+def corrupt_rows(part: Usable) -> tuple[Mask | None, ...]:
+    """Return which rows of each output signal of a record have a corrupt sample."""
+    return tuple(f.mask.any(axis=1) if f.any else None for f in part.corrupt_y)
 
 
 def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
@@ -44,7 +44,7 @@ def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
                                                       p.corrupt_y, strict=True)):
             if len(e) and (_stand_out(e).any() or spiky.too_many):
                 seen, mask = spikes(s.times, e, closely=True), spiky.mask.copy()
-                mask[np.searchsorted(signal.time, s.times)] |= seen.mask
+                mask[np.searchsorted(signal.time, s.times)] = seen.mask
                 found[k] = replace(spiky, mask=mask, too_many=tuple(
                     j for j in spiky.too_many if j in seen.too_many))
         parts.append(replace(p, corrupt_y=tuple(found)))

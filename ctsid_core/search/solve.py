@@ -85,11 +85,14 @@ Seen = Callable[..., Samples]           # the samples, outputs left out for so l
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """Return the model of records, or None if they are too short for any."""
     own = own_delays(part, settings)
-    records = [p.record for p in part.parts]
-    most = affordable(samples_of(records, corrupt_rows(part), effort=effort))
+
+    def known(ahead: float = 0.0) -> Samples:
+        return samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)),
+                          ahead, effort)
+    most = affordable(known())
 
     def seen(ahead: float = 0.0) -> Samples:
-        return samples_of(records, corrupt_rows(part), ahead, effort).thinned(most)
+        return known(ahead).thinned(most)
 
     samples = seen()
     free = replace(free_of(samples, own), feedthrough=False)
@@ -474,7 +477,8 @@ def _predicted(part: Joint, settings: Settings, samples: Samples,
 
 
 def _compared(part: Joint, place: int) -> Compared:
-    return Compared(place, part.parts[place].record, tuple(corrupt_rows(part)[place]))
+    own = part.parts[place]
+    return Compared(place, own.record, corrupt_rows(own))
 
 
 def _as_likely(part: Joint, settings: Settings, seen: Seen, samples: Samples, free: Free,

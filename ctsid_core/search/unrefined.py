@@ -39,7 +39,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
                        'as 0')
     settings = settings.with_known_delays().replace(refine=False)
     own = own_delays(part, settings)
-    samples = samples_of([p.record for p in part.parts], corrupt_rows(part),
+    samples = samples_of([p.record for p in part.parts], list(map(corrupt_rows, part.parts)),
                          max(own.delays(len(part.parts[0].u))), effort)
     free = replace(free_of(samples, own), delays=(False,) * samples.nu, limit=np.inf)
     orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
