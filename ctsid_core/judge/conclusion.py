@@ -12,7 +12,7 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
-from ctsid_core.judge.drift import Drift, drift_of
+from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller
@@ -70,7 +70,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                        apart)
     effort.check()
     # Predictions take up what curves do: of a model found by them its plant is simulated.
-    curves = curve_gains(*(simulated or (samples, fit, solution.free)))
+    curves = curve_gains(*(simulated or (samples, fit, solution.free)),
+                         solution.drifting and solution.drifting[0])
     if simulated is not None and solution.plant is not None and curves.any():
         # A controller makes curves of what disturbs the plant, which its predictor does not see.
         curves = np.where(curve_gains(*solution.source) > 0.0, curves, 0.0)
@@ -78,8 +79,9 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     lead = np.zeros(moving.nu) if simulated is None or not sought or effort.over else \
         lead_of_outputs(*simulated, sought)
     change = Change() if solution.refit or simulated is None else \
+        most_likely_change(*solution.drifting) if solution.drifting is not None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
-    drift = _drift(solution) if change.cost <= NOTED else Drift()
+    drift = _drift(solution) if solution.drifting or change.cost <= NOTED else Drift()
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)
@@ -159,8 +161,12 @@ def _with_trim(solution: Solution, record: int) -> Matrices:
 def _covariance(solution: Solution, model: StateSpace) -> Covariance | None:
     """Return the covariance of the model of all channels."""
     try:
-        changes = entry_changes(*solution.source, far=solution.plant is None
+        changes = entry_changes(*(solution.drifting or solution.source), far=solution.plant is None
                                 and not solution.samples.effort.beyond(SEARCH))
+        if solution.drifting is not None:
+            nu = solution.samples.nu
+            changes = changes._replace(B=changes.B[:, :, :nu], D=changes.D[:, :, :nu],
+                                       delay=changes.delay[:, :nu])
         if solution.plant is not None:
             changes = changes_of_plant(*solution.source[:2], changes)
     except np.linalg.LinAlgError:
@@ -227,12 +233,17 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         within=_within(solution), drift=drift,
-        drifting=f' within record {part.numbers[drift.record]}' if part.several else '',
+        drifting=f' within record {part.numbers[drift.record]}'
+        if part.several and drift.record >= 0 else '',
         faults=part.numbered([p.whole.faults for p in part.parts]))
 
 
 def _drift(solution: Solution) -> Drift:
     """Return how the plant drifts; of one that predictions found if its predictor does, too."""
+    if solution.drifting is not None:
+        last = solution.part.parts[solution.part.last]
+        return drift_of_inputs([last.whole.input_names[j] for j in last.u], solution.fit,
+                               solution.drifting)
     if solution.refit or solution.simulated is None:
         return Drift()
     drift = drift_of(*solution.simulated)

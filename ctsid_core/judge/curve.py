@@ -42,17 +42,21 @@ _DEPENDENT = 1e-4     # part of a column that others do not explain: less is rou
 _LEAST = 0.02         # motion within a tenth of a record, over all: less is as much
 
 
-def curve_gains(samples: Samples, fit: Fit, free: Free) -> Array:
+def curve_gains(samples: Samples, fit: Fit, free: Free,
+                drifting: Samples | None = None) -> Array:
     """
     Return the points of fit that curves gain after the model, less those by chance, (ny,) [%].
 
-    They are points of the motion within a tenth of a record.
+    They are points of the motion within a tenth of a record. What inputs that drift explain, too,
+    each there twice, is left to these.
     """
     samples = samples.thinned(_SEARCHED)
     model, gains, errors = fit.model, np.zeros(samples.ny), residuals(samples, fit)
     if not samples.counts.all():
         return gains
-    columns = columns_of(samples, model.poles, model.delay, direct=free.feedthrough, turned=False)
+    whole = samples if drifting is None else drifting.thinned(_SEARCHED)
+    columns = columns_of(whole, model.poles, np.append(model.delay, np.resize([*model.delay, 0.0], whole.nu - samples.nu)),
+                         direct=free.feedthrough, turned=False)
     samples.effort.spend(evaluation_work(samples, len(model.poles)))
     curved = _powers(samples, errors)
     for k, stream in enumerate(samples.records[0].streams):

@@ -21,15 +21,8 @@ from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.by_order import (
-    SEARCHED,
-    Tried,
-    beats,
-    criterion,
-    parameters,
-    price,
-    tried,
-)
+from ctsid_core.search.by_order import SEARCHED
+from ctsid_core.search.tried import Tried, beats, criterion, parameters, price, tried
 
 _REACH = 0.1          # of the longest record: leads that are looked for
 WITHIN = 2.0          # intervals of an input: half a one is of a wrong hold, and one is too little

@@ -39,6 +39,7 @@ _CONTROLLER = 0.35      # of 1: what 1 + C G is of a model that is minus one ove
 _DRIVEN = 0.5           # held-out error over what inputs explain: less, and it follows them
 _UNEXPLAINED = 0.8      # error that is not white noise, over the motion: no model at all
 _CURVED = 6.0           # points of fit that curves of inputs and outputs gain after the model
+_DRIFTED = 15.0         # per cent of the motion that the mean of a plant that drifts misses
 _CHANGED = 3.0          # per cent of the motion that one model misses, and two do not
 _FRESH_RATIO = 1.5      # rms error of the previous model on new data over that on older data
 _FRESH_FIT = 90.0       # fresh fit [%] above which that does not matter
@@ -85,6 +86,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
+    if e.drift.cost > _DRIFTED:
+        yield Status.CHANGED, Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for i in _largest_first(e.numbers.coloured_error, _UNEXPLAINED):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
@@ -111,18 +114,27 @@ def _changed(e: Evidence) -> str:
             f'{e.change.cost:.0f} % of the motion; identify each side by itself.')
 
 
+def _drift(e: Evidence) -> str:
+    """Return that the plant drifts, and how, in words."""
+    what, cure = ('the dead time drifts', f', or correct stamps by clocks that run apart '
+                  f'({_BY_LOG})') if e.drift.late else ('the plant drifts', '')
+    moves = ', '.join(f'the {name} of {one.name} by {value}' for one in e.drift.inputs
+                      for name, value, size in (
+                          ('gain', f'{100.0 * one.gain:+.0f} %', one.gain),
+                          ('dead time', f'{one.late:+.2g} s', one.late)) if size)
+    return (f'{what}{e.drifting}{f" ({moves} from start to end)" * bool(moves)}: constant numbers '
+            f'miss {e.drift.cost:.1f} % of the motion that numbers on straight lines do not; the '
+            f'model is of the mean: take shorter windows for what it is now{cure}')
+
+
 def change_note(e: Evidence) -> tuple[str, ...]:
     """Return a sentence on a change of the plant that is small, or on a drift, or none."""
     if NOTED < e.change.cost <= _CHANGED:
         return (f'perhaps the plant changed a little {e.where}: there one model misses '
                 f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
                 'accepted)',)
-    if e.drift.cost:
-        what, cure = ('the dead time drifts', f', or correct stamps by clocks that run apart '
-                      f'({_BY_LOG})') if e.drift.late else ('the plant drifts', '')
-        return (f'perhaps {what}{e.drifting}: constant numbers miss {e.drift.cost:.1f} % of the '
-                'motion that numbers on straight lines do not; the model is of the mean: take '
-                f'shorter windows for what it is now{cure}',)
+    if e.drift.cost > NOTED:
+        return (f'perhaps {_drift(e)}',)
     return ()
 
 

@@ -6,16 +6,6 @@ A model of order n starts from those of order n - 1 and n - 2 with the real pole
 promises most (`pole_grid.py`), at dead times kept, halved, zero or on a grid; with the resonance
 that the errors of order n - 2 point at; and from the poles of HD-PBSID. Each finds what others do
 not. The most promising ones of different kinds climb to the maximum of the likelihood.
-
-How much evidence there is for one more state depends on how many samples are independent:
-
-    N_eff = N / (1 + 2 sum_k rho_k)
-
-with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
-Model errors are neither white nor new information, and states that imitate them are not bought.
-Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
-errors fall: as many numbers as there are independent samples explain any of them. Of an order that
-HD-PBSID points at, both models' errors say how many these are.
 """
 
 from __future__ import annotations
@@ -23,13 +13,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import ROUNDING, evaluation_work
+from ctsid_core.likelihood.mode_columns import evaluation_work
 from ctsid_core.likelihood.noise_gain import gain_work
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
@@ -37,74 +27,46 @@ from ctsid_core.likelihood.output_error import (
     Fit,
     Free,
     Guess,
-    Residuals,
-    climb,
     climb_roughly,
     fit_at,
 )
 from ctsid_core.likelihood.parting import parted
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_power, independent, residuals
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.search.drifting import drifting
 from ctsid_core.search.pole_grid import PoleGrid
+from ctsid_core.search.tried import (
+    AKAIKE,
+    ENOUGH,
+    UNEXPLAINED,
+    Tried,
+    beats,
+    choose,
+    climbed,
+    parameters,
+    price,
+    tried,
+)
 
-ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
-_CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
-LEAST = 1e-4          # if the errors were more than this part of the motion
 SEARCHED = 1000       # samples of a stream that the search looks at
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
-AKAIKE = 2.0          # price of a parameter
 _SHORT = 0.05         # of a budget that order 1 has taken: one by one others would not be reached
 _PASSES = 4           # in which b and c of a start are found, one after the other
 SEARCH = 0.6          # of a budget that the search may take
-POINT = 0.4           # of a budget that a look at where to begin may take
-_NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
 _STATES = 6           # of so many states, before it is known of how many,
 _FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
-UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
+POINT = 0.4           # of a budget that a look at where to begin may take
+_NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
 
 SubspacePoles = Callable[[int, Array], Iterator[ComplexArray]]
-
-
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """The best model of one order."""
-
-    samples: Samples    # that it is of
-    fit: Fit
-    power: Array        # (ny,): mean square of the errors of each output, over all records
-    parameters: int
-    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
-    # own errors say, too, how much there is to know
-    pointed: bool = False
-
-    @cached_property
-    def errors(self) -> Residuals:
-        """Measured less simulated outputs."""
-        return residuals(self.samples, self.fit)
-
-    @cached_property
-    def independent(self) -> Array:
-        """Number of independent samples among the errors of each output, (ny,)."""
-        return independent(self.errors)
-
-    @property
-    def unexplained(self) -> float:
-        """Rms of errors that are not noise, over the motion."""
-        return float(np.sqrt(np.max(coloured_power(self.errors))))
-
-    @property
-    def rms(self) -> float:
-        """Rms error over the motion, of all outputs together."""
-        return float(np.sqrt(np.mean(self.power)))
 
 
 def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
@@ -151,6 +113,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
             best = max(best, _pointed((fit.model.delay,), subspace, grid, free, max_order))
     if found and not order:
         _without_modes(thin, found, free)
+        _with_drift(thin, found, free)
     if thin is samples or order not in (0, *found):
         return samples, found
     chosen = order or choose(found)
@@ -173,6 +136,16 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
                     found[n] = tried(samples, climb_roughly(samples, fit, free), free,
                                      found[n].pointed)
+
+
+def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
+    """Ask what orders up to the chosen one explain with inputs that drift."""
+    chosen = choose(found)
+    for n in sorted(n for n in found if n <= chosen):
+        if samples.effort.beyond(SEARCH):
+            break
+        found[n] = replace(found[n], drifting=drifting(
+            samples, found[n], free, found[chosen].fit.cost))
 
 
 def _fewer(fit: Fit) -> Iterator[tuple[ComplexArray, Guess | None]]:
@@ -259,87 +232,6 @@ def _later(samples: Samples, n: int) -> float:
     # Of two covariances: which dead times are needless is asked before the end.
     return _LATER * evaluation_work(samples, (n + 1) // 2) + 2.0 * covariance_work(samples, n) \
         + gain_work(samples, n)
-
-
-def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
-    """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
-
-
-def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tried:
-    """Return a model at the maximum of the likelihood of other samples, or on the way there."""
-    return tried(samples, climb(samples, _again(samples, one.fit, free), free, steps=steps), free,
-                 one.pointed)
-
-
-def parameters(samples: Samples, fit: Fit, free: Free) -> int:
-    """
-    Return how many numbers a model has, its gauge apart.
-
-    A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
-    """
-    records, both = len(samples.records), samples.nu + samples.ny
-    of_modes = sum((1 + (p.imag > 0.0)) * (rank * (both - rank) + 1)
-                   for p, rank in Counter(fit.model.poles.tolist()).items())
-    return int(of_modes + fit.model.n * records + samples.ny * samples.nu * free.feedthrough
-               + samples.ny * records * free.trim + sum(free.delays))
-
-
-def price(samples: Samples) -> float:
-    """Return what a number costs by Schwarz's criterion, in -2 log likelihood."""
-    return float(np.log(np.max(samples.counts.sum(axis=0))))
-
-
-def choose(found: dict[int, Tried]) -> int:
-    """Return the smallest order that no larger one beats, by independent samples."""
-    orders = sorted(found)
-    chosen = orders[-1]
-    for n in orders:
-        own = found[n]
-        if not any(criterion(own, found[m]) > 0.0 for m in orders if m > n):
-            chosen = n
-            break
-    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen]))
-
-
-def explains(smaller: Tried, larger: Tried) -> bool:
-    """Return whether what the larger one explains beyond the smaller one matters."""
-    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
-    return bool(np.max(before - after) > ENOUGH ** 2 or
-                np.max((before / after)[before > LEAST ** 2], initial=0.0) > _CLEANER)
-
-
-def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
-    """
-    Return how much more likely the larger one is than its further parameters may cost.
-
-    A parameter costs the logarithm of the number of independent samples, unless `price` says.
-    """
-    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
-    n_eff = np.maximum(smaller.independent, 2.0)
-    # Zellner's prior of unit information: numbers as many as samples explain anything.
-    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
-    unit = 1.0 / max(float(known), 2.0)
-    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
-    # An output that fits a little worse for the sake of another is no evidence against it.
-    gain = np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
-    share = np.maximum(gain, 1e-6)
-    each = price or float(share @ np.log(n_eff) / share.sum())
-    return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
-
-
-def beats(one: Tried, other: Tried) -> bool:
-    """Return whether a model is to be taken instead of another: with more numbers, if it gains."""
-    if one.parameters <= other.parameters:
-        return criterion(one, other) <= 0.0
-    return criterion(other, one) > 0.0 and explains(other, one)
-
-
-def advantage(one: Tried, other: Tried) -> float:
-    """Return by how much Akaike's criterion prefers the other one, by independent samples."""
-    if other.parameters >= one.parameters:
-        return criterion(one, other, AKAIKE)
-    return -criterion(other, one, AKAIKE)
 
 
 def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import entry_changes
-from ctsid_core.search.by_order import Tried, criterion, tried
+from ctsid_core.search.tried import Tried, criterion, tried
 
 _SURE = 6.0           # standard deviations from which on a dead time is not asked by itself
 _MATTERS = 0.003      # of the motion: what a dead time that stays may gain at least

@@ -45,6 +45,8 @@ class Solution:
     plant: Matrices | None = None
     # Of a plant that predictions found and simulations are judged by: its predictor
     predictor: Fitted | None = None
+    # With inputs that drift, of which the model is the mean; each input is there twice
+    drifting: Fitted | None = None
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
     # What tells whether the plant changes or is curved: of a stable plant that was found by its

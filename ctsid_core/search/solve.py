@@ -28,24 +28,7 @@ from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
-from ctsid_core.search.by_order import (
-    AKAIKE,
-    LEAST,
-    MORE,
-    SEARCH,
-    SEARCHED,
-    UNEXPLAINED,
-    Tried,
-    advantage,
-    affordable,
-    beats,
-    choose,
-    climbed,
-    explains,
-    price,
-    search_orders,
-    tried,
-)
+from ctsid_core.search.by_order import MORE, SEARCH, SEARCHED, affordable, search_orders
 from ctsid_core.search.by_prediction import (
     AHEAD,
     Compared,
@@ -58,8 +41,23 @@ from ctsid_core.search.by_prediction import (
     solve_by_prediction,
 )
 from ctsid_core.search.corrupt import corrupt_rows, without_outliers
+from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
+from ctsid_core.search.tried import (
+    AKAIKE,
+    LEAST,
+    UNEXPLAINED,
+    Tried,
+    advantage,
+    beats,
+    choose,
+    climbed,
+    explains,
+    imitates,
+    price,
+    tried,
+)
 from ctsid_core.settings import Settings, longest_sought, slowest_sought
 from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
@@ -114,7 +112,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     counted = settings.order or choose(found)
     order = settings.order or _neighbour(found, counted)
     others = [(_advantage(found[order], one, order != counted), one)
-              for n, one in found.items() if n != order]
+              for n, one in found.items() if n != order and not imitates(one, found[order])]
     notes = _left_out(found, order, settings, effort)
     best = found[order]
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
@@ -132,13 +130,14 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         best = climbed(samples, best, free)
     disturbed, grows = None, False
     if own.feedthrough and not effort.beyond(SEARCH) and \
-            (left := best.unexplained) > UNEXPLAINED:
+            (left := best.left) > UNEXPLAINED:
         predicted = _predicted(part, settings, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
         if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
-    if predicted is not None and (solved := _likelier(
+    # A drift predictions take up, too, as growth.
+    if predicted is not None and not best.drifts and (solved := _likelier(
             part, settings, seen, samples, best, free, predicted)):
         return solved
     reached = climbed(samples, best, free)
@@ -152,7 +151,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         samples = seen(late)
     if late > 0.0 or best is not reached:
         best = climbed(samples, best, free)
-    best = _centred(samples, best, free)
+    best = mean_of(samples, best, free) if not settings.order else best
+    both = best.drifting
+    drifting = None if both is None else (both.samples, both.fit, free_with_time(free))
+    best = _centred(samples, best, free) if both is None else best
     smaller = _smaller(samples, found, best, replace(free, feedthrough=False))
     found[best.fit.model.n] = best
     values, condition = subspace.shown(best.fit.model.n)
@@ -163,8 +165,8 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
-                    smaller=smaller, rivals=_rivals(others), singular_values=values,
-                    condition=condition)
+                    smaller=smaller, rivals=_rivals(others), drifting=drifting,
+                    singular_values=values, condition=condition)
 
 
 def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, best: Tried,
@@ -267,8 +269,8 @@ def _neighbour(found: dict[int, Tried], chosen: int) -> int:
         return chosen
     own = found[chosen]
     return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
-        n <= chosen or explains(own, found[n]) or bool(np.any(
-            found[n].fit.model.delay < 0.5 * own.fit.model.delay)))),
+        n <= chosen or not imitates(found[n], own) and (explains(own, found[n]) or bool(np.any(
+            found[n].fit.model.delay < 0.5 * own.fit.model.delay))))),
                key=lambda n: _in_colour(found[n], matters))
 
 

@@ -20,10 +20,10 @@ from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at,
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import modal_of
 from ctsid_core.model.estimate import Choice
-from ctsid_core.search.by_order import tried
 from ctsid_core.search.corrupt import corrupt_rows
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import free_of, order_row
+from ctsid_core.search.tried import tried
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.interface import Method, MethodModel
 

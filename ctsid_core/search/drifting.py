@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Inputs that drift: what they explain, states need not.
+
+A battery that sags and a motor that warms up change a gain while it is recorded, and clocks that
+run apart change a dead time. Of a plant whose numbers move in a straight line within a record the
+output is, to first order, that of one which stands still and has each input twice: as it is, and
+multiplied by the time from the middle of the record on, with residues of their own. For a gain
+before the plant that is exact; a dead time, and of one or two states poles, it follows as closely
+as they move.
+
+References
+----------
+Niedzwiecki 2000, Identification of Time-Varying Processes, chapter 6 (basis functions).
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from ctsid_core.likelihood.output_error import (
+    Free,
+    Guess,
+    climb_roughly,
+    fit_at,
+    fit_states,
+)
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.model.modal import Drive
+from ctsid_core.search.tried import Tried, drifts, tried
+from ctsid_core.signals.record import Signal
+
+_APART = 2.0          # times the power of the errors of one model, that those of the mean may have
+
+
+def drifting(samples: Samples, one: Tried, free: Free, rival: float = np.inf) -> Tried | None:
+    """
+    Return a model of the same order with inputs that drift, or None if there is none.
+
+    Given up where it will not reach the cost of a rival.
+    """
+    m, both, free = one.fit.model, _with_time(samples), free_with_time(free)
+    more = samples.nu + 1
+    near = Guess(replace(m, b=np.pad(m.b, ((0, 0), (0, more))),
+                         D=np.pad(m.D, ((0, 0), (0, more)))), one.fit.power)
+    with suppress(np.linalg.LinAlgError):
+        start = fit_at(both, m.poles, np.append(m.delay, [*m.delay, 0.0]), free, near)
+        return tried(both, climb_roughly(both, start, free, rival), free)
+    return None
+
+
+def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
+    """
+    Return the mean of what drifts, with what it is the mean of, or a model as it is.
+
+    It is the model in the middle of the record: one that stands still is pulled to when inputs
+    move most, and its poles stand in for what drifts. Where records do not tell the middle, the
+    mean explains them less well than one model does.
+    """
+    both = drifting(samples, one, free)
+    if both is None or not drifts(one, both):
+        return replace(one, drifting=None, found=None)
+    m, nu = both.fit.model, samples.nu
+    m = replace(m, b=m.b[:, :nu], D=m.D[:, :nu], delay=m.delay[:nu])
+    mean = tried(samples, fit_states(samples, m, free), free)
+    return replace(mean, drifting=both) if np.all(mean.power < _APART * one.power) else \
+        replace(one, drifting=None)
+
+
+def free_with_time(free: Free) -> Free:
+    """Return what is free where time is among the inputs: no further dead times."""
+    return replace(free, delays=free.delays + (False,) * (len(free.delays) + 1))
+
+
+def _with_time(samples: Samples) -> Samples:
+    """Return samples with more inputs: those that there are, times the time, and that."""
+    records = []
+    for r in samples.records:
+        middle, length = 0.5 * (r.start + r.end), (r.end - r.start) or 1.0
+        more = [replace(s, values=s.values * ((s.time - middle) / length)[:, np.newaxis])
+                for s in r.inputs]
+        more.append(Signal(np.array([r.start, r.end]), np.array([[-0.5], [0.5]]), 'linear'))
+        records.append(replace(r, inputs=(*r.inputs, *more),
+                               drives=(*r.drives, *map(Drive.of, more))))
+    return replace(samples, records=tuple(records), nu=2 * samples.nu + 1)

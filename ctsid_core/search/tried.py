@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Models of several orders, compared.
+
+How much evidence there is for one more state depends on how many samples are independent:
+
+    N_eff = N / (1 + 2 sum_k rho_k)
+
+with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
+Model errors are neither white nor new information, and states that imitate them are not bought.
+Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
+errors fall: as many numbers as there are independent samples explain any of them. Of an order that
+HD-PBSID points at, both models' errors say how many these are.
+
+A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
+imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
+inputs that drift (`drifting.py`) is asked, too: what it explains better needs no states.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ctsid_core.likelihood.mode_columns import ROUNDING
+from ctsid_core.likelihood.output_error import STEPS, Fit, Free, Residuals, climb, fit_at
+from ctsid_core.likelihood.residuals import coloured_power, independent, residuals
+from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array
+
+ENOUGH = 0.005        # of an output's motion: states that explain less are not taken
+_CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
+LEAST = 1e-4          # if the errors were more than this part of the motion
+AKAIKE = 2.0          # price of a parameter
+_LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
+UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """The best model of one order."""
+
+    samples: Samples    # that it is of
+    fit: Fit
+    power: Array        # (ny,): mean square of the errors of each output, over all records
+    parameters: int
+    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
+    # own errors say, too, how much there is to know
+    pointed: bool = False
+    drifting: Tried | None = None   # the same order with inputs that drift, as far as it was asked
+    found: Tried | None = None      # what it was when that was asked, of fewer samples
+
+    @cached_property
+    def errors(self) -> Residuals:
+        """Measured less simulated outputs."""
+        return residuals(self.samples, self.fit)
+
+    @cached_property
+    def independent(self) -> Array:
+        """Number of independent samples among the errors of each output, (ny,)."""
+        return independent(self.errors)
+
+    @property
+    def unexplained(self) -> float:
+        """Rms of errors that are not noise, over the motion."""
+        return float(np.sqrt(np.max(coloured_power(self.errors))))
+
+    @property
+    def left(self) -> float:
+        """The same, of what inputs that drift do not explain either."""
+        return self.drifting.unexplained if self.drifting and self.drifts else self.unexplained
+
+    @property
+    def drifts(self) -> bool:
+        """Whether its inputs drift, as far as it was asked: see `drifts`."""
+        return self.drifting is not None and drifts(self.found or self, self.drifting)
+
+    @property
+    def rms(self) -> float:
+        """Rms error over the motion, of all outputs together."""
+        return float(np.sqrt(np.mean(self.power)))
+
+
+def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
+    """Return a model of an order with what its errors say."""
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
+
+
+def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tried:
+    """Return a model at the maximum of the likelihood of other samples, or on the way there."""
+    start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
+    return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
+                   drifting=one.drifting, found=one.found or one)
+
+
+def parameters(samples: Samples, fit: Fit, free: Free) -> int:
+    """
+    Return how many numbers a model has, its gauge apart.
+
+    A pole with a residue of rank r has r (nu + ny - r) of these and one of its own.
+    """
+    records, both = len(samples.records), samples.nu + samples.ny
+    of_modes = sum((1 + (p.imag > 0.0)) * (rank * (both - rank) + 1)
+                   for p, rank in Counter(fit.model.poles.tolist()).items())
+    return int(of_modes + fit.model.n * records + samples.ny * samples.nu * free.feedthrough
+               + samples.ny * records * free.trim + sum(free.delays))
+
+
+def price(samples: Samples) -> float:
+    """Return what a number costs by Schwarz's criterion, in -2 log likelihood."""
+    return float(np.log(np.max(samples.counts.sum(axis=0))))
+
+
+def choose(found: dict[int, Tried]) -> int:
+    """Return the smallest order that no larger one beats, by independent samples."""
+    orders = sorted(found)
+    chosen = orders[-1]
+    for n in orders:
+        own = found[n]
+        if not any(criterion(own, found[m]) > 0.0 and not imitates(found[m], own)
+                   for m in orders if m > n):
+            chosen = n
+            break
+    return min(n for n in orders if n <= chosen and not explains(found[n], found[chosen]))
+
+
+def explains(smaller: Tried, larger: Tried) -> bool:
+    """Return whether what the larger one explains beyond the smaller one matters."""
+    before, after = (np.maximum(t.power, ROUNDING) for t in (smaller, larger))
+    return bool(np.max(before - after) > ENOUGH ** 2 or
+                np.max((before / after)[before > LEAST ** 2], initial=0.0) > _CLEANER)
+
+
+def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
+    """
+    Return how much more likely the larger one is than its further parameters may cost.
+
+    A parameter costs the logarithm of the number of independent samples, unless `price` says.
+    """
+    n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
+    share = np.maximum(gain, 1e-6)
+    each = price or float(share @ np.log(n_eff) / share.sum())
+    return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
+
+
+def gained(smaller: Tried, larger: Tried) -> Array:
+    """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
+    power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
+    n_eff = np.maximum(smaller.independent, 2.0)
+    # Zellner's prior of unit information: numbers as many as samples explain anything.
+    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
+    unit = 1.0 / max(float(known), 2.0)
+    ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
+    # An output that fits a little worse for the sake of another is no evidence against it.
+    return np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
+
+
+def imitates(larger: Tried, smaller: Tried) -> bool:
+    """Return whether a smaller model's inputs that drift are likelier than these states."""
+    # By what a number costs: a step may be answered by either. Of the same samples, for of others
+    # noise has another power.
+    return smaller.drifting is not None and float(np.sum(gained(
+        smaller.drifting, larger.found or larger))) < -price(smaller.drifting.samples)
+
+
+def drifts(one: Tried, drifting: Tried) -> bool:
+    """Return whether a model's inputs drift: that explains most of what is not noise."""
+    return beats(drifting, one) and drifting.unexplained ** 2 < _LEFT * one.unexplained ** 2
+
+
+def beats(one: Tried, other: Tried) -> bool:
+    """Return whether a model is to be taken instead of another: with more numbers, if it gains."""
+    if one.parameters <= other.parameters:
+        return criterion(one, other) <= 0.0
+    return criterion(other, one) > 0.0 and explains(other, one)
+
+
+def advantage(one: Tried, other: Tried) -> float:
+    """Return by how much Akaike's criterion prefers the other one, by independent samples."""
+    if other.parameters >= one.parameters:
+        return criterion(one, other, AKAIKE)
+    return -criterion(other, one, AKAIKE)
