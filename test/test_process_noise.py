@@ -283,7 +283,6 @@ def test_an_integrator_is_simulated_whatever_is_known_of_its_loop(family, seed, 
     assert np.mean(simulated(found.model, given.test)) > 96.0
 
 
-@pytest.mark.xfail(reason='output error of four states: 96.3 % of another flight')
 def test_a_drift_is_no_change_to_predictions_either():
     """Two predictors are likelier than one; one that drifts explains as much."""
     given = experiment('gain-drift', 37, 6)
@@ -292,8 +291,8 @@ def test_a_drift_is_no_change_to_predictions_either():
     assert np.mean(simulated(found.model, given.test)) > 97.0
 
 
-@pytest.mark.parametrize('seed', [42, pytest.param(41, marks=pytest.mark.xfail(
-    strict=False, reason='GOOD, with 94.4 % of another flight: rounding decides on a dead time'))])
+@pytest.mark.parametrize('seed', [41, pytest.param(42, marks=pytest.mark.xfail(
+    reason='GOOD, with 93.2 % of another flight: its record does not tell the middle'))])
 def test_a_gain_that_drifts_does_not_grow(seed):
     """
     A sweep: modes that grow by 2.1 and 2.5 rad/s predict it to 99 and 97.5 %, up to 0.5 s ahead.

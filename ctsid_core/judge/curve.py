@@ -55,8 +55,8 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
     if not samples.counts.all():
         return gains
     whole = samples if drifting is None else drifting.thinned(_SEARCHED)
-    columns = columns_of(whole, model.poles, np.append(model.delay, np.resize([*model.delay, 0.0], whole.nu - samples.nu)),
-                         direct=free.feedthrough, turned=False)
+    delay = np.append(model.delay, [*model.delay, 0.0][:whole.nu - samples.nu])
+    columns = columns_of(whole, model.poles, delay, direct=free.feedthrough, turned=False)
     samples.effort.spend(evaluation_work(samples, len(model.poles)))
     curved = _powers(samples, errors)
     for k, stream in enumerate(samples.records[0].streams):

@@ -30,25 +30,30 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.tried import Tried, drifts, tried
+from ctsid_core.search.tried import Tried, beats, parameters, price, tried
 from ctsid_core.signals.record import Signal
 
+_LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
 _APART = 2.0          # times the power of the errors of one model, that those of the mean may have
 
 
 def drifting(samples: Samples, one: Tried, free: Free, rival: float = np.inf) -> Tried | None:
     """
-    Return a model of the same order with inputs that drift, or None if there is none.
+    Return a model of the same order with inputs that drift, or None if they do not.
 
-    Given up where it will not reach the cost of a rival.
+    They do where that is worth its numbers, and explains most of what is not noise. Given up where
+    it will not reach the cost of a rival.
     """
     m, both, free = one.fit.model, _with_time(samples), free_with_time(free)
-    more = samples.nu + 1
-    near = Guess(replace(m, b=np.pad(m.b, ((0, 0), (0, more))),
-                         D=np.pad(m.D, ((0, 0), (0, more)))), one.fit.power)
+    wider = (0, 0), (0, samples.nu + 1)
+    near = Guess(replace(m, b=np.pad(m.b, wider), D=np.pad(m.D, wider)), one.fit.power)
     with suppress(np.linalg.LinAlgError):
         start = fit_at(both, m.poles, np.append(m.delay, [*m.delay, 0.0]), free, near)
-        return tried(both, climb_roughly(both, start, free, rival), free)
+        more = parameters(both, start, free) - one.parameters
+        rival = min(rival, one.fit.cost - price(samples) * more)
+        found = tried(both, climb_roughly(both, start, free, rival), free)
+        if beats(found, one) and found.unexplained ** 2 < _LEFT * one.unexplained ** 2:
+            return found
     return None
 
 
@@ -61,8 +66,8 @@ def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
     mean explains them less well than one model does.
     """
     both = drifting(samples, one, free)
-    if both is None or not drifts(one, both):
-        return replace(one, drifting=None, found=None)
+    if both is None:
+        return replace(one, drifting=None)
     m, nu = both.fit.model, samples.nu
     m = replace(m, b=m.b[:, :nu], D=m.D[:, :nu], delay=m.delay[:nu])
     mean = tried(samples, fit_states(samples, m, free), free)
@@ -82,7 +87,7 @@ def _with_time(samples: Samples) -> Samples:
         middle, length = 0.5 * (r.start + r.end), (r.end - r.start) or 1.0
         more = [replace(s, values=s.values * ((s.time - middle) / length)[:, np.newaxis])
                 for s in r.inputs]
-        more.append(Signal(np.array([r.start, r.end]), np.array([[-0.5], [0.5]]), 'linear'))
+        more.append(Signal(r.start + np.array([0.0, length]), np.array([[-0.5], [0.5]]), 'linear'))
         records.append(replace(r, inputs=(*r.inputs, *more),
                                drives=(*r.drives, *map(Drive.of, more))))
     return replace(samples, records=tuple(records), nu=2 * samples.nu + 1)

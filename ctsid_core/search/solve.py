@@ -137,7 +137,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
     # A drift predictions take up, too, as growth.
-    if predicted is not None and not best.drifts and (solved := _likelier(
+    if predicted is not None and best.drifting is None and (solved := _likelier(
             part, settings, seen, samples, best, free, predicted)):
         return solved
     reached = climbed(samples, best, free)

@@ -35,7 +35,6 @@ ENOUGH = 0.005        # of an output's motion: states that explain less are not 
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
 LEAST = 1e-4          # if the errors were more than this part of the motion
 AKAIKE = 2.0          # price of a parameter
-_LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
 UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 
 
@@ -50,8 +49,8 @@ class Tried:
     # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
     # own errors say, too, how much there is to know
     pointed: bool = False
-    drifting: Tried | None = None   # the same order with inputs that drift, as far as it was asked
-    found: Tried | None = None      # what it was when that was asked, of fewer samples
+    drifting: Tried | None = None   # the same order with inputs that drift, where it was seen
+    found: Tried | None = None      # what it was then, of fewer samples
 
     @cached_property
     def errors(self) -> Residuals:
@@ -71,12 +70,7 @@ class Tried:
     @property
     def left(self) -> float:
         """The same, of what inputs that drift do not explain either."""
-        return self.drifting.unexplained if self.drifting and self.drifts else self.unexplained
-
-    @property
-    def drifts(self) -> bool:
-        """Whether its inputs drift, as far as it was asked: see `drifts`."""
-        return self.drifting is not None and drifts(self.found or self, self.drifting)
+        return (self.drifting or self).unexplained
 
     @property
     def rms(self) -> float:
@@ -164,11 +158,6 @@ def imitates(larger: Tried, smaller: Tried) -> bool:
     # noise has another power.
     return smaller.drifting is not None and float(np.sum(gained(
         smaller.drifting, larger.found or larger))) < -price(smaller.drifting.samples)
-
-
-def drifts(one: Tried, drifting: Tried) -> bool:
-    """Return whether a model's inputs drift: that explains most of what is not noise."""
-    return beats(drifting, one) and drifting.unexplained ** 2 < _LEFT * one.unexplained ** 2
 
 
 def beats(one: Tried, other: Tried) -> bool:

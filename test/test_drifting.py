@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What drifts costs no states: gains and dead times that move in a straight line.
+
+Truths of robots that drift and are tested standing still, as in the middle of their record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+from marks import slow
+import numpy as np
+from plants import held_response, noisy, plant
+import pytest
+from test_change import drifting
+
+from ctsid_core import Grade, Record, Settings, Status, identify
+from ctsid_core.likelihood.output_error import Free, fit_at
+from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.search.drifting import drifting as with_drift
+from ctsid_core.search.drifting import mean_of
+from ctsid_core.search.tried import imitates, tried
+from ctsid_ros.studies.robots.families import experiment
+from ctsid_ros.studies.robots.trials import simulated
+
+FREE = Free(False, True, (True,), 1.0, -1e-3, 200.0)
+
+
+def told(found):
+    """Return by how much a gain [%] and a dead time [s] drift, as the note says; NaN if not."""
+    note = next((n for n in found.notes if 'drifts' in n), '')
+    gain, late = (re.search(f'the {what} of u1 by ([-+0-9.]+)', note)
+                  for what in ('gain', 'dead time'))
+    return [float(m[1]) if m else np.nan for m in (gain, late)]
+
+
+@pytest.mark.parametrize(('seed', 'number'), [
+    (59, 4), (71, 2), *slow((68, 0), (69, 5), (70, 0), (71, 1), (71, 4), (72, 0), (72, 6))])
+def test_a_gain_that_drifts_costs_no_states(seed, number):
+    """Two to six states imitated it: 56 to 97 % of another flight, where the gain is the mean."""
+    given = experiment('gain-drift', seed, number)
+    found = identify(given.record, given.settings)
+    assert found.verdict.grade is Grade.GOOD
+    assert found.model.n == 1
+    assert np.mean(simulated(found.model, given.test)) > (90.0 if seed == 59 else 97.5)
+    if seed != 59:                      # a sweep whose middle its record does not tell
+        assert abs(told(found)[0]) == pytest.approx(30.0, abs=4.5)
+
+
+@pytest.mark.parametrize(('seed', 'number'), [(71, 3), *slow(
+    (67, 2), (69, 2), (70, 2), (70, 4), (72, 2))])
+def test_clocks_that_run_apart_cost_no_states(seed, number):
+    """Eight states imitated one per cent; it is in the note, as it grows from start to end."""
+    given = experiment('clock-drift', seed, number)
+    found = identify(given.record, given.settings)
+    assert found.verdict.grade is Grade.GOOD
+    assert found.model.n == 2
+    assert np.mean(simulated(found.model, given.test)) > 91.0
+    assert abs(told(found)[1]) == pytest.approx(0.01 * given.record.duration, rel=0.45)
+    assert any('stamp: log' in note for note in found.notes)
+
+
+def sagging(seed, gain, late=0.1):
+    """A lag of -3 rad/s and gain 2 whose actuator's gain moves in a straight line."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.01)
+    t_u = np.arange(0.0, 20.0, 0.05)
+    u = np.repeat(rng.standard_normal(50), 8)
+    moved = (1.0 + gain * (t_u / 20.0 - 0.5)) * u
+    y = held_response(plant([[-3.0]], [[6.0]], [[1.0]]), t_u + late, moved[:, np.newaxis],
+                      t[t > late])
+    return Record.from_arrays(t_u, u, t[t > late], noisy(rng, y, 34), input_hold='zoh')
+
+
+@pytest.mark.parametrize(('gain', 'seeds'), [(0.3, 8), *slow((-0.4, 30), (0.1, 30))])
+def test_the_model_is_of_the_middle_and_knows_how_well(gain, seeds):
+    off = []
+    for seed in range(seeds):
+        record = sagging(seed, gain)
+        found = identify(record)
+        middle = 2.0 * (1.0 + gain * (0.5 * (record.start + record.end) / 20.0 - 0.5))
+        assert found.good
+        assert found.model.n == 1
+        assert told(found)[0] == pytest.approx(100.0 * gain, abs=4.0)
+        off.append([(found.model.poles[0].real + 3.0) / found.pole_std[0],
+                    (found.model.dc_gain[0, 0] - middle) / found.dc_gain_std[0, 0],
+                    (found.model.delay[0] - 0.1) / found.delay_std[0]])
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    assert np.all(spread < 1.6), spread
+
+
+def test_what_stands_still_does_not_drift():
+    """The model is the same, to the last bit, as if nothing had been asked."""
+    found = identify(drifting(0))
+    assert found.model.n == 1
+    assert not any('drift' in note for note in found.notes)
+    given = identify(drifting(0), Settings(order=1))
+    np.testing.assert_allclose(found.model.poles, given.model.poles, rtol=1e-4)
+
+
+def test_an_order_that_is_given_is_fitted_as_it_is():
+    """The best simulation of the record, not the mean: it was asked for."""
+    record = drifting(1, gain=0.6)
+    mean, given = identify(record), identify(record, Settings(order=1))
+    assert mean.model.n == 1
+    assert given.fit[0] >= mean.fit[0]
+
+
+def test_too_much_drift_is_no_model():
+    """A gain that jumps between the only manoeuvres of a record: one third of all, and 62 %."""
+    given = experiment('no-gain-jump', 68, 2)
+    found = identify(given.record, given.settings)
+    assert found.status is Status.CHANGED
+    assert 'drifts (the gain of u1 by +6' in found.verdict.reason
+    assert 'take shorter windows' in found.verdict.reason
+
+
+def test_two_outputs_drift_by_one_gain():
+    rng, t = np.random.default_rng(3), np.arange(0.0, 20.0, 0.01)
+    u = np.repeat(rng.standard_normal(100), 20)
+    share = t / 20.0 - 0.5
+    wanted = plant([[-2.0, 0.0], [1.0, -5.0]], [[2.0], [0.0]], [[1.0, 0.0], [0.0, 5.0]])
+    y = noisy(rng, held_response(wanted, t, ((1.0 + 0.4 * share) * u)[:, np.newaxis], t), 30)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    assert found.good
+    assert found.model.n == 2
+    np.testing.assert_allclose(np.sort(found.model.poles.real), [-5.0, -2.0], rtol=0.04)
+    np.testing.assert_allclose(found.model.dc_gain[:, 0], [1.0, 1.0], rtol=0.02)
+    assert told(found)[0] == pytest.approx(40.0, abs=4.0)
+
+
+def test_records_that_drift_alike():
+    """A battery that sags in every flight."""
+    found = identify([drifting(seed, gain=-0.5) for seed in (1, 2)])
+    assert found.good
+    assert found.model.n == 1
+    assert found.model.dc_gain[0, 0] == pytest.approx(2.0, rel=0.02)
+    assert told(found)[0] == pytest.approx(-50.0, abs=4.0)
+
+
+def test_time_among_inputs_explains_a_gain_that_drifts_exactly():
+    """As it stands at the stamps of a held input."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 10.0, 0.02)
+    u = rng.standard_normal(500)
+    moved = u * (1.0 + 0.8 * (t / t[-1] - 0.5))
+    y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, moved[:, np.newaxis], t)
+    record = Record.from_arrays(t, u, t, y, input_hold='zoh')
+    samples = samples_of([record], [[None]])
+    one = tried(samples, fit_at(samples, np.array([-2.5 + 0j]), np.zeros(1), FREE), FREE)
+    both = with_drift(samples, one, FREE)
+    model = both.fit.model
+    assert both.rms < 1e-6
+    np.testing.assert_allclose(model.poles.real, [-3.0], rtol=1e-6)
+    np.testing.assert_allclose(model.b[0, 1] / model.b[0, 0], 0.8, rtol=1e-5)
+    mean = mean_of(samples, one, FREE)
+    assert mean.drifting is not None
+    np.testing.assert_allclose(mean.fit.model.b, model.b[:, :1])
+    # Two states explain it less well; one of another gain is as good as itself.
+    more = tried(samples, fit_at(samples, np.array([-3.0 + 0j, -0.1]), np.zeros(1), FREE), FREE)
+    assert imitates(more, replace(one, drifting=both))
+    assert not imitates(more, one)
+    assert not imitates(both, replace(one, drifting=both))
