@@ -99,7 +99,8 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, solution.doubt)) if setting not in verdict.reason),
                *_spent(effort)),
-        statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part)},
+        statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
+                    'drift_cost': drift.cost},
         records=_shares(solution) if part.several else ())
 
 

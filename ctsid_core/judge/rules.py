@@ -86,8 +86,6 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
-    if e.drift.cost > _DRIFTED:
-        yield Status.CHANGED, Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for i in _largest_first(e.numbers.coloured_error, _UNEXPLAINED):
         yield Status.UNEXPLAINED, Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
@@ -133,7 +131,7 @@ def change_note(e: Evidence) -> tuple[str, ...]:
         return (f'perhaps the plant changed a little {e.where}: there one model misses '
                 f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
                 'accepted)',)
-    if e.drift.cost > NOTED:
+    if NOTED < e.drift.cost <= _DRIFTED:
         return (f'perhaps {_drift(e)}',)
     return ()
 
@@ -177,6 +175,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
             'how much; identify each side by itself.')
+    if e.drift.cost > _DRIFTED:
+        yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:
         yield Remedy.SETTING, (
             f'Input {e.input_names[j]} does not move within the window, and its zero column of '
