@@ -19,8 +19,9 @@ from test_change import drifting
 from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.search.drifting import drifting as with_drift
-from ctsid_core.search.drifting import mean_of
+from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.tried import imitates, tried
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.trials import simulated
@@ -105,6 +106,10 @@ def test_an_order_that_is_given_is_fitted_as_it_is():
     mean, given = identify(record), identify(record, Settings(order=1))
     assert mean.model.n == 1
     assert given.fit[0] >= mean.fit[0]
+    assert given.good                   # however much it drifts, which is told
+    far = identify(drifting(1, gain=1.2), Settings(order=1))
+    assert far.good
+    assert any('the plant drifts' in note for note in far.notes)
 
 
 def test_too_much_drift_is_not_good():
@@ -128,6 +133,57 @@ def test_two_outputs_drift_by_one_gain():
     np.testing.assert_allclose(np.sort(found.model.poles.real), [-5.0, -2.0], rtol=0.04)
     np.testing.assert_allclose(found.model.dc_gain[:, 0], [1.0, 1.0], rtol=0.02)
     assert told(found)[0] == pytest.approx(40.0, abs=4.0)
+
+
+@pytest.mark.parametrize(('gain', 'offset', 'mean'), [(0.15, 0.0, 3.0), (0.3, 1.0, 0.0)])
+def test_an_offset_that_drifts_with_a_gain_is_no_doubt(gain, offset, mean):
+    """A command around its trim: the gain moves the offset, too, which was all that was missed."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
+    u, share = np.repeat(rng.standard_normal(100), 20) + mean, t / 20.0 - 0.5
+    y = held_response(plant([[-3.0]], [[6.0]], [[1.0]]), t,
+                      ((1.0 + gain * share) * u)[:, np.newaxis], t) + offset * share[:, np.newaxis]
+    found = identify(Record.from_arrays(t, u, t, noisy(rng, y - y.mean(), 30), input_hold='zoh'))
+    assert found.good
+    assert found.model.n == 1
+    assert found.model.dc_gain[0, 0] == pytest.approx(2.0, abs=0.03)
+    assert told(found)[0] == pytest.approx(100.0 * gain, abs=4.0)
+    assert any('and an offset' in note for note in found.notes)
+
+
+@pytest.mark.parametrize(('poles', 'moved'), [((-2.0, -5.0), 1), ((-3.0, -3.0), 2)])
+def test_each_input_is_told_for_itself(poles, moved):
+    """Gain and dead time of an input that moves one mode are alike: it was +189 % and -0.75 s."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.01)
+    u = np.repeat(rng.standard_normal((100, 2)), 20, axis=0)
+    gains = np.outer(t / 20.0 - 0.5, [0.4, 0.4 * (moved > 1)])
+    y = held_response(plant(np.diag(poles), -np.diag(poles), np.eye(2)), t, (1.0 + gains) * u, t)
+    found = identify(Record.from_arrays(t, u, t, noisy(rng, y, 30), input_hold='zoh'))
+    assert found.good
+    (note,) = (note for note in found.notes if 'drifts' in note)
+    gains = [float(x) for x in re.findall('gain of u[12] by ([-+0-9]+)', note)]
+    assert gains == pytest.approx(moved * [40.0], abs=3.0)
+    assert 'dead time' not in note
+    np.testing.assert_allclose(found.model.dc_gain, np.eye(2), atol=0.01)
+
+
+def test_deviations_are_of_the_states_of_the_mean():
+    """Poles that nearly meet have states of their own, of one input; time is another one."""
+    rng, t = np.random.default_rng(2), np.arange(0.0, 20.0, 0.01)
+    u = np.repeat(rng.standard_normal(100), 20)
+    wanted = plant(np.diag([-3.0, -3.05]), [[1.0], [1.0]], [[3.0, 0.0], [0.0, 3.05]])
+    y = held_response(wanted, t, ((1.0 + 0.4 * (t / 20.0 - 0.5)) * u)[:, np.newaxis], t)
+    record = Record.from_arrays(t, u, t, noisy(rng, y, 60), input_hold='zoh')
+    samples = samples_of([record], [[None]])
+    one = tried(samples, fit_at(samples, np.array([-3.0, -3.05]) + 0j, np.zeros(1), FREE), FREE)
+    mean = mean_of(samples, one, FREE)
+    assert mean.drifting is not None
+    moved = entry_changes(mean.drifting.samples, mean.drifting.fit, free_with_time(FREE),
+                          like=mean.fit.model)
+    m = matrices_of(mean.fit.model, samples.size)
+    inverse = np.linalg.inv(m.A)
+    gains = m.C @ inverse @ moved.A @ inverse @ m.B - moved.C @ inverse @ m.B \
+        - m.C @ inverse @ moved.B[:, :, :1]
+    assert np.all(np.sqrt(np.sum(gains ** 2, axis=0)) < 1e-3)
 
 
 def test_records_that_drift_alike():

@@ -31,7 +31,6 @@ from ctsid_core.model.estimate import Estimate, RecordShare, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.verdict import UNJUDGED, Excitation
 from ctsid_core.model.whiteness import whiteness
-from ctsid_core.search.by_order import SEARCH
 from ctsid_core.search.by_prediction import (
     AHEAD,
     HORIZONS,
@@ -41,6 +40,7 @@ from ctsid_core.search.by_prediction import (
 )
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Doubt, Solution
+from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
@@ -163,7 +163,8 @@ def _covariance(solution: Solution, model: StateSpace) -> Covariance | None:
     """Return the covariance of the model of all channels."""
     try:
         changes = entry_changes(*(solution.drifting or solution.source), far=solution.plant is None
-                                and not solution.samples.effort.beyond(SEARCH))
+                                and not solution.samples.effort.beyond(SEARCH),
+                                like=solution.fit.model if solution.drifting else None)
         if solution.drifting is not None:
             nu = solution.samples.nu
             changes = changes._replace(B=changes.B[:, :, :nu], D=changes.D[:, :, :nu],

@@ -11,6 +11,7 @@ that is not linear follows better.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +23,9 @@ from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.residuals import independent
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array, ComplexArray
+from ctsid_core.search.drifting import standing
 
-_PART = 0.2           # of what drifts, that is told
+_PART = 0.3           # of what drifts, that is not told
 
 
 class InputDrift(NamedTuple):
@@ -37,10 +39,11 @@ class InputDrift(NamedTuple):
 class Drift(NamedTuple):
     """What a model misses of the motion because the plant drifts."""
 
-    record: int = -1        # its place; -1 if none does
+    record: int = -1        # its place; -1 if none does, or all alike
     cost: float = 0.0       # rms over the motion, of the output where it is most [%]
     late: bool = False      # whether dead times alone explain most of it
     inputs: tuple[InputDrift, ...] = ()     # of which the model is the mean, as far as it is known
+    moved: float = 0.0      # the cost of these alone, of offsets that drift apart [%]
 
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:
@@ -54,31 +57,40 @@ def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Dr
 
 def drift_of_inputs(names: Sequence[str], mean: Fit, drifting: Fitted) -> Drift:
     """Return how the inputs drift of which a model is the mean."""
-    samples, fit, _ = drifting
-    missed = np.maximum(samples.mean(mean.power) - samples.mean(fit.power), 0.0)
+    samples, fit, free = drifting
     model, nu = fit.model, len(names)
-    # Each mode counts as much as it moves the outputs.
+    # Each mode counts as much as it moves the outputs, and each input as much as it moves.
     weight = np.linalg.norm(model.c, axis=0) / np.maximum(
         np.abs(model.poles), 1.0 / samples.length)
-    found = [_of_input(name, model.poles, weight * model.b[:, k], weight * model.b[:, nu + k])
-             for k, name in enumerate(names)]
-    return Drift(-1, 100.0 * float(np.sqrt(np.max(missed))),
-                 not any(one.gain for one in found),
-                 tuple(one for one in found if one.gain or one.late))
+    size = np.sqrt(np.mean([np.concatenate([np.var(s.values, axis=0) for s in r.inputs])[:nu]
+                            for r in samples.records], axis=0))
+    weights = weight[:, np.newaxis] * size
+    b, moved = weights * model.b[:, :nu], weights * model.b[:, nu:2 * nu]
+    sizes = np.linalg.norm(moved, axis=0)
+    found = tuple(_of_input(name, model.poles, b[:, j], moved[:, j])
+                  for j, name in enumerate(names) if sizes[j] > _PART * np.max(sizes))
+
+    def cost(power: Array) -> float:
+        missed = samples.mean(power) - samples.mean(fit.power)
+        return 100.0 * float(np.sqrt(max(float(np.max(missed)), 0.0)))
+    return Drift(-1, cost(mean.power), not any(one.gain for one in found), found, cost(
+        standing(samples, fit, replace(free, delays=free.delays[:nu])).power))
 
 
 def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArray) -> InputDrift:
     """
     Return what residues of an input times the time say of its gain and dead time.
 
-    Of a gain that changes by a they are a b, of a dead time that changes by d they are -d p b. Of
-    one state nothing tells these apart: it is the gain then.
+    Of a gain that changes by a they are a b, of a dead time that changes by d they are -d p b: one
+    of them, if that explains most. Of one state nothing tells these apart: it is the gain then.
     """
-    both = np.column_stack((b, -poles * b))[:, :2 if np.iscomplex(poles).any() else len(poles)]
-    columns = np.vstack((both.real, both.imag))
-    told: Array = np.linalg.lstsq(columns, np.append(moved.real, moved.imag), rcond=None)[0]
-    sizes = np.linalg.norm(columns * told, axis=0)
-    told = np.append(np.where(sizes > _PART * sizes.sum(), told, 0.0), 0.0)
+    columns, target = (np.concatenate((x.real, x.imag)) for x in (
+        np.column_stack((b, -poles * b)), moved))
+    for both in ((True, False), (False, True), (True, True)):
+        told = np.zeros(2)
+        told[list(both)] = np.linalg.lstsq(columns[:, list(both)], target, rcond=None)[0]
+        if np.linalg.norm(columns @ told - target) < _PART * np.linalg.norm(target):
+            break
     return InputDrift(name, float(told[0]), float(told[1]))
 
 

@@ -120,20 +120,23 @@ def _drift(e: Evidence) -> str:
                       for name, value, size in (
                           ('gain', f'{100.0 * one.gain:+.0f} %', one.gain),
                           ('dead time', f'{one.late:+.2g} s', one.late)) if size)
+    if moves and e.drift.moved ** 2 < 0.5 * e.drift.cost ** 2:
+        moves += ', and an offset,'
     return (f'{what}{e.drifting}{f" ({moves} from start to end)" * bool(moves)}: constant numbers '
             f'miss {e.drift.cost:.1f} % of the motion that numbers on straight lines do not; the '
             f'model is of the mean: take shorter windows for what it is now{cure}')
 
 
 def change_note(e: Evidence) -> tuple[str, ...]:
-    """Return a sentence on a change of the plant that is small, or on a drift, or none."""
+    """Return sentences on a change of the plant that is small, and on a drift, if any."""
+    notes = []
     if NOTED < e.change.cost <= _CHANGED:
-        return (f'perhaps the plant changed a little {e.where}: there one model misses '
-                f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} is '
-                'accepted)',)
-    if NOTED < e.drift.cost <= _DRIFTED:
-        return (f'perhaps {_drift(e)}',)
-    return ()
+        notes.append(f'perhaps the plant changed a little {e.where}: there one model misses '
+                     f'{e.change.cost:.1f} % of the motion that two do not (up to {_CHANGED:.0f} '
+                     'is accepted)')
+    if e.drift.cost > NOTED and e.drift.moved <= _DRIFTED:
+        notes.append(f'perhaps {_drift(e)}')
+    return tuple(notes)
 
 
 def _faults(e: Evidence) -> Iterator[tuple[Remedy, str]]:
@@ -175,7 +178,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SPLIT, (
             f'Predictions tell that the plant changed {e.where}, and simulations do not show by '
             'how much; identify each side by itself.')
-    if e.drift.cost > _DRIFTED:
+    if e.drift.moved > _DRIFTED:
         yield Remedy.SPLIT, f'{_begun(_drift(e))}.'
     for j in e.fixed_inputs:
         yield Remedy.SETTING, (

@@ -101,12 +101,13 @@ def _mended(model: ModalModel) -> Array:
     return T
 
 
-def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False) -> Entries:
+def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False,
+                  like: ModalModel | None = None) -> Entries:
     """
     Return the root of the covariance of A, B, C, D and dead times, a row for each direction.
 
     What is unsure of dead times tells the curvature of the likelihood, or its rise `far` from its
-    maximum.
+    maximum. The states are those of a model `like` it, which may have fewer inputs.
 
     With J the derivatives of the simulation and S the spectrum of the errors, the covariance is
     (J'J)^-1 (J' S J) (J'J)^-1: noise counts at the frequencies at which it is, and so does what
@@ -163,7 +164,7 @@ def entry_changes(samples: Samples, fit: Fit, free: Free, *, far: bool = False) 
     own = root[:, at:at + ny * places.own].reshape(r, ny, places.own)
     dc = _complex(own[:, :, :n].swapaxes(1, 2), m, pairs).swapaxes(1, 2)
     dD = own[:, :, n:n + nu] if free.feedthrough else np.zeros((r, ny, nu))
-    T = _mended(model)
+    T = _mended(like or model)
     inverse = np.linalg.inv(T)
     A, B, C = _modal(dp, db, dc, pairs)
     return Entries(T @ A @ inverse, T @ B, (C * samples.size[:, np.newaxis]) @ inverse,

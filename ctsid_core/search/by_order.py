@@ -40,6 +40,7 @@ from ctsid_core.search.pole_grid import PoleGrid
 from ctsid_core.search.tried import (
     AKAIKE,
     ENOUGH,
+    SEARCH,
     UNEXPLAINED,
     Tried,
     beats,
@@ -56,7 +57,6 @@ _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _SHORT = 0.05         # of a budget that order 1 has taken: one by one others would not be reached
 _PASSES = 4           # in which b and c of a start are found, one after the other
-SEARCH = 0.6          # of a budget that the search may take
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
 _STATES = 6           # of so many states, before it is known of how many,
@@ -120,8 +120,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     samples = samples.thinned(affordable(samples, found[chosen].fit.model.n))
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
-    return samples, {n: climbed(samples, one, free, STEPS if n == chosen else 1)
-                     for n, one in found.items()}
+    return samples, {n: replace(climbed(
+        samples, one, free, STEPS if n == chosen else 1), found=one) for n, one in found.items()}
 
 
 def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> None:

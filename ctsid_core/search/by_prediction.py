@@ -45,10 +45,10 @@ from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.covariance import Entries
 from ctsid_core.model.modal import Drive
 from ctsid_core.model.simulation import respond
-from ctsid_core.search.by_order import SEARCH, SEARCHED, affordable, nearest
+from ctsid_core.search.by_order import SEARCHED, affordable, nearest
 from ctsid_core.search.needless import without_needless
 from ctsid_core.search.past_regression import Start, regressed
-from ctsid_core.search.tried import LEAST, Tried, parameters, price, tried
+from ctsid_core.search.tried import LEAST, SEARCH, Tried, parameters, price, tried
 from ctsid_core.signals.record import Record, Signal
 
 HORIZONS = (1, 10, 50)      # samples ahead

@@ -20,8 +20,8 @@ from ctsid_core.likelihood.output_error import Fit
 from ctsid_core.likelihood.residuals import residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.linear.types import Array, Mask
-from ctsid_core.search.by_order import SEARCH
 from ctsid_core.search.solution import Solution
+from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.outliers import spikes
 from ctsid_core.signals.spikes import MAD
 

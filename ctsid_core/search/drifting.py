@@ -22,6 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.likelihood.output_error import (
+    Fit,
     Free,
     Guess,
     climb_roughly,
@@ -30,7 +31,7 @@ from ctsid_core.likelihood.output_error import (
 )
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.model.modal import Drive
-from ctsid_core.search.tried import Tried, beats, parameters, price, tried
+from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tried
 from ctsid_core.signals.record import Signal
 
 _LEFT = 0.3           # power of errors, noise apart, that a drift may leave of that before
@@ -63,16 +64,22 @@ def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
 
     It is the model in the middle of the record: one that stands still is pulled to when inputs
     move most, and its poles stand in for what drifts. Where records do not tell the middle, the
-    mean explains them less well than one model does.
+    mean explains them less well than one model does, offsets that drift apart.
     """
-    both = drifting(samples, one, free)
-    if both is None:
+    both = None if samples.effort.beyond(SEARCH) else drifting(samples, one, free)
+    if both is None or np.any(
+            both.samples.mean(standing(both.samples, both.fit, free).power) > _APART * one.power):
         return replace(one, drifting=None)
     m, nu = both.fit.model, samples.nu
     m = replace(m, b=m.b[:, :nu], D=m.D[:, :nu], delay=m.delay[:nu])
-    mean = tried(samples, fit_states(samples, m, free), free)
-    return replace(mean, drifting=both) if np.all(mean.power < _APART * one.power) else \
-        replace(one, drifting=None)
+    return replace(tried(samples, fit_states(samples, m, free), free), drifting=both)
+
+
+def standing(samples: Samples, fit: Fit, free: Free) -> Fit:
+    """Return a model with inputs that drift as if they did not; offsets may all the same."""
+    m, still = fit.model, np.arange(samples.nu) < samples.nu // 2
+    still[-1] = True
+    return fit_states(samples, replace(m, b=m.b * still, D=m.D * still), free_with_time(free))
 
 
 def free_with_time(free: Free) -> Free:

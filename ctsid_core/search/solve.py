@@ -28,7 +28,7 @@ from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
-from ctsid_core.search.by_order import MORE, SEARCH, SEARCHED, affordable, search_orders
+from ctsid_core.search.by_order import MORE, SEARCHED, affordable, search_orders
 from ctsid_core.search.by_prediction import (
     AHEAD,
     Compared,
@@ -47,6 +47,7 @@ from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.search.tried import (
     AKAIKE,
     LEAST,
+    SEARCH,
     UNEXPLAINED,
     Tried,
     advantage,
@@ -227,7 +228,8 @@ def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Fr
             thin, rest = known.thinned(SEARCHED), {}
             for n, one in up_to.items():
                 start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-                rest[n] = tried(thin, climb_roughly(thin, start, free), free, one.pointed)
+                rest[n] = replace(tried(thin, climb_roughly(thin, start, free), free, one.pointed),
+                                  drifting=one.drifting, found=one.found)
             if choose(rest) < chosen:
                 return known, {n: climbed(known, one, free) for n, one in rest.items()}
     return samples, found

@@ -35,6 +35,7 @@ ENOUGH = 0.005        # of an output's motion: states that explain less are not 
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
 LEAST = 1e-4          # if the errors were more than this part of the motion
 AKAIKE = 2.0          # price of a parameter
+SEARCH = 0.6          # of a budget that the search may take
 UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 
 
@@ -87,7 +88,7 @@ def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tri
     """Return a model at the maximum of the likelihood of other samples, or on the way there."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
     return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
-                   drifting=one.drifting, found=one.found or one)
+                   drifting=one.drifting, found=one.found)
 
 
 def parameters(samples: Samples, fit: Fit, free: Free) -> int:
@@ -156,8 +157,10 @@ def imitates(larger: Tried, smaller: Tried) -> bool:
     """Return whether a smaller model's inputs that drift are likelier than these states."""
     # By what a number costs: a step may be answered by either. Of the same samples, for of others
     # noise has another power.
-    return smaller.drifting is not None and float(np.sum(gained(
-        smaller.drifting, larger.found or larger))) < -price(smaller.drifting.samples)
+    if smaller.drifting is None or (smaller.found is None) != (larger.found is None):
+        return False
+    return float(np.sum(gained(smaller.drifting, larger.found or larger))) < -price(
+        smaller.drifting.samples)
 
 
 def beats(one: Tried, other: Tried) -> bool:
