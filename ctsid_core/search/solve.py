@@ -137,8 +137,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
         if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
             predicted, disturbed = None, None if grows else predicted
-    # A drift predictions take up, too, as growth.
-    if predicted is not None and best.drifting is None and (solved := _likelier(
+    # A drift predictions take up, too, as growth; simulations of what a controller holds seem to
+    # drift, but fail.
+    drifts = best.drifting is not None and best.unexplained < _FAILS
+    if predicted is not None and not drifts and (solved := _likelier(
             part, settings, seen, samples, best, free, predicted)):
         return solved
     reached = climbed(samples, best, free)
