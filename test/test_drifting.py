@@ -217,3 +217,26 @@ def test_time_among_inputs_explains_a_gain_that_drifts_exactly():
     assert imitates(more, replace(one, drifting=both))
     assert not imitates(more, one)
     assert not imitates(both, replace(one, drifting=both))
+
+
+def test_a_middle_that_the_record_does_not_show_is_not_taken():
+    """A staircase that saturates: GOOD, with 80.6 % of another flight, of 90 that are reachable."""
+    given = experiment('saturation-30', 70, 1)
+    found = identify(given.record, given.settings)
+    assert found.verdict.grade is not Grade.GOOD
+
+
+def test_a_simulation_that_fails_is_no_drift():
+    """Held by its controller a quadrotor seems to have a gain that drifts by 254 %."""
+    given = experiment('rates-1x1', 76, 1)
+    found = identify(given.record, given.settings)
+    assert found.verdict.grade is Grade.GOOD
+    assert any(choice.value == 'predictions' for choice in found.choices)
+
+
+def test_a_joint_that_rings_after_a_step_does_not_drift():
+    """Two states that drift seemed to do for three: 79 % of another flight."""
+    given = experiment('flexible-joint', 67, 5)
+    found = identify(given.record, given.settings)
+    assert found.model.n == 3
+    assert np.mean(simulated(found.model, given.test)) > 98.0
