@@ -220,7 +220,7 @@ def test_time_among_inputs_explains_a_gain_that_drifts_exactly():
 
 
 def test_a_middle_that_the_record_does_not_show_is_not_taken():
-    """A staircase that saturates: GOOD, with 80.6 % of another flight, of 90 that are reachable."""
+    """A staircase that saturates: GOOD, with 80.6 % of another flight, 90 are reachable."""
     given = experiment('saturation-30', 70, 1)
     found = identify(given.record, given.settings)
     assert found.verdict.grade is not Grade.GOOD
