@@ -20,9 +20,10 @@ from ctsid_core import Grade, Record, Settings, Status, identify
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
+from ctsid_core.search.by_order import search_orders
 from ctsid_core.search.drifting import drifting as with_drift
 from ctsid_core.search.drifting import free_with_time, mean_of
-from ctsid_core.search.tried import imitates, tried
+from ctsid_core.search.tried import choose, imitates, tried
 from ctsid_ros.studies.robots.families import experiment
 from ctsid_ros.studies.robots.trials import simulated
 
@@ -92,7 +93,7 @@ def test_the_model_is_of_the_middle_and_knows_how_well(gain, seeds):
 
 
 def test_what_stands_still_does_not_drift():
-    """The model is the same, to the last bit, as if nothing had been asked."""
+    """Nothing is said, and the model is that of the order given, of which nothing is asked."""
     found = identify(drifting(0))
     assert found.model.n == 1
     assert not any('drift' in note for note in found.notes)
@@ -217,6 +218,24 @@ def test_time_among_inputs_explains_a_gain_that_drifts_exactly():
     assert imitates(more, replace(one, drifting=both))
     assert not imitates(more, one)
     assert not imitates(both, replace(one, drifting=both))
+    # What they were of fewer samples is compared, or nothing: noise has another power there.
+    thin = {'found': replace(more, power=0.0 * more.power)}
+    seen = replace(one, drifting=both, found=one)
+    assert not imitates(replace(more, **thin), seen)
+    assert imitates(replace(thin['found'], found=more), seen)
+    assert not imitates(more, seen)
+
+
+def test_a_search_keeps_what_its_models_were_of_the_samples_it_looked_at():
+    """2000 samples, of which 1000 are looked at; no starts by a subspace method."""
+    samples = samples_of([sagging(1, 0.4)], [[None]])
+    whole, found = search_orders(samples, FREE, lambda n, delay: iter(()), order=0, max_order=3,
+                                 known_delay=np.zeros(1))
+    assert choose(found) == 1
+    assert found[1].drifting is not None
+    for one in found.values():
+        assert one.samples is whole
+        assert one.found.samples.counts.sum() < 0.6 * whole.counts.sum()
 
 
 def test_a_middle_that_the_record_does_not_show_is_not_taken():

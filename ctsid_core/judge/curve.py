@@ -31,6 +31,7 @@ from ctsid_core.likelihood.samples import RecordSamples, Samples
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Mask
 from ctsid_core.model.modal import steps_of
+from ctsid_core.search.drifting import delays_with_time
 from ctsid_core.signals.record import Signal
 
 _POWERS = (2, 3)
@@ -48,15 +49,15 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
     Return the points of fit that curves gain after the model, less those by chance, (ny,) [%].
 
     They are points of the motion within a tenth of a record. What inputs that drift explain, too,
-    each there twice, is left to these.
+    `drifting` with the time among them, is left to these.
     """
     samples = samples.thinned(_SEARCHED)
     model, gains, errors = fit.model, np.zeros(samples.ny), residuals(samples, fit)
     if not samples.counts.all():
         return gains
-    whole = samples if drifting is None else drifting.thinned(_SEARCHED)
-    delay = np.append(model.delay, [*model.delay, 0.0][:whole.nu - samples.nu])
-    columns = columns_of(whole, model.poles, delay, direct=free.feedthrough, turned=False)
+    known, delay = (samples, model.delay) if drifting is None else (
+        drifting.thinned(_SEARCHED), delays_with_time(model.delay))
+    columns = columns_of(known, model.poles, delay, direct=free.feedthrough, turned=False)
     samples.effort.spend(evaluation_work(samples, len(model.poles)))
     curved = _powers(samples, errors)
     for k, stream in enumerate(samples.records[0].streams):

@@ -11,7 +11,6 @@ that is not linear follows better.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +56,7 @@ def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Dr
 
 def drift_of_inputs(names: Sequence[str], mean: Fit, drifting: Fitted) -> Drift:
     """Return how the inputs drift of which a model is the mean."""
-    samples, fit, free = drifting
+    samples, fit, _ = drifting
     model, nu = fit.model, len(names)
     # Each mode counts as much as it moves the outputs, and each input as much as it moves.
     weight = np.linalg.norm(model.c, axis=0) / np.maximum(
@@ -73,8 +72,8 @@ def drift_of_inputs(names: Sequence[str], mean: Fit, drifting: Fitted) -> Drift:
     def cost(power: Array) -> float:
         missed = samples.mean(power) - samples.mean(fit.power)
         return 100.0 * float(np.sqrt(max(float(np.max(missed)), 0.0)))
-    return Drift(-1, cost(mean.power), not any(one.gain for one in found), found, cost(
-        standing(samples, fit, replace(free, delays=free.delays[:nu])).power))
+    return Drift(-1, cost(mean.power), not any(one.gain for one in found), found,
+                 cost(standing(*drifting).power))
 
 
 def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArray) -> InputDrift:

@@ -5,9 +5,9 @@ Inputs that drift: what they explain, states need not.
 A battery that sags and a motor that warms up change a gain while it is recorded, and clocks that
 run apart change a dead time. Of a plant whose numbers move in a straight line within a record the
 output is, to first order, that of one which stands still and has each input twice: as it is, and
-multiplied by the time from the middle of the record on, with residues of their own. For a gain
-before the plant that is exact; a dead time, and of one or two states poles, it follows as closely
-as they move.
+multiplied by the time from the middle of the record on, with residues of their own; and that time,
+for what a gain that drifts makes of an input's mean. For a gain before the plant and held inputs
+that is exact; dead times it follows to first order, as far as no input acts on an output at once.
 
 References
 ----------
@@ -30,6 +30,7 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.types import Array
 from ctsid_core.model.modal import Drive
 from ctsid_core.search.tried import SEARCH, Tried, beats, parameters, price, tried
 from ctsid_core.signals.record import Signal
@@ -49,7 +50,7 @@ def drifting(samples: Samples, one: Tried, free: Free, rival: float = np.inf) ->
     wider = (0, 0), (0, samples.nu + 1)
     near = Guess(replace(m, b=np.pad(m.b, wider), D=np.pad(m.D, wider)), one.fit.power)
     with suppress(np.linalg.LinAlgError):
-        start = fit_at(both, m.poles, np.append(m.delay, [*m.delay, 0.0]), free, near)
+        start = fit_at(both, m.poles, delays_with_time(m.delay), free, near)
         more = parameters(both, start, free) - one.parameters
         rival = min(rival, one.fit.cost - price(samples) * more)
         found = tried(both, climb_roughly(both, start, free, rival), free)
@@ -67,8 +68,8 @@ def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
     mean explains them less well than one model does, offsets that drift apart.
     """
     both = None if samples.effort.beyond(SEARCH) else drifting(samples, one, free)
-    if both is None or np.any(
-            both.samples.mean(standing(both.samples, both.fit, free).power) > _APART * one.power):
+    if both is None or np.any(both.samples.mean(standing(
+            both.samples, both.fit, free_with_time(free)).power) > _APART * one.power):
         return replace(one, drifting=None)
     m, nu = both.fit.model, samples.nu
     m = replace(m, b=m.b[:, :nu], D=m.D[:, :nu], delay=m.delay[:nu])
@@ -76,15 +77,20 @@ def mean_of(samples: Samples, one: Tried, free: Free) -> Tried:
 
 
 def standing(samples: Samples, fit: Fit, free: Free) -> Fit:
-    """Return a model with inputs that drift as if they did not; offsets may all the same."""
+    """Return a model with time among its inputs as if these stood still; offsets may drift."""
     m, still = fit.model, np.arange(samples.nu) < samples.nu // 2
     still[-1] = True
-    return fit_states(samples, replace(m, b=m.b * still, D=m.D * still), free_with_time(free))
+    return fit_states(samples, replace(m, b=m.b * still, D=m.D * still), free)
 
 
 def free_with_time(free: Free) -> Free:
     """Return what is free where time is among the inputs: no further dead times."""
     return replace(free, delays=free.delays + (False,) * (len(free.delays) + 1))
+
+
+def delays_with_time(delay: Array) -> Array:
+    """Return the dead times where time is among the inputs: those times it have the same ones."""
+    return np.append(delay, [*delay, 0.0])
 
 
 def _with_time(samples: Samples) -> Samples:

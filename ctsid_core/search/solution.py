@@ -45,7 +45,7 @@ class Solution:
     plant: Matrices | None = None
     # Of a plant that predictions found and simulations are judged by: its predictor
     predictor: Fitted | None = None
-    # With inputs that drift, of which the model is the mean; each input is there twice
+    # With inputs that drift, of which the model is the mean; time is among the inputs
     drifting: Fitted | None = None
     # (horizons, ny): of its predictions, over the motion
     errors_ahead: Array = field(default_factory=lambda: np.empty((0, 0)))
