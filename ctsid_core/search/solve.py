@@ -182,7 +182,12 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best.
     """
     plant = _plant_of(part, samples, found, free)
-    if plant is None or not _predicts_better(part, samples, best, found):
+    if plant is None or not _predicts_better(part, settings, samples, best, found, free):
+        return None
+    # If this is the plant, all numbers of the best simulation explain no more than their price.
+    n_eff = np.maximum(plant.simulated.independent, 2.0)
+    power = [np.maximum(one.power, LEAST ** 2) for one in (plant.simulated, best)]
+    if n_eff @ np.log(power[0] / power[1]) > best.parameters * np.log(np.min(n_eff)):
         return None
     solved = _as_it_simulates(part, settings, seen, samples, found, plant, best.fit.model.delay)
     best = climbed(solved.samples, best, free) if solved.samples is not samples else best
@@ -507,7 +512,7 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
 
     If it simulates, that is what it is judged by, else by predictions.
     """
-    if not _predicts_better(part, samples, best, found):
+    if not _predicts_better(part, settings, samples, best, found, free):
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
@@ -525,8 +530,8 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
             samples, plant.simulated.fit, plant.free))
 
 
-def _predicts_better(part: Joint, samples: Samples, best: Tried,
-                     found: PredictionFit) -> bool:
+def _predicts_better(part: Joint, settings: Settings, samples: Samples, best: Tried,
+                     found: PredictionFit, free: Free) -> bool:
     """
     Return whether the plant that predictions found predicts better than a simulation's.
 
@@ -534,6 +539,7 @@ def _predicts_better(part: Joint, samples: Samples, best: Tried,
     has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
     not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
     Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
+    What states leave that a given order lacks is no noise: predictions want more of them then.
     """
     fit = found.found.fit
     noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
@@ -567,8 +573,11 @@ def _predicts_better(part: Joint, samples: Samples, best: Tried,
             # Errors so far ahead are alike for as long.
             far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
     # Fewer numbers are no reason to give up a simulation.
-    return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
-        and far <= 0.0
+    if gain < price(samples) * max(found.found.parameters - numbers, 0) or far > 0.0:
+        return False
+    wanted = _predicted(part, settings.replace(order=0), samples, free) \
+        if settings.order and growth <= _GROWS else None
+    return wanted is None or len(wanted.matrices.A) <= settings.order
 
 
 def _growth(found: PredictionFit, samples: Samples) -> float:
