@@ -63,7 +63,6 @@ from ctsid_core.settings import Settings, longest_sought, slowest_sought
 from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
 _NEARLY = 0.95        # of the longest dead time that is looked for: states may stand in for more
-_STEADY = 0.05        # times e within the record: less does not tell a mode that decays
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
                       # plant in open loop, and it may grow
@@ -353,9 +352,9 @@ def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
            grows: bool = False) -> Doubt | None:
     """Return what a model looks like if the setting of D is not right, and that setting."""
-    near = poles.real * samples.length >= -_STEADY
+    near = poles.real * samples.length >= -_GROWS
     steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
-    if own.feedthrough and (grows or steady > 1):
+    if own.feedthrough and (grows or steady > 2):
         what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
         return (f'{what}, as when a controller keeps an unstable plant in place',
                 'feedthrough: false')
