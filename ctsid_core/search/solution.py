@@ -21,6 +21,7 @@ DISTURBED = 0.35        # error that is not white noise, over the motion: a simu
 
 # What it looks like if a setting is not right, in words, and that setting
 Doubt = tuple[str, str]
+ANY_ORDER = 'order: 0'  # that of an order which is too small
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ from ctsid_core.search.by_prediction import (
 from ctsid_core.search.corrupt import corrupt_rows, without_outliers
 from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.needless import without_needless
-from ctsid_core.search.solution import DISTURBED, Doubt, Solution, own_delays
+from ctsid_core.search.solution import ANY_ORDER, DISTURBED, Doubt, Solution, own_delays
 from ctsid_core.search.tried import (
     AKAIKE,
     LEAST,
@@ -128,14 +128,16 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         part = cleaner
         samples = seen()
         best = climbed(samples, best, free)
-    disturbed, grows = None, False
-    if own.feedthrough and not effort.beyond(SEARCH) and \
-            (left := best.left) > UNEXPLAINED:
+    disturbed, grows, left = None, False, best.left
+    wanted = _wanted(part, settings, samples, free) if left > UNEXPLAINED else 0
+    if wanted and predicted is not None and _growth(predicted, samples) <= _GROWS:
+        predicted = None
+    if own.feedthrough and not effort.beyond(SEARCH) and left > UNEXPLAINED:
         predicted = _predicted(part, settings, samples, free)
         grows = predicted is not None and _growth(predicted, samples) > _GROWS
         # In open loop a plant is to simulate, unless it grows and no simulation tells it.
         if not grows or min(left, *(one.unexplained for one in found.values())) < _FAILS:
-            predicted, disturbed = None, None if grows else predicted
+            predicted, disturbed = None, None if grows or wanted else predicted
     # A drift predictions take up, too, as growth; simulations of what a controller holds seem to
     # drift, but fail.
     drifts = best.drifting is not None and best.unexplained < _FAILS
@@ -165,7 +167,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
-                    doubt=_late(part, best, free)
+                    doubt=_late(part, best, free) or _lacking(wanted, settings)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, rivals=_rivals(others), drifting=drifting,
                     singular_values=values, condition=condition)
@@ -181,7 +183,7 @@ def _disturbed(part: Joint, settings: Settings, seen: Seen, samples: Samples, be
     are known best.
     """
     plant = _plant_of(part, samples, found, free)
-    if plant is None or not _predicts_better(part, settings, samples, best, found, free):
+    if plant is None or not _predicts_better(part, samples, best, found):
         return None
     # If this is the plant, all numbers of the best simulation explain no more than their price.
     n_eff = np.maximum(plant.simulated.independent, 2.0)
@@ -349,6 +351,12 @@ def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
                  if late and delay > _NEARLY * free.longest), None)
 
 
+def _lacking(wanted: int, settings: Settings) -> Doubt | None:
+    """Return that an order is given which is too small, and the setting."""
+    return (f'predictions want {wanted} states, of which {settings.order} are given',
+            ANY_ORDER) if wanted else None
+
+
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
            grows: bool = False) -> Doubt | None:
     """Return what a model looks like if the setting of D is not right, and that setting."""
@@ -486,6 +494,18 @@ def _predicted(part: Joint, settings: Settings, samples: Samples,
         last=_compared(part, part.last))
 
 
+def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> int:
+    """
+    Return how many states predictions want, if a smaller order is given; else 0.
+
+    What missing states leave is no noise, and predictions would take it for that.
+    """
+    found = None if not settings.order or samples.effort.beyond(SEARCH) else _predicted(
+        part, settings.replace(order=0), samples, free)
+    wanted = 0 if found is None else len(found.matrices.A)
+    return wanted if wanted > settings.order else 0
+
+
 def _compared(part: Joint, place: int) -> Compared:
     own = part.parts[place]
     return Compared(place, own.record, corrupt_rows(own))
@@ -511,7 +531,7 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
 
     If it simulates, that is what it is judged by, else by predictions.
     """
-    if not _predicts_better(part, settings, samples, best, found, free):
+    if not _predicts_better(part, samples, best, found):
         return None
     # Simulated as it is, for the best simulation may err by what the controller makes of gusts.
     plant = None if _growth(found, samples) > _GROWS else _plant_of(part, samples, found, free)
@@ -529,8 +549,8 @@ def _likelier(part: Joint, settings: Settings, seen: Seen, samples: Samples, bes
             samples, plant.simulated.fit, plant.free))
 
 
-def _predicts_better(part: Joint, settings: Settings, samples: Samples, best: Tried,
-                     found: PredictionFit, free: Free) -> bool:
+def _predicts_better(part: Joint, samples: Samples, best: Tried,
+                     found: PredictionFit) -> bool:
     """
     Return whether the plant that predictions found predicts better than a simulation's.
 
@@ -538,7 +558,6 @@ def _predicts_better(part: Joint, settings: Settings, samples: Samples, best: Tr
     has grown: less far ahead, a gain that drifts looks like growth. One that does not grow must
     not predict worse several samples ahead: one sample ahead, high frequencies may outweigh it.
     Not beside oscillations that last, which know a set point, or what disturbs, as far ahead.
-    What states leave that a given order lacks is no noise: predictions want more of them then.
     """
     fit = found.found.fit
     noisy, _ = with_noise(samples, best.fit, best.errors, part.last)
@@ -572,11 +591,8 @@ def _predicts_better(part: Joint, settings: Settings, samples: Samples, best: Tr
             # Errors so far ahead are alike for as long.
             far += 2.0 * length / ahead * float(np.sum(np.log(own / other)))
     # Fewer numbers are no reason to give up a simulation.
-    if gain < price(samples) * max(found.found.parameters - numbers, 0) or far > 0.0:
-        return False
-    wanted = _predicted(part, settings.replace(order=0), samples, free) \
-        if settings.order and growth <= _GROWS else None
-    return wanted is None or len(wanted.matrices.A) <= settings.order
+    return gain >= price(samples) * max(found.found.parameters - numbers, 0) \
+        and far <= 0.0
 
 
 def _growth(found: PredictionFit, samples: Samples) -> float:
