@@ -16,7 +16,6 @@ import numpy as np
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.signals.spikes import (
-    MOST,
     SURE,
     Channel,
     distance,
@@ -38,8 +37,6 @@ class Spikes:
     mask: Mask      # (N, m): which samples are corrupt
     instead: Array  # (N, m): the values, with corrupt samples bridged from their neighbours
     off: Array      # (N, m): the values less these
-    # channels with so many far samples that none was taken for corrupt
-    too_many: tuple[int, ...] = ()
 
     @property
     def any(self) -> bool:
@@ -66,7 +63,7 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
         return no_spikes(values)
     mask = np.zeros(values.shape, dtype=bool)
     weights = weights_of(time)
-    too_many, instead = [], values
+    instead = values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
         stands_out, direct = standing_out(off, scale, sure), None
@@ -78,13 +75,11 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
             continue
         found, filled = find(Channel(time, weights, sure, resolution(row)),
                              row if direct is None else row - direct)
-        if np.count_nonzero(found) > MOST * len(row):
-            too_many.append(j)
-        elif found.any():
+        if found.any():
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
             instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
-    return Spikes(mask, instead, values - instead, tuple(too_many))
+    return Spikes(mask, instead, values - instead)
 
 
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
@@ -108,10 +103,6 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
                              'corrupt, far from their neighbours or their model, and were not '
                              'used: '
                              + _places(times[bad]) + held * (kind == 'input'))
-            if j in spiky.too_many:
-                notes.append(f'{kind} {name}: more than {100 * MOST:g} % of the samples lie far '
-                             'from their neighbours; these are not a few corrupt ones, and all '
-                             'were used')
     return notes, counts
 
 
