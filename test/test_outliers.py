@@ -261,6 +261,18 @@ def test_only_a_smooth_input_can_be_corrupt(hold, count):
     assert np.count_nonzero(part.corrupt_u[0].mask) == count
 
 
+def test_an_input_that_moves_in_pulses_is_used_as_it_is():
+    """No model gives the samples of an input back: 9 % of them lie far from their neighbours."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.02)
+    u = 0.01 * rng.standard_normal(1000)
+    for at in range(20, 1000, 67):
+        u[at:at + 3] += 1.0
+        u[at + 3:at + 6] -= 1.0
+    y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, u[:, np.newaxis], t)
+    part = usable(Record.from_arrays(t, u, t, y, input_hold='smooth'), Settings())
+    assert not part.corrupt_u[0].any
+
+
 @pytest.mark.parametrize('budget', [0.8, 0.0])
 def test_pulses_that_an_output_follows_at_once_are_no_spikes(budget):
     """Within a budget no second search gives them back: D was 0, and 58 samples corrupt."""
