@@ -42,11 +42,10 @@ def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
         found = list(p.corrupt_y)
         for k, (e, s, signal, spiky) in enumerate(zip(errors, record.streams, p.record.outputs,
                                                       p.corrupt_y, strict=True)):
-            if len(e) and (_stand_out(e).any() or spiky.too_many):
+            if len(e) and _stand_out(e).any():
                 seen, mask = spikes(s.times, e, closely=True), spiky.mask.copy()
                 mask[np.searchsorted(signal.time, s.times)] = seen.mask
-                found[k] = replace(spiky, mask=mask, too_many=tuple(
-                    j for j in spiky.too_many if j in seen.too_many))
+                found[k] = replace(spiky, mask=mask)
         parts.append(replace(p, corrupt_y=tuple(found)))
     return replace(part, parts=tuple(parts)) if _differ(parts, part) else part
 
@@ -108,7 +107,6 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
             e = e + np.where(bridged.mask, bridged.off, 0.0)[rows] / samples.size[s.channels]
             left = spikes(s.times, e, closely=True)
             mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask
-            mask[:, list(left.too_many)] = False
             honest.append(mask)
         parts.append(p.with_honest(honest))
     return replace(part, parts=tuple(parts)) if _differ(parts, part) else None
@@ -116,6 +114,5 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
 
 def _differ(parts: Sequence[Usable], part: Joint) -> bool:
     """Return whether other samples are corrupt in them."""
-    return any(new.too_many != old.too_many or (new.mask != old.mask).any()
-               for p, q in zip(parts, part.parts, strict=True)
+    return any((new.mask != old.mask).any() for p, q in zip(parts, part.parts, strict=True)
                for new, old in zip(p.corrupt_y, q.corrupt_y, strict=True))

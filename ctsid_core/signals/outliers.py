@@ -16,7 +16,6 @@ import numpy as np
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.signals.spikes import (
-    MOST,
     SURE,
     Channel,
     distance,
@@ -28,7 +27,8 @@ from ctsid_core.signals.spikes import (
 )
 
 FEWEST = 50             # samples of a channel that is looked at
-SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest
+SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest,
+MOST_INPUT = 0.05       # and part of their samples beyond which these are how they move
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,6 @@ class Spikes:
     mask: Mask      # (N, m): which samples are corrupt
     instead: Array  # (N, m): the values, with corrupt samples bridged from their neighbours
     off: Array      # (N, m): the values less these
-    # channels with so many far samples that none was taken for corrupt
-    too_many: tuple[int, ...] = ()
 
     @property
     def any(self) -> bool:
@@ -52,21 +50,21 @@ def no_spikes(values: Array) -> Spikes:
     return Spikes(np.zeros(values.shape, dtype=bool), values, np.zeros(values.shape))
 
 
-def spikes(time: Array, values: Array, sure: float = SURE, *,
+def spikes(time: Array, values: Array, sure: float = SURE, most: float = 1.0, *,
            inputs: Array | None = None, closely: bool = False) -> Spikes:
     """
     Find the corrupt samples of channels (N, m) that share their increasing stamps (N,).
 
-    They lie beyond `sure` robust standard deviations; `inputs` (N, nu) are held ones, that
-    channels may follow at once; `closely`: look for small bursts even if no sample stands out. Of
-    white Gaussian noise with 10000 samples, about one record in 170 has a suspect; it then has to
-    pass the judgement, too.
+    They lie beyond `sure` robust standard deviations, and are at `most` so large a part of a
+    channel, else none is; `inputs` (N, nu) are held ones, that channels may follow at once;
+    `closely`: look for small bursts even if no sample stands out. Of white Gaussian noise with
+    10000 samples, about one record in 170 has a suspect; it then has to pass the judgement, too.
     """
     if len(time) < FEWEST:
         return no_spikes(values)
     mask = np.zeros(values.shape, dtype=bool)
     weights = weights_of(time)
-    too_many, instead = [], values
+    instead = values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
         stands_out, direct = standing_out(off, scale, sure), None
@@ -78,13 +76,11 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
             continue
         found, filled = find(Channel(time, weights, sure, resolution(row)),
                              row if direct is None else row - direct)
-        if np.count_nonzero(found) > MOST * len(row):
-            too_many.append(j)
-        elif found.any():
+        if 0 < np.count_nonzero(found) <= most * len(row):
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
             instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
-    return Spikes(mask, instead, values - instead, tuple(too_many))
+    return Spikes(mask, instead, values - instead)
 
 
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
@@ -108,10 +104,6 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
                              'corrupt, far from their neighbours or their model, and were not '
                              'used: '
                              + _places(times[bad]) + held * (kind == 'input'))
-            if j in spiky.too_many:
-                notes.append(f'{kind} {name}: more than {100 * MOST:g} % of the samples lie far '
-                             'from their neighbours; these are not a few corrupt ones, and all '
-                             'were used')
     return notes, counts
 
 
