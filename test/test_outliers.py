@@ -261,16 +261,38 @@ def test_only_a_smooth_input_can_be_corrupt(hold, count):
     assert np.count_nonzero(part.corrupt_u[0].mask) == count
 
 
-def test_an_input_that_moves_in_pulses_is_used_as_it_is():
-    """No model gives the samples of an input back: 9 % of them lie far from their neighbours."""
+def moved_in_pulses(each):
+    """Return a measured input with a pulse there and back so often, and a lag that it moves."""
     rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.02)
-    u = 0.01 * rng.standard_normal(1000)
-    for at in range(20, 1000, 67):
+    u = np.zeros(1000)
+    for at in range(20, 990, each):
         u[at:at + 3] += 1.0
         u[at + 3:at + 6] -= 1.0
     y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, u[:, np.newaxis], t)
-    part = usable(Record.from_arrays(t, u, t, y, input_hold='smooth'), Settings())
-    assert not part.corrupt_u[0].any
+    return t, u + 0.01 * rng.standard_normal(1000), y + 0.003 * rng.standard_normal((1000, 1))
+
+
+@pytest.mark.parametrize('each', [67, *slow(200)])
+def test_an_input_that_moves_in_pulses_is_used_as_it_is(each):
+    """Its neighbours take them for corrupt, and nothing is left of it; the output answers."""
+    t, u, y = moved_in_pulses(each)
+    record = Record.from_arrays(t, u, t, y, input_hold='smooth')
+    assert usable(record, Settings()).corrupt_u[0].any
+    found = identify(record)
+    assert found.ok
+    assert found.statistics['corrupt_samples'] == 0.0
+    assert found.model.poles[np.argmax(found.model.poles.real)] == pytest.approx(-3.0, rel=0.1)
+
+
+def test_spikes_of_an_input_that_no_output_answers_are_corrupt():
+    rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.02)
+    u = np.sin(np.outer(t, [0.7, 2.0, 5.0])).sum(axis=1)
+    y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, u[:, np.newaxis], t)
+    u[[200, 500, 501, 800]] += 5.0
+    found = identify(Record.from_arrays(
+        t, u, t, y + 0.01 * rng.standard_normal((1000, 1)), input_hold='smooth'))
+    assert found.statistics['corrupt_samples.u1'] == 4.0
+    assert found.statistics['corrupt_samples'] == 4.0
 
 
 @pytest.mark.parametrize('budget', [0.8, 0.0])

@@ -13,15 +13,9 @@ from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.settings import Settings
-from ctsid_core.signals.outliers import (
-    MOST_INPUT,
-    SURE_INPUT,
-    Spikes,
-    no_spikes,
-    report,
-    spikes,
-)
+from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 _FEWEST = 20            # samples of an output
@@ -64,6 +58,13 @@ class Usable:
             replace(s, values=s.values + np.where(own, spiky.off, 0.0))
             for s, spiky, own in given)),
             corrupt_y=tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
+
+    def with_inputs_as_given(self) -> Usable:
+        """Return the record with no sample of an input corrupt."""
+        return replace(self, record=replace(self.record, inputs=tuple(
+            replace(s, values=s.values + spiky.off) if spiky.any else s
+            for s, spiky in zip(self.record.inputs, self.corrupt_u, strict=True))),
+            corrupt_u=tuple(no_spikes(s.values) for s in self.record.inputs))
 
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -109,8 +110,7 @@ def usable(record: Record, settings: Settings,
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
-    inputs, corrupt_u = _despiked(inputs, ('smooth',), (None,) * len(inputs), SURE_INPUT,
-                                  MOST_INPUT)
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), (None,) * len(inputs), SURE_INPUT)
     outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'),
                                    _held_at(record, outputs, settings))
     inputs, u_level = _centred(inputs, settings.trim)
@@ -163,9 +163,9 @@ def _held_at(record: Record, signals: list[Signal],
 
 
 def _despiked(signals: list[Signal], holds: tuple[str, ...], inputs: tuple[Array | None, ...],
-              *limits: float) -> tuple[list[Signal], tuple[Spikes, ...]]:
+              sure: float = SURE) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
-    found = tuple(spikes(s.time, s.values, *limits, inputs=direct) if s.hold in holds else
+    found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
                   no_spikes(s.values)
                   for s, direct in zip(signals, inputs, strict=True))
     return [replace(s, values=own.instead) if own.any else s

@@ -27,8 +27,7 @@ from ctsid_core.signals.spikes import (
 )
 
 FEWEST = 50             # samples of a channel that is looked at
-SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest,
-MOST_INPUT = 0.05       # and part of their samples beyond which these are how they move
+SURE_INPUT = 10.0       # the same for inputs, which may move in pulses
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +49,15 @@ def no_spikes(values: Array) -> Spikes:
     return Spikes(np.zeros(values.shape, dtype=bool), values, np.zeros(values.shape))
 
 
-def spikes(time: Array, values: Array, sure: float = SURE, most: float = 1.0, *,
+def spikes(time: Array, values: Array, sure: float = SURE, *,
            inputs: Array | None = None, closely: bool = False) -> Spikes:
     """
     Find the corrupt samples of channels (N, m) that share their increasing stamps (N,).
 
-    They lie beyond `sure` robust standard deviations, and are at `most` so large a part of a
-    channel, else none is; `inputs` (N, nu) are held ones, that channels may follow at once;
-    `closely`: look for small bursts even if no sample stands out. Of white Gaussian noise with
-    10000 samples, about one record in 170 has a suspect; it then has to pass the judgement, too.
+    They lie beyond `sure` robust standard deviations; `inputs` (N, nu) are held ones, that
+    channels may follow at once; `closely`: look for small bursts even if no sample stands out. Of
+    white Gaussian noise with 10000 samples, about one record in 170 has a suspect; it then has to
+    pass the judgement, too.
     """
     if len(time) < FEWEST:
         return no_spikes(values)
@@ -76,7 +75,7 @@ def spikes(time: Array, values: Array, sure: float = SURE, most: float = 1.0, *,
             continue
         found, filled = find(Channel(time, weights, sure, resolution(row)),
                              row if direct is None else row - direct)
-        if 0 < np.count_nonzero(found) <= most * len(row):
+        if found.any():
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
             instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
