@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Advice against truth: experiments as advised, and what they really make of the deviations."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from plants import PLANTS, Multisine, _stationary, match
 import pytest
@@ -8,7 +11,10 @@ import pytest
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
 from ctsid_core.advice.advice import advise
 from ctsid_core.errors import DataError
+from ctsid_core.model.storage import load_estimate
+from ctsid_ros.cli import main
 
+ROOT = Path(__file__).resolve().parent.parent
 LENGTH = 10.0
 FAST = 2 * np.pi * np.array([1.0, 5.0])  # rad/s: the band of the first experiment
 
@@ -189,3 +195,21 @@ def test_deviations_fall_as_foretold(case, seeds):
         least = 0.5 if what == 'twice as long' else 1.0 / allowed  # forecast as of two windows
         assert expected * least < measured < expected * allowed
     assert ratio < 0.6
+
+
+def test_an_order_that_is_far_too_large_ends_with_advice(tmp_path):
+    """No root was found between 1 and how much more the input would have to move, 1e20 times."""
+    bag, params = ROOT / 'bags/quadrotor_roll', ROOT / 'config/quadrotor_roll.yaml'
+    (tmp_path / 'p.yaml').write_text(params.read_text().replace('order: 0', 'order: 12'))
+    assert main(['identify', str(bag), '--params', str(tmp_path / 'p.yaml'),
+                 '--out', str(tmp_path / 'out')]) == 0
+    assert load_estimate(tmp_path / 'out/model.json').settings.order == 12
+
+
+def test_poles_that_no_data_would_tell_get_the_advice_to_take_fewer():
+    record = experiment(0, [(1.0, FAST)], **CASES['measurement noise'])
+    found = identify(record, settings(CASES['measurement noise']))
+    told = advise(replace(found, covariance=replace(
+        found.covariance, root=1e8 * found.covariance.root)), record)
+    assert any(np.isinf(p.longer) and np.isinf(p.larger) for p in told.poles)
+    assert any('fewer states may do (`order`)' in sentence for sentence in told.sentences)

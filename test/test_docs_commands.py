@@ -73,3 +73,15 @@ def test_every_command_of_the_pages_runs(folder):
                     wanted = (0, 3) if 'results/wrong' in command or \
                         command.endswith('rate 30') else (0,)
                     assert ran.returncode in wanted, f'{page}: {command}\n{ran.stderr}'
+
+
+def test_the_tutorial_ends_with_the_gains_that_it_promises(folder):
+    """One model of the bag, of the poles that are told, and gains that are accepted."""
+    text = (ROOT / 'docs/tutorial.md').read_text(encoding='utf-8')
+    command, = (b for language, b in blocks('tutorial') if '--test-from 30' in b)
+    design, = (b for language, b in blocks('tutorial') if language == 'python')
+    promised, = re.findall(r'It prints `([^`]*)`', text)
+    found = run(folder, 'sh', '-c', command)
+    assert '4 states' in found.stdout, found.stdout + found.stderr
+    ran = run(folder, sys.executable, '-c', design)
+    assert ran.stdout.splitlines()[0] == promised, ran.stdout + ran.stderr

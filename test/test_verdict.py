@@ -377,8 +377,9 @@ def test_an_order_that_is_too_small_is_the_first_reason(seed, order, would):
     p = random_plant(rng, int(rng.integers(3, 6)), 1, 2)
     verdict = judged(held(rng, p, 50.0, 100.0, snr=30), Settings(order=order))
     assert verdict.grade is Grade.WEAK
-    assert verdict.reason.startswith('Predictions want ')
-    assert f'states, of which {order} are given. If that is not so: {would}' in verdict.reason
+    assert verdict.reason.startswith(
+        f'More states than the {order} that are given predict better, as when the order is too '
+        f'small. If that is not so: {would}')
     assert verdict.reason.endswith(' If it is so, set `order: 0`.')
     assert verdict.remedy is Remedy.SETTING
 

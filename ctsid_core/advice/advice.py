@@ -37,7 +37,7 @@ class PoleAdvice:
     # enough. Reckoned as if in separate windows: one long record is at least as good
     longer: float
     # how many times as large the excitation has to be over the same time, if the plant stays
-    # linear; 1 if it is large enough
+    # linear; 1 if it is large enough, infinite (as `longer`) if that is not the way
     larger: float
     bands: tuple[Band, ...]  # what further excitation in one band would do, the most helpful first
     # how long it has to last in the most helpful one [s]; infinite if that is not the way
@@ -112,7 +112,7 @@ def advise(estimate: Estimate, record: Record | Sequence[Record], wanted: float 
 def _advice(of: Forecast, k: int, wanted: float, seconds: float) -> PoleAdvice:
     """Return what it takes to know pole k."""
     now = of.deviation(k)
-    larger = _least(partial(of.deviation, k), wanted, 1.0, 2.0 * (now / wanted) ** len(of.poles))
+    larger = _least(partial(of.deviation, k), wanted, 1.0, _MOST)
     bands = sorted(((replace(band, ratio=of.with_band(k, i, seconds) / now), i)
                     for i, band in enumerate(of.bands)), key=lambda x: x[0].ratio)
     return PoleAdvice(
@@ -128,7 +128,7 @@ def _least(deviation: Callable[[float], float], wanted: float, low: float, high:
         return low
     if not deviation(high) <= wanted:
         return np.inf
-    return float(brentq(lambda x: deviation(x) - wanted, low, high))
+    return float(np.exp(brentq(lambda x: deviation(np.exp(x)) - wanted, *np.log((low, high)))))
 
 
 def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:
@@ -152,9 +152,12 @@ def _sentences(poles: Sequence[PoleAdvice], wanted: float, seconds: float) -> It
         yield (f'The standard deviation of every pole is at most {100 * wanted:.3g} % of its '
                'size: no further data are needed.')
     for p in inaccurate:
+        more = (f'With the same excitation the data would have to be {p.longer:.2g} times as '
+                f'long, or the input {p.larger:.2g} times as large. ') if p.larger < np.inf else (
+            f'With the same excitation the input would have to be more than {_MOST:.0e} times as '
+            'large: fewer states may do (`order`). ')
         yield (f'{_named(p.pole)}: standard deviation {p.std:.2g} rad/s, wanted {p.wanted:.2g}. '
-               f'With the same excitation the data would have to be {p.longer:.2g} times as long'
-               f', or the input {p.larger:.2g} times as large. ' + _band_words(p, seconds))
+               + more + _band_words(p, seconds))
 
 
 def _band_words(p: PoleAdvice, seconds: float) -> str:

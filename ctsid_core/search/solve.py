@@ -129,7 +129,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
         samples = seen()
         best = climbed(samples, best, free)
     disturbed, grows, left = None, False, best.left
-    wanted = _wanted(part, settings, samples, free) if left > UNEXPLAINED else 0
+    wanted = _wanted(part, settings, samples, free) if left > UNEXPLAINED else None
     if wanted and predicted is not None and _growth(predicted, samples) <= _GROWS:
         predicted = None
     if own.feedthrough and not effort.beyond(SEARCH) and left > UNEXPLAINED:
@@ -167,7 +167,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
-                    doubt=_late(part, best, free) or _lacking(wanted, settings)
+                    doubt=_late(part, best, free) or wanted
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, rivals=_rivals(others), drifting=drifting,
                     singular_values=values, condition=condition)
@@ -272,7 +272,7 @@ def _neighbour(found: dict[int, Tried], chosen: int) -> int:
 
     What a disturbance or a curve of the plant leaves is hardly independent, however it is counted,
     but its own past tells most of it; and a state too few, for which a dead time stands in, shows
-    in what is new before it shows in the fit.
+    in what is new before it shows in the fit. One more has to be likelier by what a number costs.
     """
     matters = found[chosen].power > LEAST ** 2
     if not matters.any():
@@ -281,7 +281,7 @@ def _neighbour(found: dict[int, Tried], chosen: int) -> int:
     return min((n for n in (chosen, chosen - 1, chosen + 1) if n in found and (
         n <= chosen or not imitates(found[n], own) and (explains(own, found[n]) or bool(np.any(
             found[n].fit.model.delay < 0.5 * own.fit.model.delay))))),
-               key=lambda n: _in_colour(found[n], matters))
+               key=lambda n: _in_colour(found[n], matters) + price(own.samples) * (n > chosen))
 
 
 def _in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
@@ -349,12 +349,6 @@ def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
                  for name, late, delay in zip(
                      _names(part), free.delays, best.fit.model.delay, strict=True)
                  if late and delay > _NEARLY * free.longest), None)
-
-
-def _lacking(wanted: int, settings: Settings) -> Doubt | None:
-    """Return that an order is given which is too small, and the setting."""
-    return (f'predictions want {wanted} states, of which {settings.order} are given',
-            ANY_ORDER) if wanted else None
 
 
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
@@ -476,8 +470,10 @@ def _choices(part: Joint, settings: Settings, best: Tried, free: Free,
     """Return what was chosen, and why."""
     why = f', and one {"more" if beside > 0 else "less"}, because neighbouring errors are alike'
     found = [] if settings.order else [Choice(
-        'order', best.fit.model.n, 'the fewest states: more would explain no more than chance '
-        'does' + (why if beside else ''))]
+        'order', best.fit.model.n, ('the fewest states: more would explain no more than chance '
+                                    'does' + (why if beside else ''))
+        if best.fit.model.n < settings.max_order else
+        'the most that are tried: more may explain more, set `max_order`')]
     found += [Choice('delay', round(float(best.fit.model.delay[k]), 6),
                      f'of input {name}: the most likely, with the poles')
               for k, name in enumerate(_names(part)) if free.delays[k]]
@@ -494,16 +490,17 @@ def _predicted(part: Joint, settings: Settings, samples: Samples,
         last=_compared(part, part.last))
 
 
-def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> int:
+def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> Doubt | None:
     """
-    Return how many states predictions want, if a smaller order is given; else 0.
+    Return that an order is given which is too small, as predictions say, and the setting.
 
     What missing states leave is no noise, and predictions would take it for that.
     """
     found = None if not settings.order or samples.effort.beyond(SEARCH) else _predicted(
         part, settings.replace(order=0), samples, free)
-    wanted = 0 if found is None else len(found.matrices.A)
-    return wanted if wanted > settings.order else 0
+    return None if found is None or len(found.matrices.A) <= settings.order else (
+        f'more states than the {settings.order} that are given predict better, as when the order '
+        'is too small', ANY_ORDER)
 
 
 def _compared(part: Joint, place: int) -> Compared:
