@@ -44,6 +44,7 @@ from ctsid_core.settings import METHODS
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
+from ctsid_ros.report.headline import Run
 from ctsid_ros.report.tables import number, percent
 from ctsid_ros.studies import hd_vs_ct
 
@@ -728,6 +729,23 @@ def test_the_budget_of_the_command_line_is_that_of_the_model(ctsid, shared):
     code, _, err = ctsid('identify', *words, '--budget', '-1')
     assert code == 2
     assert '--budget' in err
+
+
+def test_parameters_of_the_command_line_are_those_of_the_model(ctsid, shared):
+    """What to try next has them, too, and so has the file that `ctsid try` writes."""
+    words = (shared / 'bag', '--params', shared / 'params.yaml', '--out', 'res', '--force',
+             '--duration', 6)
+    code, out, _ = ctsid('identify', *words, '--set', 'order=1', '--set', 'max_order=3')
+    assert code == 0
+    settings = load_estimate('res/model.json').settings
+    assert (settings.order, settings.max_order) == (1, 3)
+    run = Run('', ('bag',), 'p.yaml', changes=('order=1',))
+    assert run.command('replay') == 'ctsid replay bag --params p.yaml --set order=1'
+    code, _, err = ctsid('identify', *words, '--set', 'ordr=1')
+    assert code == 1
+    assert '`ordr` is not a parameter; nearest: order' in err
+    assert ctsid('try', shared / 'bag', '--set', 'order=2', '--out', 'tried')[0] == 0
+    assert read_config('tried/params.yaml').settings.order == 2
 
 
 def on_terminal(folder: Path, *words: object) -> tuple[str, str]:

@@ -15,6 +15,7 @@ from ctsid_ros.config.parameter_file import (
     parse_config,
     parse_parameters,
     read_config,
+    with_parameters,
 )
 
 FILE = """\
@@ -347,3 +348,27 @@ def test_the_reference_has_a_row_for_every_parameter():
         assert declared.metadata['unit'] in row
         assert declared.default is not MISSING
         assert row.replace('\\|', '').count('|') == 6
+
+
+def test_parameters_take_other_values():
+    config = parse_parameters(plain())
+    found = with_parameters(config, ['order=4', 'validation.held_out=1e-1', 'rate.hold=linear'])
+    assert (found.settings.order, found.settings.held_out) == (4, 0.1)
+    assert found.outputs[0].hold == 'linear'
+    assert with_parameters(found, []) == found
+    # One delay for all takes the place of those of the inputs.
+    late = with_parameters(config, ['torque.delay=0.2'])
+    assert late.inputs[0].delay == 0.2
+    assert with_parameters(late, ['delay=auto']).inputs[0].delay == 'auto'
+
+
+@pytest.mark.parametrize(('changes', 'faults'), [
+    (['order', '=4'], ["'order' is not NAME=VALUE, such as order=4", "'=4' is not NAME=VALUE"]),
+    (['ordr=4', 'order=99'], ['`ordr` is not a parameter; nearest: order', '`order` is 99']),
+    (['order=['], ['the value of order=[ cannot be read'])])
+def test_what_is_wrong_with_other_values_is_told(changes, faults):
+    with pytest.raises(SettingsError) as caught:
+        with_parameters(parse_parameters(plain()), changes)
+    assert len(caught.value.faults) == len(faults)
+    for told, fault in zip(caught.value.faults, faults, strict=True):
+        assert told.startswith(fault)

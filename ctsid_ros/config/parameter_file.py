@@ -9,7 +9,7 @@ listed at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import Field
 from pathlib import Path
 import re
@@ -34,7 +34,7 @@ from ctsid_ros.config.parameter_text import dump_config, parameters_markdown
 from ctsid_ros.decoding.field_path import nearest
 
 __all__ = ['Channel', 'Config', 'dump_config', 'parameters_markdown', 'parse_config',
-           'parse_parameters', 'read_config']
+           'parse_parameters', 'read_config', 'with_parameters']
 
 NODE = 'identifier'
 OWN_KEYS = {**SETTINGS_KEYS, **NODE_KEYS}  # those of no channel
@@ -109,6 +109,33 @@ def parse_parameters(values: Mapping[str, object]) -> Config:
         With one sentence per fault.
     """
     return parse_config({'/**': {'ros__parameters': values}})
+
+
+def with_parameters(config: Config, changes: Sequence[str]) -> Config:
+    """
+    Return a config with other values of some parameters, each as `name=value`, names dotted.
+
+    One `delay` for all, or for each input in turn, takes the place of those of the channels.
+
+    Raises
+    ------
+    SettingsError
+        With one sentence per fault.
+    """
+    faults = [f'{text!r} is not NAME=VALUE, such as order=4' for text in changes
+              if not re.match(r'[^=\s]+=', text)]
+    if faults:
+        raise SettingsError(faults)
+    (_, values), = _nodes(yaml.load(dump_config(config, comments=False), Loader=_Loader), '')
+    flat = _flatten(values, faults)
+    for name, _, value in (text.partition('=') for text in changes):
+        try:
+            flat[name] = yaml.load(value, Loader=_Loader)
+        except (yaml.YAMLError, ValueError) as error:
+            raise SettingsError([f'the value of {name}={value} cannot be read: {error}']) from None
+        if name == 'delay':
+            flat = {key: old for key, old in flat.items() if not key.endswith('.delay')}
+    return _build(flat, faults)
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types

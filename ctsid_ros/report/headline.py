@@ -42,6 +42,8 @@ class Run:
         Those of `ctsid identify` that choose the records, which may have pauses between them.
     records : tuple of Run
         The same of each of several records by itself.
+    changes : tuple of str
+        Parameters with other values than in the file, `name=value`.
     """
 
     line: str
@@ -52,11 +54,13 @@ class Run:
     interval: tuple[str, ...] = ()
     chosen: tuple[str, ...] = ()
     records: tuple[Run, ...] = ()
+    changes: tuple[str, ...] = ()
 
     def command(self, verb: str, *more: str) -> str:
         """Return a command line on the same data."""
         params = ('--params', self.params) if self.params else ()
-        return shlex.join(('ctsid', verb, *self.bags, *params, *more))
+        changes = (word for change in self.changes for word in ('--set', change))
+        return shlex.join(('ctsid', verb, *self.bags, *params, *changes, *more))
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ def _set(run: Run) -> tuple[str, str]:
     if not run.params:
         return ('parameters in which to change that, for `ctsid identify ... --params '
                 'params.yaml`', shlex.join(('ctsid', 'init', *run.bags, '-o', 'params.yaml')))
-    return (f'the same once more, with that changed in {run.params}',
+    return (f'the same once more, with that changed in {run.params}, or by `--set NAME=VALUE`',
             run.command('identify', *run.chosen))
 
 

@@ -12,6 +12,7 @@ from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,
     add_bag,
+    add_changes,
     add_interval,
     add_params,
     add_style,
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag(parser)
     add_params(parser)
+    add_changes(parser)
     add_interval(parser)
     parser.add_argument('--wanted', type=percentage, default=5.0, metavar='PERCENT',
                         help='wanted standard deviation of each pole, relative to its size '

@@ -109,6 +109,13 @@ def add_params(parser: argparse.ArgumentParser) -> None:
                         'settings; `ctsid init` writes one [default: its guess]')
 
 
+def add_changes(parser: argparse.ArgumentParser) -> None:
+    """Add parameters with other values than the file, or the guess, gives them."""
+    parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE', dest='changes',
+                        help='a parameter with another value, such as order=4, delay=auto or '
+                        'torque.hold=zoh; may be given several times')
+
+
 def add_signals(parser: argparse.ArgumentParser) -> None:
     """Add which signals to take; see `signal_words`."""
     for role in ('input', 'output'):
@@ -173,9 +180,16 @@ def interval_of(args: argparse.Namespace) -> Interval:
 
 
 def config_for(args: argparse.Namespace, bag: Bag) -> Config:
-    """Return the config of --params, or else a guess, and say so; with the budget, if given."""
-    config = read_params(args.params) if args.params is not None else _guessed(bag)
-    budget = getattr(args, 'budget', None)
+    """Return the config of --params, or else a guess, and say so; as it is changed, if it is."""
+    return changed(args, read_params(args.params) if args.params is not None else _guessed(bag))
+
+
+def changed(args: argparse.Namespace, config: Config) -> Config:
+    """Return a config with the parameters of --set, and the budget, if given."""
+    from ctsid_ros.config.parameter_file import with_parameters
+
+    changes, budget = getattr(args, 'changes', ()), getattr(args, 'budget', None)
+    config = with_parameters(config, changes) if changes else config
     return config if budget is None else replace(
         config, settings=config.settings.replace(budget=budget))
 
@@ -237,7 +251,8 @@ def run_of(args: argparse.Namespace, model: str = '',
     interval = interval_words(start, duration)
     chosen = tuple(word for first, last in several for word in (
         '--interval', f'{first:.10g}:{last:.10g}')) if len(several) > 1 else interval
-    return Run(args.command_line, bag_words(args), args.params, model, span, interval, chosen)
+    return Run(args.command_line, bag_words(args), args.params, model, span, interval, chosen,
+               changes=tuple(getattr(args, 'changes', ())))
 
 
 def interval_words(start: float, duration: float) -> tuple[str, ...]:

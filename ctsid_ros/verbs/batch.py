@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
@@ -19,7 +18,9 @@ from ctsid_ros.verbs.arguments import (
     INTERRUPTED,
     NO_MODEL,
     add_budget,
+    add_changes,
     add_style,
+    changed,
     read_params,
     say,
     steps,
@@ -67,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='try bags again that could not be read or were given up')
     parser.add_argument('--force', action='store_true', help='replace what has been made with '
                         'other parameters, or by another version')
+    add_changes(parser)
     add_budget(parser)
     add_style(parser)
 
@@ -79,9 +81,7 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.batch.task import Recipe, Task
 
     check_pattern(args.vehicle)
-    config = read_params(args.params)
-    if args.budget is not None:
-        config = replace(config, settings=config.settings.replace(budget=args.budget))
+    config = changed(args, read_params(args.params))
     bags, recipe = find_bags(args.bag), Recipe.of(config)
     out = make_folder(args.out, bags, config.settings.method, force=True).resolve()
     store = Store(out, recipe, force=args.force, retry=args.retry)

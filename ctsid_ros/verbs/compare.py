@@ -19,10 +19,12 @@ from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     NO_MODEL,
     add_bag,
+    add_changes,
     add_interval,
     add_params,
     add_results,
     add_style,
+    changed,
     check_channels,
     config_for,
     interval_of,
@@ -66,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             'results with one) among them are compared with each other, on the bag if there is '
             'one')
     add_params(parser)
+    add_changes(parser)
     add_interval(parser)
     parser.add_argument('--orders', type=_orders, metavar='N:M', help='orders that are tried '
                         f'beside each other [default: 1 to {_ABOVE} above the chosen one]')
@@ -147,8 +150,8 @@ def of_models(paths: Sequence[str], bags: Sequence[str], args: argparse.Namespac
         agreement(first, e, e.settings.method), method=name)) for name, e in models.items()]
     compared = Compared(found, 'model', files=dict(zip(models, files, strict=True)))
     if bags:
-        config = read_params(args.params) if args.params else _config(
-            [load_metadata(f) for f in files], first, files[0])
+        config = changed(args, read_params(args.params) if args.params else _config(
+            [load_metadata(f) for f in files], first, files[0]))
         check_channels(_model(first), config, files[0])
         compared = _on_data(compared, config, bags, args, files[0])
     args.bag = [*bags]

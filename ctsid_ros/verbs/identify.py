@@ -33,6 +33,7 @@ from ctsid_ros.verbs.arguments import (
     NO_MODEL,
     add_bag,
     add_budget,
+    add_changes,
     add_interval,
     add_params,
     add_results,
@@ -78,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag(parser, _SEVERAL)
     add_params(parser)
+    add_changes(parser)
     add_interval(parser)
     parser.add_argument('--interval', type=span, action='append', metavar='START:END',
                         help='take this part of each recording [s after its first message]; may '

@@ -39,6 +39,7 @@ from ctsid_ros.verbs.arguments import (
     NO_MODEL,
     add_bag,
     add_budget,
+    add_changes,
     add_interval,
     add_jobs,
     add_params,
@@ -79,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag(parser)
     add_params(parser)
+    add_changes(parser)
     add_interval(parser)
     parser.add_argument('--truth', metavar='FILE',
                         help='model.json of the true plant, to compare with (of a simulation)')

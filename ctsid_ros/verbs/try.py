@@ -13,6 +13,7 @@ from ctsid_ros.verbs.arguments import (
     ACCEPTED,
     add_bag,
     add_budget,
+    add_changes,
     add_pick,
     add_results,
     add_signals,
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag(parser)
     add_signals(parser)
     add_pick(parser)
+    add_changes(parser)
     add_budget(parser)
     add_results(parser)
     add_style(parser)
@@ -50,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def command(args: argparse.Namespace) -> int:
     """Look, guess, identify, write, print."""
     from ctsid_core.model.storage import load_estimate, write_file
+    from ctsid_ros.config.parameter_file import with_parameters
     from ctsid_ros.config.parameter_text import dump_brief
     from ctsid_ros.progress import working
     from ctsid_ros.recordings.bag import open_bag
@@ -64,6 +67,7 @@ def command(args: argparse.Namespace) -> int:
     with open_bag(args.bag, args.time) as bag, working('looking at the bag', quiet=args.quiet):
         found = survey(bag)
         guessed = guess(bag, found, args.pick, named(found, args.input, args.output))
+    guessed = replace(guessed, config=with_parameters(guessed.config, args.changes))
     if not args.json:
         print(to_text([topic_section(found, args.bag), pair_section(guessed),
                        stretch_section([guessed])]) + '\n')
