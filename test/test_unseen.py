@@ -58,6 +58,23 @@ def test_a_model_that_fails_its_test_is_weak_in_every_file(tmp_path, capsys):
     assert 'replay' in found['next']
 
 
+def test_what_is_not_explained_of_a_test_has_a_limit_of_its_own():
+    """Three times an error of 14 % of the motion would allow 42 %: half of what moves there."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, DT)
+    u = np.repeat(rng.uniform(-1, 1, 50), 40)
+    y = np.zeros(len(t))
+    for k in range(len(t) - 1):
+        y[k + 1] = u[k] + (y[k] - u[k]) * np.exp(-3.0 * DT)
+    record = Record.from_arrays(t, u, t, y, input_hold='zoh')
+    found = identify(record, Settings(order=1))
+    found = replace(found, verdict=replace(found.verdict, coloured_error=np.array([0.14])))
+    sway = np.sin(0.7 * t) * np.std(y) * np.sqrt(2.0)
+    for share, passed in ((0.3, True), (0.42, False)):
+        other = Record.from_arrays(t, u, t, y + share * sway, input_hold='zoh')
+        seen = as_judged(found, found.model, other)
+        assert (failure(found, seen, other) == '') is passed
+
+
 def test_a_model_that_passes_its_test_stays_good(tmp_path, capsys):
     found = identified(capsys, write(tmp_path / 'motor.csv', 5.0), tmp_path / 'out')
     assert found['test']['passed'] is True

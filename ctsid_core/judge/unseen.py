@@ -14,6 +14,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import Validation, prediction, simulation
 from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_core.search.held_out import allowed
+from ctsid_core.search.solution import DISTURBED
 from ctsid_core.signals.record import Record
 
 
@@ -44,7 +45,7 @@ def failure(estimate: Estimate, found: Validation, record: Record) -> str:
     motion = np.concatenate([s.values.std(axis=0) for s in record.outputs])
     told = []
     # Noise, there and here, is no fault of the model.
-    for i, limit in enumerate(allowed(estimate.verdict.coloured_error)):
+    for i, limit in enumerate(np.minimum(allowed(estimate.verdict.coloured_error), DISTURBED)):
         e = (found.y - found.y_hat)[:, [i]]
         e = e[~np.isnan(e[:, 0])]
         with np.errstate(over='ignore', invalid='ignore'):      # a diverged simulation
