@@ -17,7 +17,6 @@ from ctsid_core.linear.one_thread import one_thread
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
-from ctsid_core.search.pulses import with_pulses
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import solve
 from ctsid_core.search.unrefined import solve_by
@@ -117,7 +116,6 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
             return solve(part, settings, effort)
         return solve_by(method, part, settings, effort)
 
-    part = with_pulses(part, settings, effort)
     solution = given_back(part, found, effort)
     if solution is None:
         return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)

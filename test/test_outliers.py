@@ -235,19 +235,17 @@ def test_a_clean_record_is_used_as_it_is():
     assert part.record.outputs[0] is clean.outputs[0]
 
 
-@pytest.mark.parametrize('share', [0.06, 0.2])
-def test_many_corrupt_samples_move_an_estimate_as_little_as_a_few(share):
-    """As of radio ranges that echo; with a twentieth or more of them all were used before."""
+def test_many_far_samples_are_not_a_few_corrupt_ones():
     rng = np.random.default_rng(0)
     record = paper(rng, 'hd51', 30)
-    signal, before = record.outputs[0], identify(record)
-    values, count = signal.values.copy(), round(share * len(signal.time))
-    values[rng.choice(len(values), count, replace=False), 0] += \
-        np.std(values) * rng.uniform(0.5, 3.0, count) * rng.choice((-1.0, 1.0), count)
-    after = identify(replace(record, outputs=(replace(signal, values=values),)))
-    moved = np.abs(match(after.model.poles, before.model.poles) - before.model.poles)
-    assert (moved < before.pole_std).all()
-    assert after.statistics['corrupt_samples'] == pytest.approx(count, rel=0.1)
+    signal = record.outputs[0]
+    values = signal.values.copy()
+    values[rng.choice(2001, 200, replace=False), 0] += 3.0 * np.std(values)
+    spoiled = replace(record, outputs=(replace(signal, values=values),))
+    estimate = identify(spoiled)
+    assert any('not a few corrupt ones' in note for note in estimate.notes)
+    np.testing.assert_array_equal(usable(spoiled, Settings(trim=False)).record.outputs[0].values,
+                                  values)
 
 
 @pytest.mark.parametrize(('hold', 'count'), [('smooth', 1), ('zoh', 0), ('linear', 0)])
@@ -259,40 +257,6 @@ def test_only_a_smooth_input_can_be_corrupt(hold, count):
     part = usable(replace(record, inputs=(replace(signal, values=values, hold=hold),)),
                   Settings())
     assert np.count_nonzero(part.corrupt_u[0].mask) == count
-
-
-def moved_in_pulses(each):
-    """Return a measured input with a pulse there and back so often, and a lag that it moves."""
-    rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.02)
-    u = np.zeros(1000)
-    for at in range(20, 990, each):
-        u[at:at + 3] += 1.0
-        u[at + 3:at + 6] -= 1.0
-    y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, u[:, np.newaxis], t)
-    return t, u + 0.01 * rng.standard_normal(1000), y + 0.003 * rng.standard_normal((1000, 1))
-
-
-@pytest.mark.parametrize('each', [67, *slow(200)])
-def test_an_input_that_moves_in_pulses_is_used_as_it_is(each):
-    """Its neighbours take them for corrupt, and nothing is left of it; the output answers."""
-    t, u, y = moved_in_pulses(each)
-    record = Record.from_arrays(t, u, t, y, input_hold='smooth')
-    assert usable(record, Settings()).corrupt_u[0].any
-    found = identify(record)
-    assert found.ok
-    assert found.statistics['corrupt_samples'] == 0.0
-    assert found.model.poles[np.argmax(found.model.poles.real)] == pytest.approx(-3.0, rel=0.1)
-
-
-def test_spikes_of_an_input_that_no_output_answers_are_corrupt():
-    rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.02)
-    u = np.sin(np.outer(t, [0.7, 2.0, 5.0])).sum(axis=1)
-    y = held_response(plant([[-3.0]], [[3.0]], [[1.0]]), t, u[:, np.newaxis], t)
-    u[[200, 500, 501, 800]] += 5.0
-    found = identify(Record.from_arrays(
-        t, u, t, y + 0.01 * rng.standard_normal((1000, 1)), input_hold='smooth'))
-    assert found.statistics['corrupt_samples.u1'] == 4.0
-    assert found.statistics['corrupt_samples'] == 4.0
 
 
 @pytest.mark.parametrize('budget', [0.8, 0.0])
@@ -324,7 +288,7 @@ def test_what_only_the_model_tells_joins_what_neighbours_have_told():
     assert any(n.endswith('were not used: at 6, 14 s') for n in found.notes)
 
 
-def test_pulses_that_a_model_explains_are_no_spikes_however_many():
+def test_pulses_that_a_model_explains_are_not_told_to_be_too_many_spikes():
     """A fast lag, 60 pulses of 2 samples: 6 % of the samples lie far from their neighbours."""
     rng, t = np.random.default_rng(1), np.arange(0.0, 20.0, 0.01)
     u, at = np.zeros(2000), rng.choice(np.arange(5, 1990, 3), 60, replace=False)
@@ -334,7 +298,7 @@ def test_pulses_that_a_model_explains_are_no_spikes_however_many():
     record = Record.from_arrays(t, u, t + 0.004, y + 0.02 * rng.standard_normal(2000),
                                 input_hold='zoh')
     settings = Settings(feedthrough=False)
-    assert np.count_nonzero(usable(record, settings).corrupt_y[0].mask) > 100
+    assert usable(record, settings).corrupt_y[0].too_many == (0,)
     found = identify(record, settings)
     assert found.statistics['corrupt_samples'] == 0.0
-    assert not any('corrupt' in note for note in found.notes)
+    assert not any('lie far from their neighbours' in note for note in found.notes)

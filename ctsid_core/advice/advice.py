@@ -128,7 +128,7 @@ def _least(deviation: Callable[[float], float], wanted: float, low: float, high:
         return low
     if not deviation(high) <= wanted:
         return np.inf
-    return float(np.exp(brentq(lambda x: deviation(np.exp(x)) - wanted, *np.log((low, high)))))
+    return float(brentq(lambda x: deviation(x) - wanted, low, high))
 
 
 def _without_model(estimate: Estimate, records: Sequence[Record]) -> Iterator[str]:

@@ -59,13 +59,6 @@ class Usable:
             for s, spiky, own in given)),
             corrupt_y=tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
 
-    def with_inputs_as_given(self) -> Usable:
-        """Return the record with no sample of an input corrupt."""
-        return replace(self, record=replace(self.record, inputs=tuple(
-            replace(s, values=s.values + spiky.off) if spiky.any else s
-            for s, spiky in zip(self.record.inputs, self.corrupt_u, strict=True))),
-            corrupt_u=tuple(no_spikes(s.values) for s in self.record.inputs))
-
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the places of the inputs that act within a record, and of the outputs that move."""
@@ -110,8 +103,8 @@ def usable(record: Record, settings: Settings,
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
-    inputs, corrupt_u = _despiked(inputs, ('smooth',), (None,) * len(inputs), SURE_INPUT)
-    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'),
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
+    outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
                                    _held_at(record, outputs, settings))
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
@@ -162,8 +155,8 @@ def _held_at(record: Record, signals: list[Signal],
     return tuple(input_polynomials([u for u, _ in held], late, s.time)[0] for s in signals)
 
 
-def _despiked(signals: list[Signal], holds: tuple[str, ...], inputs: tuple[Array | None, ...],
-              sure: float = SURE) -> tuple[list[Signal], tuple[Spikes, ...]]:
+def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
+              inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
     found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
                   no_spikes(s.values)

@@ -61,8 +61,7 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
             remedy, reason = fault
         # States that are missing leave what squares and cubes explain, too.
         lacking = evidence.doubt is not None and evidence.doubt[1] == ANY_ORDER
-        doubtful = status in _DOUBTED and (
-            remedy in _GUESSED or lacking and remedy is Remedy.PART)
+        doubtful = status in _DOUBTED and (remedy in _GUESSED or lacking)
         if reason not in evidence.faults and (
                 doubt := evidence.wrapped or (evidence.doubt if doubtful else None)):
             what, setting = doubt

@@ -42,10 +42,11 @@ def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
         found = list(p.corrupt_y)
         for k, (e, s, signal, spiky) in enumerate(zip(errors, record.streams, p.record.outputs,
                                                       p.corrupt_y, strict=True)):
-            if len(e) and _stand_out(e).any():
+            if len(e) and (_stand_out(e).any() or spiky.too_many):
                 seen, mask = spikes(s.times, e, closely=True), spiky.mask.copy()
                 mask[np.searchsorted(signal.time, s.times)] = seen.mask
-                found[k] = replace(spiky, mask=mask)
+                found[k] = replace(spiky, mask=mask, too_many=tuple(
+                    j for j in spiky.too_many if j in seen.too_many))
         parts.append(replace(p, corrupt_y=tuple(found)))
     return replace(part, parts=tuple(parts)) if _differ(parts, part) else part
 
@@ -107,6 +108,7 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
             e = e + np.where(bridged.mask, bridged.off, 0.0)[rows] / samples.size[s.channels]
             left = spikes(s.times, e, closely=True)
             mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask
+            mask[:, list(left.too_many)] = False
             honest.append(mask)
         parts.append(p.with_honest(honest))
     return replace(part, parts=tuple(parts)) if _differ(parts, part) else None
@@ -114,5 +116,6 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
 
 def _differ(parts: Sequence[Usable], part: Joint) -> bool:
     """Return whether other samples are corrupt in them."""
-    return any((new.mask != old.mask).any() for p, q in zip(parts, part.parts, strict=True)
+    return any(new.too_many != old.too_many or (new.mask != old.mask).any()
+               for p, q in zip(parts, part.parts, strict=True)
                for new, old in zip(p.corrupt_y, q.corrupt_y, strict=True))

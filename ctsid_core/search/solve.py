@@ -357,7 +357,8 @@ def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Setti
     near = poles.real * samples.length >= -_GROWS
     steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
     if own.feedthrough and (grows or steady > 2):
-        what = 'predictions find a mode that grows' if grows else 'modes neither grow nor decay'
+        what = 'predictions find a mode that grows' \
+            if grows else 'modes hardly move within the record'
         return (f'{what}, as when a controller keeps an unstable plant in place',
                 'feedthrough: false')
     if not own.feedthrough and np.max(np.abs(poles), initial=0.0) > _AT_ONCE * free.fastest:
@@ -496,8 +497,8 @@ def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> Do
 
     What missing states leave is no noise, and predictions would take it for that.
     """
-    found = None if not settings.order or samples.effort.beyond(SEARCH) else _predicted(
-        part, settings.replace(order=0), samples, free)
+    sought = 0 < settings.order < settings.max_order and not samples.effort.beyond(SEARCH)
+    found = _predicted(part, settings.replace(order=0), samples, free) if sought else None
     return None if found is None or len(found.matrices.A) <= settings.order else (
         f'more states than the {settings.order} that are given predict better, as when the order '
         'is too small', ANY_ORDER)

@@ -16,6 +16,7 @@ import numpy as np
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.signals.spikes import (
+    MOST,
     SURE,
     Channel,
     distance,
@@ -27,7 +28,7 @@ from ctsid_core.signals.spikes import (
 )
 
 FEWEST = 50             # samples of a channel that is looked at
-SURE_INPUT = 10.0       # the same for inputs, which may move in pulses
+SURE_INPUT = 10.0       # the same for inputs, of which no model can tell whether they are honest
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,8 @@ class Spikes:
     mask: Mask      # (N, m): which samples are corrupt
     instead: Array  # (N, m): the values, with corrupt samples bridged from their neighbours
     off: Array      # (N, m): the values less these
+    # channels with so many far samples that none was taken for corrupt
+    too_many: tuple[int, ...] = ()
 
     @property
     def any(self) -> bool:
@@ -63,7 +66,7 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
         return no_spikes(values)
     mask = np.zeros(values.shape, dtype=bool)
     weights = weights_of(time)
-    instead = values
+    too_many, instead = [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
         stands_out, direct = standing_out(off, scale, sure), None
@@ -75,11 +78,13 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
             continue
         found, filled = find(Channel(time, weights, sure, resolution(row)),
                              row if direct is None else row - direct)
-        if found.any():
+        if np.count_nonzero(found) > MOST * len(row):
+            too_many.append(j)
+        elif found.any():
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
             instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
-    return Spikes(mask, instead, values - instead)
+    return Spikes(mask, instead, values - instead, tuple(too_many))
 
 
 def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Sequence[Spikes],
@@ -103,6 +108,10 @@ def report(kind: str, names: Sequence[str], signals: Sequence[Signal], found: Se
                              'corrupt, far from their neighbours or their model, and were not '
                              'used: '
                              + _places(times[bad]) + held * (kind == 'input'))
+            if j in spiky.too_many:
+                notes.append(f'{kind} {name}: more than {100 * MOST:g} % of the samples lie far '
+                             'from their neighbours; these are not a few corrupt ones, and all '
+                             'were used')
     return notes, counts
 
 

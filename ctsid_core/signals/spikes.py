@@ -23,6 +23,7 @@ import numpy as np
 
 from ctsid_core.linear.types import Array, Mask, Places
 
+MOST = 0.05             # part of a channel's samples beyond which they are not 'a few'
 SURE = 6.0              # robust standard deviations off the curve beyond which samples are bad
 _SUSPECT = 5.0          # the same from which on a sample is suspected
 _PERHAPS = 3.5          # the same if there is another reason to look closer
@@ -98,7 +99,7 @@ def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
                     filled[wide] = given[wide]
                     bad[best.run] |= best.far
                     filled[best.run] = np.where(best.far, best.without, filled[best.run])
-        if np.count_nonzero(bad) == before:
+        if np.count_nonzero(bad) == before or np.count_nonzero(bad) > MOST * len(x):
             break
     return bad, filled
 
