@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 from contextlib import redirect_stdout, suppress
 from dataclasses import replace
 import io
@@ -44,9 +45,9 @@ from ctsid_core.settings import METHODS
 from ctsid_ros.cli import main
 from ctsid_ros.config.parameter_file import read_config
 from ctsid_ros.config.parameter_text import parameters_markdown
-from ctsid_ros.report.headline import Run
 from ctsid_ros.report.tables import number, percent
 from ctsid_ros.studies import hd_vs_ct
+from ctsid_ros.verbs.arguments import run_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE = 300.0  # [s] for a process, on a machine that has much else to do
@@ -739,11 +740,13 @@ def test_parameters_of_the_command_line_are_those_of_the_model(ctsid, shared):
     assert code == 0
     settings = load_estimate('res/model.json').settings
     assert (settings.order, settings.max_order) == (1, 3)
-    run = Run('', ('bag',), 'p.yaml', changes=('order=1',))
+    run = run_of(argparse.Namespace(command_line='', bag=['bag'], params='p.yaml',
+                                    changes=['order=1']))
     assert run.command('replay') == 'ctsid replay bag --params p.yaml --set order=1'
-    code, _, err = ctsid('identify', *words, '--set', 'ordr=1')
-    assert code == 1
-    assert '`ordr` is not a parameter; nearest: order' in err
+    for verb in ('identify', 'replay', 'advise', 'compare'):
+        code, _, err = ctsid(verb, *words[:3], '--set', 'ordr=1')
+        assert code == 1
+        assert '`ordr` is not a parameter; nearest: order' in err
     assert ctsid('try', shared / 'bag', '--set', 'order=2', '--out', 'tried')[0] == 0
     assert read_config('tried/params.yaml').settings.order == 2
 
