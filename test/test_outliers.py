@@ -302,3 +302,42 @@ def test_pulses_that_a_model_explains_are_not_told_to_be_too_many_spikes():
     found = identify(record, settings)
     assert found.statistics['corrupt_samples'] == 0.0
     assert not any('lie far from their neighbours' in note for note in found.notes)
+
+
+def jabs(rng, count: int, corrupt: float = 0.0):
+    """Return a record of a lag of 0.4 s whose smooth input is jabbed, or has corrupt samples."""
+    t, fine = np.arange(-1.0, 20.0, 0.05), np.arange(-1.0, 20.0, 0.0025)
+    u = np.zeros(len(t))
+    if count:
+        u[rng.choice(np.arange(25, len(t) - 8), count, replace=False)] = rng.choice([-1, 1], count)
+    else:
+        u = np.convolve(rng.standard_normal(len(t)), np.ones(9) / 3.0, 'same')
+    exact = np.interp(fine, t, u)[:, np.newaxis]
+    ty = np.arange(0.0, 20.0, 0.02)
+    y = held_response(plant([[-2.5]], [[2.5]], [[1.0]]), fine, exact, ty)[:, 0]
+    y += 0.02 * np.std(y) * rng.standard_normal(len(y))
+    u += 0.01 * rng.standard_normal(len(t))
+    if corrupt:
+        u[rng.choice(np.arange(25, len(t) - 8, 9), 8, replace=False)] += corrupt * rng.choice(
+            [-1, 1], 8)
+    return Record.from_arrays(t, u, ty, y, input_hold='smooth')
+
+
+@pytest.mark.parametrize('budget', [0.0, 0.5])
+@pytest.mark.parametrize('seed', range(3))
+def test_jabs_of_an_input_that_outputs_answer_are_no_spikes(seed, budget):
+    """Without them an output moves for no reason: records like this were rejected."""
+    record = jabs(np.random.default_rng(seed), 12)
+    assert usable(record, Settings()).corrupt_u[0].any
+    found = identify(record, Settings(budget=budget))
+    assert found.statistics['corrupt_samples'] == 0.0
+    assert found.model.frequency_response([1.0])[0, 0, 0] == pytest.approx(
+        2.5 / (2.5 + 1.0j), rel=0.05)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_spikes_of_an_input_that_no_output_answers_are_bridged(seed):
+    found = identify(jabs(np.random.default_rng(seed), 0, corrupt=12.0))
+    assert found.statistics['corrupt_samples.u1'] == 8.0
+    assert found.model.frequency_response([1.0])[0, 0, 0] == pytest.approx(
+        2.5 / (2.5 + 1.0j), rel=0.05)

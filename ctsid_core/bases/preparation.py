@@ -59,6 +59,17 @@ class Usable:
             for s, spiky, own in given)),
             corrupt_y=tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
 
+    def with_input(self, signal: int, channel: int) -> Usable:
+        """Return the record with a channel of an input signal as it was measured."""
+        own, spiky = self.record.inputs[signal], self.corrupt_u[signal]
+        values, mask = own.values.copy(), spiky.mask.copy()
+        values[:, channel] += spiky.off[:, channel]
+        mask[:, channel] = False
+        inputs, corrupt = list(self.record.inputs), list(self.corrupt_u)
+        inputs[signal], corrupt[signal] = replace(own, values=values), replace(spiky, mask=mask)
+        return replace(self, record=replace(self.record, inputs=tuple(inputs)),
+                       corrupt_u=tuple(corrupt))
+
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the places of the inputs that act within a record, and of the outputs that move."""

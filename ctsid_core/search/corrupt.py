@@ -17,7 +17,7 @@ from ctsid_core.bases.preparation import Usable
 from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit
-from ctsid_core.likelihood.residuals import residuals
+from ctsid_core.likelihood.residuals import mean_square, residuals
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.solution import Solution
@@ -63,10 +63,12 @@ def given_back(part: Joint, found: Callable[[Joint], Solution | None],
     Return the model that is found without what its neighbours, and a model, take for corrupt.
 
     `found` returns the model of records, or None if they are too short for any. It is asked again
-    with samples that the model of the others explains, or else that of all: without the few that
-    show when an output jumps, another dead time does as well. Where there is budget for it.
+    with inputs as they were measured; and with samples that the model of the others explains, or
+    else that of all: without the few that show when an output jumps, another dead time does as
+    well. Where there is budget for it.
     """
-    solution, whole = found(part), _all_of(part)
+    part, solution = _with_inputs(part, found, effort)
+    whole = _all_of(part)
     while solution is not None and not effort.beyond(_AGAIN):
         honest = _honest(part, part, solution)
         if honest is None and whole is not None:
@@ -76,6 +78,40 @@ def given_back(part: Joint, found: Callable[[Joint], Solution | None],
             break
         part, solution = honest, found(honest) or solution
     return solution
+
+
+def _with_inputs(part: Joint, found: Callable[[Joint], Solution | None],
+                 effort: Effort) -> tuple[Joint, Solution | None]:
+    """Return the records and their model, each input as measured if outputs tell that it was."""
+    solution = found(part)
+    for signal, width in enumerate([s.width for s in part.parts[0].record.inputs]):
+        for channel in range(width):
+            if not any(p.corrupt_u[signal].mask[:, channel].any() for p in part.parts):
+                continue
+            if effort.beyond(_AGAIN):
+                return part, solution
+            given = replace(part, parts=tuple(p.with_input(signal, channel) for p in part.parts))
+            other = found(given)
+            if _left(given, other) < _left(part, solution):
+                part, solution = given, other
+    return part, solution
+
+
+def _left(part: Joint, solution: Solution | None) -> float:
+    """Return what a model leaves of all outputs but spikes, though it stands out of its errors."""
+    if solution is None or solution.simulated is None:
+        return float('nan')
+    samples, fit, _ = solution.simulated
+    seen = _seen(part, samples, [corrupt_rows(p) for p in part.parts])
+    return float(np.sum(np.log(mean_square(residuals(seen, fit)))))
+
+
+def _seen(part: Joint, samples: Samples, corrupt: Sequence[Sequence[Mask | None]]) -> Samples:
+    """Return all samples of records but corrupt ones, since those of a model begin."""
+    seen = samples_of([p.record for p in part.parts], corrupt, effort=samples.effort)
+    return replace(seen, records=tuple(replace(r, start=own.start, streams=tuple(
+        s.of(s.times >= own.start) for s in r.streams))
+        for r, own in zip(seen.records, samples.records, strict=True)))
 
 
 def _all_of(part: Joint) -> Joint | None:
@@ -93,11 +129,7 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
     if told is None or _all_of(part) is None:
         return None
     samples, fit, _ = told
-    records, parts = [p.record for p in seen.parts], []
-    whole = samples_of(records, [[None] * len(r.outputs) for r in records], effort=samples.effort)
-    whole = replace(whole, records=tuple(replace(r, start=own.start, streams=tuple(
-        s.of(s.times >= own.start) for s in r.streams))
-        for r, own in zip(whole.records, samples.records, strict=True)))
+    whole, parts = _seen(seen, samples, [[None] * len(p.corrupt_y) for p in seen.parts]), []
     for errors, p, other, record in zip(residuals(whole, fit), part.parts, seen.parts,
                                         whole.records, strict=True):
         honest = []
