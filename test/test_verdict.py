@@ -384,6 +384,25 @@ def test_an_order_that_is_too_small_is_the_first_reason(seed, order, would):
     assert verdict.remedy is Remedy.SETTING
 
 
+def test_a_dead_time_that_is_given_and_another_one_is_told():
+    """A lag of 0.3 s after 0.13 s: the first reason if it is WEAK, and a note if it is GOOD."""
+    rng = np.random.default_rng(3)
+    t_u, t = np.arange(-2.0, 20.0, 0.02), np.arange(0.013, 19.9, 0.01)
+    u = np.repeat(rng.standard_normal(len(t_u) // 20), 20)[:, np.newaxis]
+    y = noisy(rng, held_response(plant([[-3.3]], [[3.3]], [[1.0]]), t_u + 0.13, u, t), 30)
+    record = Record.from_arrays(t_u, u, t, y, input_hold='zoh')
+    verdict = judged(record, Settings(delay=0.3))
+    assert verdict.grade is Grade.WEAK
+    assert verdict.reason.startswith('Dead times of 0.128 s explain more than those that are g')
+    assert verdict.reason.endswith(' If it is so, set `delay: auto`.')
+    assert verdict.remedy is Remedy.SETTING
+    late, right = (identify(record, Settings(delay=d, order=2)) for d in (0.25, 0.13))
+    assert late.good
+    assert right.good
+    assert any(note.endswith('are given: if so, set `delay: auto`') for note in late.notes)
+    assert not any('ead times' in note for note in right.notes)
+
+
 def test_the_reason_for_the_largest_order_says_that_it_is_a_bound():
     rng = np.random.default_rng(0)
     record = held(rng, random_plant(rng, 2, 1, 1), 50.0, 100.0, snr=30)

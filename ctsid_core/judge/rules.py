@@ -24,7 +24,7 @@ from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
-from ctsid_core.search.solution import ANY_ORDER, DISTURBED
+from ctsid_core.search.solution import DISTURBED, GIVEN
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
@@ -59,9 +59,8 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
     for status, remedy, reason in chain(_rejections(evidence), weak):
         if (fault := next(_faults(evidence), None)) and status in _FAULTY:
             remedy, reason = fault
-        # States that are missing leave what squares and cubes explain, too.
-        lacking = evidence.doubt is not None and evidence.doubt[1] == ANY_ORDER
-        doubtful = status in _DOUBTED and (remedy in _GUESSED or lacking)
+        given = evidence.doubt is not None and evidence.doubt[1] in GIVEN
+        doubtful = status in _DOUBTED and (remedy in _GUESSED or given)
         if reason not in evidence.faults and (
                 doubt := evidence.wrapped or (evidence.doubt if doubtful else None)):
             what, setting = doubt

@@ -43,7 +43,14 @@ from ctsid_core.search.by_prediction import (
 from ctsid_core.search.corrupt import corrupt_rows, without_outliers
 from ctsid_core.search.drifting import free_with_time, mean_of
 from ctsid_core.search.needless import without_needless
-from ctsid_core.search.solution import ANY_ORDER, DISTURBED, Doubt, Solution, own_delays
+from ctsid_core.search.solution import (
+    ANY_DELAY,
+    ANY_ORDER,
+    DISTURBED,
+    Doubt,
+    Solution,
+    own_delays,
+)
 from ctsid_core.search.tried import (
     AKAIKE,
     LEAST,
@@ -168,6 +175,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free) or wanted
+                    or _other_delays(samples, best, free, subspace, own)
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, rivals=_rivals(others), drifting=drifting,
                     singular_values=values, condition=condition)
@@ -502,6 +510,24 @@ def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> Do
     return None if found is None or len(found.matrices.A) <= settings.order else (
         f'more states than the {settings.order} that are given predict better, as when the order '
         'is too small', ANY_ORDER)
+
+
+def _other_delays(samples: Samples, best: Tried, free: Free, subspace: _Subspace,
+                  own: Settings) -> Doubt | None:
+    """Return that dead times are given with which less is explained than with others, if so."""
+    model, unknown = best.fit.model, own.unknown_delays(samples.nu)
+    if all(unknown) or best.left <= UNEXPLAINED or samples.effort.beyond(SEARCH):
+        return None
+    free = replace(free, delays=(True,) * samples.nu)
+    samples, found = search_orders(
+        samples.thinned(SEARCHED), free, subspace.poles, order=own.order, max_order=model.n,
+        known_delay=np.zeros(samples.nu))
+    other = found.get(own.order or choose(found)) if found else None
+    if other is None or not beats(other, _fitted(samples, model, free, best.fit)) or np.allclose(
+            other.fit.model.delay, model.delay, rtol=0.0, atol=samples.interval):
+        return None
+    return ('dead times of ' + ', '.join(f'{d:.3g}' for d in other.fit.model.delay)
+            + ' s explain more than those that are given', ANY_DELAY)
 
 
 def _compared(part: Joint, place: int) -> Compared:
