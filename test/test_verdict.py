@@ -356,6 +356,17 @@ def test_a_slow_sweep_is_at_many_frequencies():
     assert judged(with_inputs(0, sweep, 1, n=2)).excitation[0].frequencies > 2.25
 
 
+def test_a_short_sweep_is_no_two_sines():
+    """From 0.2 to 0.9 Hz in 5.5 s; the power of its lines is that of about two."""
+    rng, t_u, t = np.random.default_rng(3), np.arange(0.0, 5.5, 0.02), np.arange(0.004, 5.5, 0.01)
+    u = np.sin(2.0 * np.pi * (0.2 * t_u + 0.0636 * t_u ** 2))[:, np.newaxis]
+    p = plant([[0.0, 1.0], [-3.0, -0.6]], [[0.0], [3.0]], [[1.0, 0.0]])
+    y = noisy(rng, held_response(p, t_u, u, t), 25)
+    verdict = judged(Record.from_arrays(t_u, u, t, y, input_hold='zoh'))
+    assert verdict.grade is Grade.GOOD
+    assert verdict.excitation[0].frequencies > 3.0
+
+
 @pytest.mark.parametrize('seed', [5, *slow(*range(5))])
 def test_a_model_of_too_few_states_does_what_its_fit_says(seed):
     """On another experiment; an order is asked for, so that it is too low is no fault."""

@@ -35,8 +35,8 @@ _ALONE = 1e-10        # of an input's power that others do not explain: less is 
 _SAME = 1e-8          # relative singular value below which responses are alike
 _POINTS = 4096        # of the uniform grid of time, at most
 _LINES = 200          # of the spectrum of the inputs, the strongest
-_TAPERED = 0.4        # of a record, at each of its ends
-_LOBE = 1.93          # lines that one sine has after the taper
+_FINER = 8            # times as near as lines are frequencies at which sines are looked for
+_LEFT = 0.03          # of the motion of an input: its sines are alike that have less
 
 
 def excitations(samples: Samples, part: Usable, covariance: Covariance | None, model: StateSpace,
@@ -179,20 +179,35 @@ def _uncorrelated(u: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Acting:
-    """Spectra of the inputs as they act: omega (M,), power (nu, M), half rates (nu,)."""
+    """Differences of the inputs as they act, (nu, M), how far apart [s], and half rates (nu,)."""
 
-    omega: Array
-    power: Array
+    differences: Array
+    step: float
     half_rate: Array
 
     def count(self, j: int, answered: float = 0.0) -> float:
         """
         Return the effective number of frequencies of an input.
 
-        The edges of its hold count as far as the plant answers to them [rad/s].
+        By the shares of sines that are taken from it one after the other, the largest first, every
+        octave alike; the rest is of such as the last. The edges of its hold count as far as the
+        plant answers to them [rad/s].
         """
-        power = self.power[j, self.omega < max(self.half_rate[j], answered)]
-        return float(power.sum() ** 2 / max(np.sum(power ** 2), 1e-300) / _LOBE)
+        left, count = self.differences[j].copy(), self.differences.shape[1]
+        omega = 2.0 * np.pi * np.fft.rfftfreq(_FINER * count, self.step)[:-1]
+        end = int(np.searchsorted(omega, max(self.half_rate[j], answered)))
+        seen, times = slice(_FINER, max(end, _FINER + 1)), self.step * np.arange(count)
+        taken = squares = 0.0
+        while True:
+            power = np.abs(np.fft.rfft(left, _FINER * count)[seen]) ** 2 / omega[seen]
+            rest, best = float(power.sum()) / _FINER, float(omega[seen][np.argmax(power)])
+            waves = np.column_stack((np.cos(best * times), np.sin(best * times)))
+            sine = waves @ np.linalg.solve(waves.T @ waves, waves.T @ left)
+            share = 0.5 * count * float(sine @ sine) / best
+            if not share > _LEFT * (taken + rest):
+                return (taken + rest) ** 2 / max(squares + rest * share, 1e-300)
+            taken, squares = taken + share, squares + share ** 2
+            left -= sine
 
 
 def _half_rates(signal: Signal) -> list[float]:
@@ -217,7 +232,7 @@ def _input_spectra(samples: Samples, delay: Array
 
     As they act, later by their dead times, on the record in which they change most; the strongest
     lines only. Further what was sent of that, at uniform instants, for inputs that move together
-    are not told apart by their dead times; and the spectra of the differences.
+    are not told apart by their dead times; and how the differences act.
     """
     record = max(samples.records, key=_motion)
     finest = min(s.period for s in record.streams)
@@ -234,14 +249,10 @@ def _input_spectra(samples: Samples, delay: Array
     power = np.abs(lines) ** 2 / omega
     strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
     places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
-    # If the taper were as long as the record, only the middle of a sweep would count.
-    inside = np.minimum(np.arange(count - 1), np.arange(count - 1)[::-1]) / (_TAPERED * count)
-    taper = 0.5 - 0.5 * np.cos(np.pi * np.minimum(inside, 1.0))
-    tapered = np.abs(np.fft.rfft(np.diff(u, axis=1) * taper, axis=1))[:, 1:] ** 2 / omega
     half_rates = np.array([rate for s in inputs for rate in _half_rates(
         s.between(since, record.end))])
     return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), sent,
-            _Acting(omega, tapered, half_rates))
+            _Acting(np.diff(u, axis=1), t[1] - t[0], half_rates))
 
 
 def _motion(record: RecordSamples) -> float:
