@@ -395,6 +395,21 @@ def test_an_order_that_is_too_small_is_the_first_reason(seed, order, would):
     assert verdict.remedy is Remedy.SETTING
 
 
+def test_an_order_that_is_too_large_is_told():
+    """Moving an input four times as much would not make states known that there are not."""
+    rng = np.random.default_rng([22, 2])
+    record = held(rng, random_plant(rng, 2, 1, 1), 50.0, 100.0, snr=25)
+    verdict = judged(record, Settings(order=5))
+    assert verdict.grade is Grade.WEAK
+    assert verdict.reason.startswith('2 states explain as much as the 5 that are given. If that '
+                                     'is not so: the response to input u1 has a standard')
+    assert verdict.reason.endswith(' If it is so, set `order: 0`.')
+    found = identify(record, Settings(order=3))
+    assert found.good
+    assert '2 states explain as much as the 3 that are given: if so, set `order: 0`' in found.notes
+    assert not any('as much as' in note for note in identify(record, Settings(order=2)).notes)
+
+
 def test_a_dead_time_that_is_given_and_another_one_is_told():
     """A lag of 0.3 s after 0.13 s: the first reason if it is WEAK, and a note if it is GOOD."""
     rng = np.random.default_rng(3)

@@ -193,7 +193,8 @@ class _Acting:
         octave alike; the rest is of such as the last. The edges of its hold count as far as the
         plant answers to them [rad/s].
         """
-        left, count = self.differences[j].copy(), self.differences.shape[1]
+        count, largest = self.differences.shape[1], np.max(np.abs(self.differences[j]))
+        left = self.differences[j] / (largest or 1.0)
         omega = 2.0 * np.pi * np.fft.rfftfreq(_FINER * count, self.step)[:-1]
         end = int(np.searchsorted(omega, max(self.half_rate[j], answered)))
         seen, times = slice(_FINER, max(end, _FINER + 1)), self.step * np.arange(count)
@@ -205,7 +206,7 @@ class _Acting:
             sine = waves @ np.linalg.solve(waves.T @ waves, waves.T @ left)
             share = 0.5 * count * float(sine @ sine) / best
             if not share > _LEFT * (taken + rest):
-                return (taken + rest) ** 2 / max(squares + rest * share, 1e-300)
+                return float((taken + rest) ** 2 / max(squares + rest * share, 1e-300))
             taken, squares = taken + share, squares + share ** 2
             left -= sine
 

@@ -121,7 +121,10 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     others = [(_advantage(found[order], one, order != counted), one)
               for n, one in found.items() if n != order and not imitates(one, found[order])]
     notes = _left_out(found, order, settings, effort)
-    best = found[order]
+    best, fewer = found[order], choose(found)
+    needless = None if not settings.order or fewer == order else (
+        f'{fewer} state{"s explain" if fewer > 1 else " explains"} as much as the {order} that '
+        'are given', ANY_ORDER)
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
     if predicted is not None and _growth(predicted, samples) < -_GROWS and np.any(
             np.abs(best.fit.model.poles.real) * samples.length < _GROWS) and (
@@ -175,7 +178,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
                     doubt=_late(part, best, free) or wanted
-                    or _other_delays(samples, best, free, subspace, own)
+                    or _other_delays(samples, best, free, subspace, own) or needless
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, rivals=_rivals(others), drifting=drifting,
                     singular_values=values, condition=condition)
