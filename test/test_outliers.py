@@ -341,3 +341,17 @@ def test_spikes_of_an_input_that_no_output_answers_are_bridged(seed):
     assert found.statistics['corrupt_samples.u1'] == 8.0
     assert found.model.frequency_response([1.0])[0, 0, 0] == pytest.approx(
         2.5 / (2.5 + 1.0j), rel=0.05)
+
+
+def test_jabs_are_told_from_spikes_channel_by_channel():
+    """Two axes of a stick in one message: one is jabbed, the other one has spikes."""
+    rng = np.random.default_rng(5)
+    stick, spiky = jabs(rng, 12), jabs(rng, 0, corrupt=12.0)
+    u, other = (r.inputs[0] for r in (stick, spiky))
+    y, more = (r.outputs[0] for r in (stick, spiky))
+    found = identify(Record.from_arrays(
+        u.time, np.hstack((u.values, other.values)), y.time, y.values + more.values,
+        input_hold='smooth'))
+    assert {name: count for name, count in found.statistics.items() if 'corrupt' in name} == {
+        'corrupt_samples': 8.0, 'corrupt_samples.u2': 8.0}
+    assert found.good

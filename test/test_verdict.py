@@ -429,6 +429,13 @@ def test_a_dead_time_that_is_given_and_another_one_is_told():
     assert not any('ead times' in note for note in right.notes)
 
 
+def test_the_dead_time_that_is_given_is_no_other_one():
+    """Of a loop, whose best simulations are of another order with no dead time either."""
+    found = identify(robots.experiment('rates-1x1', 33, 0).record, Settings(delay=0.0))
+    assert found.verdict.coloured_error[0] > 0.3          # which other ones might explain
+    assert 'ead times' not in ' '.join((found.verdict.reason, *found.notes))
+
+
 def test_the_reason_for_the_largest_order_says_that_it_is_a_bound():
     rng = np.random.default_rng(0)
     record = held(rng, random_plant(rng, 2, 1, 1), 50.0, 100.0, snr=30)
