@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
@@ -73,6 +76,31 @@ def test_topics_that_fell_silent_leave_nothing_that_is_well(live):
     said = node.wait_health('identification', lambda h: 'Every test' in h.message and
                             h.level == Level.STALE, 'silence')
     assert said.message.startswith('no messages come in, see ingest; of the last window: ')
+
+
+def test_where_no_window_comes_any_more_nothing_is_well(live):
+    """Both channels are dead, and both topics alive: no window comes that could say so."""
+    node = live.identifier(params('ingest.timeout: 1.0', length=2.0))
+    robot = Robot(live, motion(40.0), node.name)
+    robot.send(4.0)
+    node.wait_models(1)
+
+    def spoilt() -> None:
+        t, name, _ = robot._rest.pop(0)
+        robot.publish(name, EPOCH + round(t * 1e9), [float('nan')] * (2 if name == 'imu' else 1))
+        time.sleep(0.002)
+
+    said = node.wait_health('identification', lambda h: spoilt() or h.level == Level.STALE,
+                            'that no window comes')
+    assert said.message.startswith('no window has come for ')
+    assert ' s, see ingest; of the last window: ' in said.message
+    last = robot._rest[0][0]
+    for end in np.arange(last + 3.0, last + 20.0, 1.0):
+        robot.send(end, speed=3.0)
+        said = node.health('identification')[-1]
+        if said.level == Level.OK:
+            break
+    assert (said.level, said.values['verdict']) == (Level.OK, 'GOOD')
 
 
 def test_a_cause_that_only_the_ingest_knows_is_told_beside_the_verdict(live):

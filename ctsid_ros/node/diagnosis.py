@@ -151,11 +151,22 @@ def diagnose_identification(progress: Progress) -> Health:
     return Health(IDENTIFICATION, level, '; '.join(troubles) or verdict.reason, values)
 
 
-def with_cause(identification: Health, ingest: Health, troubles: Sequence[str]) -> Health:
-    """Return how the identification is, with what the ingest says of it; see `IngestDiagnosis`."""
-    if ingest.level is Level.STALE and identification.level is not Level.STALE:
+def with_cause(identification: Health, gone: str, troubles: Sequence[str]) -> Health:
+    """
+    Return how the identification is now, with what the ingest says of it.
+
+    Parameters
+    ----------
+    identification : Health
+        As the last window has left it.
+    gone : str
+        Why there is nothing to identify now; '' if there is.
+    troubles : sequence of str
+        See `IngestDiagnosis`.
+    """
+    if gone and identification.level is not Level.STALE:
         return replace(identification, level=Level.STALE, message=(
-            f'no messages come in, see ingest; of the last window: {identification.message}'))
+            f'{gone}, see ingest; of the last window: {identification.message}'))
     if identification.level is Level.OK or not troubles:
         return identification
     return replace(identification, message=(

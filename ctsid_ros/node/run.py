@@ -21,7 +21,7 @@ from ctsid_ros.config.channels import Config
 from ctsid_ros.errors import lacks_bag_package
 from ctsid_ros.ingest.feed import Feed
 from ctsid_ros.ingest.sim_clock import SimClock
-from ctsid_ros.messages.health import Health
+from ctsid_ros.messages.health import Health, Level
 from ctsid_ros.messages.models import provenance
 from ctsid_ros.node.diagnosis import IngestDiagnosis, diagnose_identification, with_cause
 from ctsid_ros.node.intake import Intake
@@ -91,7 +91,11 @@ class Run:
         with self.intake.lock:
             ingest = self.diagnosis.look(self.feed, time.time_ns(), timeout, faults,
                                          self.intake.failure)
-        return [ingest, with_cause(diagnose_identification(self.session.progress), ingest,
+        progress = self.session.progress
+        gone = ('no messages come in' if ingest.level is Level.STALE else
+                f'no window has come for {progress.idle:.1f} s' if progress.overdue > timeout
+                else '')
+        return [ingest, with_cause(diagnose_identification(progress), gone,
                                    self.diagnosis.troubles)]
 
     def identify(self) -> Answer:

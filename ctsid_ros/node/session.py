@@ -106,6 +106,10 @@ class Progress:
         The last window, and the last one with an accepted model.
     budget : float
         Processor time that the search for a model of a window may take [s].
+    idle : float
+        Time since the last window came [s]; NaN before the first.
+    overdue : float
+        By how much that is more than between the windows before it, or their stride [s].
     """
 
     windows: int = 0
@@ -117,6 +121,8 @@ class Progress:
     last: Identified | None = None
     accepted: Identified | None = None
     budget: float = math.nan
+    idle: float = math.nan
+    overdue: float = 0.0
 
 
 class Session:
@@ -141,6 +147,9 @@ class Session:
         self._term = 0  # counts what makes all windows before it void
         self._tracked = 0  # of the windows that the tracker remembers
         self._progress, self._lock = Progress(), Lock()
+        # When the last window came, and how long after the one before, if there was one: by the
+        # computer's clock, beside which simulated time may be slow.
+        self._came, self._every = math.nan, 0.0
         self._begun: tuple[int, float, int] | None = None  # number, time, windows skipped by then
         self._worker: Worker[tuple[int, Window]] = Worker(self._identify, self._failed, turn)
         self._worker.start()
@@ -149,14 +158,18 @@ class Session:
     def progress(self) -> Progress:
         """How far it has come."""
         begun, skipped = self._begun, self._worker.skipped
+        idle = time.monotonic() - self._came
         under_way = begun and UnderWay(begun[0], time.monotonic() - begun[1], skipped - begun[2])
         return replace(self._progress, skipped=skipped, under_way=under_way,
-                       waiting=self._worker.waiting, budget=self._settings.budget)
+                       waiting=self._worker.waiting, budget=self._settings.budget, idle=idle,
+                       overdue=idle - max(self._every, self._settings.window_stride))
 
     def submit(self, record: Record, arrival_ns: int | None, *, requested: bool = False) -> None:
         """Identify a window as soon as the present one is done; see `Window`."""
         with self._lock:
-            number = self._progress.windows + 1
+            number, now = self._progress.windows + 1, time.monotonic()
+            if not requested:
+                self._came, self._every = now, max(0.0, now - self._came)
             self._progress = replace(self._progress, windows=number)
             self._worker.submit((self._term, Window(record, number, arrival_ns, requested)))
 
@@ -170,6 +183,7 @@ class Session:
             self._worker.drop()
             self._term += 1  # the tracker is told by the thread that uses it
             self._progress = replace(self._progress, last=None, accepted=None)
+            self._came = math.nan
 
     def cancel(self) -> None:
         """Break off the window under way, begin no other, publish nothing more."""
