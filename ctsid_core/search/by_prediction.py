@@ -360,8 +360,6 @@ def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices 
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
         A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, limit)
-        if not np.isfinite(A).all():
-            return None
         transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
         gain = continuous_gain(A, m.C, np.linalg.solve(transition, integral @ drive), step)
         if not np.all(np.linalg.eigvals(A - gain @ m.C).real < 0.0):
@@ -387,12 +385,10 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
                limit: float) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
     moved, integral = _from_sample_to_sample(A, K, C, step)
-    plant = _logarithm(moved) / step if np.isfinite(moved).all() else moved
-    if not np.isfinite(plant).all():
-        raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
-    if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
+    found = _logarithm(moved) / step
+    if np.abs(found.imag).max() > 1e-6 * np.abs(found).max():
         raise np.linalg.LinAlgError('a transition of the plant has no real logarithm')
-    plant = _limited(np.real(plant), limit)
+    plant = _limited(found.real, limit)
     back = np.linalg.solve(exponentials(plant, np.array([step]), 1)[1][0], integral)
     return plant, back @ B, back @ K
 

@@ -65,8 +65,6 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     """
     if share == 0.0:
         return _nothing(samples, 'none are asked for (`validation.held_out`, or `hermite.edges`)')
-    if not len(fit.model.poles):
-        return _nothing(samples, 'it has no states')
     samples = samples.thinned(_SEARCHED)
 
     def of(early: Samples, part: Part) -> Fit | None:
