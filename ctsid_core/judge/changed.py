@@ -51,7 +51,6 @@ _CLOSER = (0.02, 0.01)                     # steps from the best of them, one af
 _LOOK = 1e7           # work of looking for them, beside the basis
 _NOTHING = 1e-9       # of a direction: less of it is rounding
 _EDGE = 0.08          # of a record, within which it is not divided
-_SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
@@ -248,7 +247,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     larger: list[tuple[Array, ...]] = []
     sides = ((record.start, at), (at, record.end)) if share else ((at, record.end),)
     for start, end in sides:
-        side = samples.between([(start, end)]).thinned(_SEARCHED)
+        side = samples.between([(start, end)]).thinned(SEARCHED // 2)
         if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
             return Change()
         try:

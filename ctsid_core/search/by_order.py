@@ -59,8 +59,7 @@ _SHORT = 0.05         # of a budget that order 1 has taken: one by one others wo
 _PASSES = 4           # in which b and c of a start are found, one after the other
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
-_STATES = 6           # of so many states, before it is known of how many,
-_FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
+_STATES = 6           # of so many states, before it is known of how many
 POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 MORE = 2              # orders beyond the chosen one that are tried
@@ -221,7 +220,7 @@ def affordable(samples: Samples, n: int = _STATES) -> int:
     if not effort.budget:
         return most
     while most > _FEWEST_SAMPLES and _later(
-            samples.thinned(most), n) > _FOR_LATER * effort.worth(effort.budget):
+            samples.thinned(most), n) > (1.0 - SEARCH) * effort.worth(effort.budget):
         most = int(0.8 * most)
     effort.keep(_later(samples.thinned(most), n))
     return most
