@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 
 from ctsid_core.judge.motion import motion_within
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import Triangle, columns_of, evaluation_work
+from ctsid_core.likelihood.mode_columns import Triangle, columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals
 from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
@@ -58,7 +58,7 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
     known, delay = (samples, model.delay) if drifting is None else (
         drifting.thinned(_SEARCHED), delays_with_time(model.delay))
     columns = columns_of(known, model.poles, delay, direct=free.feedthrough, turned=False)
-    samples.effort.spend(evaluation_work(samples, len(model.poles)))
+    samples.effort.check()
     curved = _powers(samples, errors)
     for k, stream in enumerate(samples.records[0].streams):
         parts = [(*_linear(found[k], model.poles, free), _curves(record, k, model, own))
