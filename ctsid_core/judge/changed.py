@@ -86,8 +86,9 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     # Of a record shorter than a dead time nothing is left.
     places = [k for k, record in enumerate(samples.records) if record.end > record.start]
     whole = fit.model, free
-    # What is another plant as a whole is not divided.
-    others = (_another(samples, whole, place) for place in places if len(places) > 1)
+    # What is, as a whole, of another plant than the others are is not divided.
+    others = (_explained(samples, whole, _divided(samples, whole, whole, place, 0.0))
+              for place in places if len(places) > 1)
     other = max((Change(), *others), key=lambda change: change.cost)
     if other.cost > 0.0:
         return other
@@ -114,11 +115,6 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         return Change()
     size = _divided(samples, plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
-
-
-def _another(samples: Samples, own: Own, place: int) -> Change:
-    """Return a record as of another plant than the others are, if that explains it best."""
-    return _explained(samples, own, _divided(samples, own, own, place, 0.0))
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:

@@ -80,14 +80,7 @@ def curves_of(samples: Samples, fit: Fit) -> Array:
         for record, curved, own in zip(samples.records, powers, size, strict=True)])
 
 
-def beside(columns: Array, error: Array) -> tuple[Array, int]:
-    """Return what columns leave of errors, and how many of them tell something."""
-    Q, told = _basis(columns)
-    own = Q[:, told]
-    return error - own @ (own.T @ error), own.shape[1]
-
-
-def _basis(columns: Array) -> tuple[Array, Mask]:
+def basis_of(columns: Array) -> tuple[Array, Mask]:
     """Return columns made orthonormal one after another, and which are not of those before."""
     Q, R = np.linalg.qr(columns)
     return Q, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)
@@ -143,7 +136,7 @@ def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
     gains = np.zeros(errors[0].shape[1])
     if width + curves.shape[1] > MOST * count:
         return gains
-    Q, told = _basis(np.hstack((base, curves)))
+    Q, told = basis_of(np.hstack((base, curves)))
     own = Q[:, width:][:, told[width:]]
     Q, edges = Q[:, :width], np.cumsum([len(one) for one in errors])[:-1]
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):

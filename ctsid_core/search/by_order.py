@@ -182,7 +182,8 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
             if start is not None:
                 fit = fit_at(samples, *start[2:], free, slopes=False)
                 for _ in range(_PASSES if samples.rank > 1 else 0):
-                    fit = _again(samples, fit, free, slopes=False)
+                    fit = fit_at(samples, fit.model.poles, fit.model.delay, free, fit,
+                                 slopes=False)
                 return fit
         return None
 
@@ -305,11 +306,6 @@ def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: floa
         start = climb_on(start)
         apart = parted(samples, start, free, AKAIKE)
     return start if apart is None else climb_on(apart)
-
-
-def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
-    """Return a model of other samples, everything linear at its best there."""
-    return fit_at(samples, fit.model.poles, fit.model.delay, free, fit, slopes=slopes)
 
 
 def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
