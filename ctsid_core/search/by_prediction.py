@@ -190,10 +190,9 @@ def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> Predicti
 
 def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
-    try:
+    top = start
+    with suppress(np.linalg.LinAlgError):
         top = climb_roughly(joint, start, free)
-    except np.linalg.LinAlgError:
-        top = start
     return _judged(joint, top, free, last) \
         or (None if top is start else _judged(joint, start, free, last))
 
@@ -397,8 +396,7 @@ def _logarithm(transition: Array) -> ComplexArray:
     """Return the principal logarithm, by eigenvectors unless these are nearly parallel."""
     values, right = np.linalg.eig(transition)
     if np.linalg.cond(right) < _PARALLEL and np.all(values != 0.0):
-        found: ComplexArray = (right * np.log(values.astype(complex))) @ np.linalg.inv(right)
-        return found
+        return np.asarray((right * np.log(values.astype(complex))) @ np.linalg.inv(right))
     with warnings.catch_warnings():                 # it judges its own accuracy too strictly
         warnings.simplefilter('ignore', RuntimeWarning)
         try:
@@ -463,8 +461,7 @@ def _limited(A: Array, limit: float) -> Array:
     if not beyond.any():
         return A
     values = np.where(beyond, limit + 1j * values.imag, values)
-    found: Array = np.real(right @ np.diag(values) @ np.linalg.inv(right))
-    return found
+    return np.asarray(np.real(right @ np.diag(values) @ np.linalg.inv(right)))
 
 
 def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:
