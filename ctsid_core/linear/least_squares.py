@@ -68,8 +68,7 @@ def orthonormal(columns: Array, tolerance: float) -> Array:
     size[size == 0.0] = np.inf
     _, s, right = svd(columns / size)
     kept = s > tolerance * np.max(s, initial=0.0)
-    found: Array = (right[kept] / s[kept, np.newaxis] / size).T
-    return found
+    return np.asarray((right[kept] / s[kept, np.newaxis] / size).T)
 
 
 def triangle(columns: Array) -> Array:

@@ -270,8 +270,7 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     # Of a pair both are known alike.
     twin = np.where(poles.imag == 0.0, np.arange(n), np.argmin(
         np.abs(poles[:, np.newaxis] - poles.conj()), axis=1))
-    found: Array = np.sqrt(0.5 * (power + power[twin]))
-    return found
+    return np.asarray(np.sqrt(0.5 * (power + power[twin])))
 
 
 def natural_frequency_deviation(covariance: Covariance, model: StateSpace) -> Array:

@@ -179,9 +179,8 @@ def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
                 squares[i] += own.power[r, i] * np.sum(moved[at:at + len(t.y)])
                 at += len(t.y)
     counts = early.counts.sum(axis=0)
-    found: Array = np.sqrt(squares / np.maximum(late.counts.sum(axis=0), 1.0)
-                           * counts / independent(residuals(early, own)))
-    return found
+    return np.asarray(np.sqrt(squares / np.maximum(late.counts.sum(axis=0), 1.0) * counts
+                              / independent(residuals(early, own))))
 
 
 def _rms(samples: Samples, fit: Fit) -> Array:

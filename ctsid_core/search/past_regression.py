@@ -157,8 +157,7 @@ def _root(poles: Array, decay: float) -> Array:
     products = (p + q + 2.0 * decay) / ((p + decay) * (q + decay) * (p + q + decay))
     inverse = np.linalg.pinv(1.0 / (p + q), rcond=1e-13, hermitian=True)
     values, turn = np.linalg.eigh(inverse @ products @ inverse)
-    found: Array = turn * np.sqrt(np.maximum(values, 0.0))
-    return found
+    return np.asarray(turn * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _likeliest(gram: Array, right: Array, power: float, count: float,
