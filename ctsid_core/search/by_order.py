@@ -247,11 +247,8 @@ def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> flo
 
 def _delays(free: Free, known: Array) -> list[Array]:
     """Return the dead times of a first look."""
-    late = np.array(free.delays)
-    found = [known]
-    if late.any():
-        found += [np.where(late, free.longest * _RATIO ** k, known) for k in range(_DELAYS)]
-    return found
+    return [known, *(np.where(free.delays, free.longest * _RATIO ** k, known)
+                     for k in range(_DELAYS) if any(free.delays))]
 
 
 def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
