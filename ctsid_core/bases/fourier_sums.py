@@ -70,8 +70,7 @@ def fourier_sums(x: Array, weights: Array, grid: Grid) -> ComplexArray:
         moments += _scatter(x[part], grid) @ weights[:, part].T
     spectra = rfft(moments.reshape(grid.size, -1), axis=0)[:len(grid.w)]
     spectra = spectra.reshape(len(grid.w), _TERMS, -1)
-    sums: ComplexArray = (spectra * grid.series[:, :, np.newaxis]).sum(axis=1).T
-    return sums
+    return np.asarray((spectra * grid.series[:, :, np.newaxis]).sum(axis=1).T)
 
 
 def _scatter(x: Array, grid: Grid) -> csc_array:

@@ -159,9 +159,7 @@ def _by_delay(record: Record,
 
 
 def joined(records: Sequence[Projection]) -> Projection:
-    """Return lines of several records, each with its own `ones`, side by side; of one, itself."""
-    if len(records) == 1:
-        return records[0]
+    """Return lines of records, each with its own `ones`, side by side."""
     unit = max(p.unit for p in records)
     sized = [(float(np.sqrt(p.unit / unit)), p) for p in records]
     return Projection(

@@ -125,8 +125,6 @@ def usable(record: Record, settings: Settings,
 
 def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     """Return the times of the corrupt samples of each output that has any [s]."""
-    if not record.outputs or not record.inputs:
-        return {}
     part = usable(record, settings)
     if not isinstance(part, Usable):
         return {}

@@ -51,7 +51,6 @@ _CLOSER = (0.02, 0.01)                     # steps from the best of them, one af
 _LOOK = 1e7           # work of looking for them, beside the basis
 _NOTHING = 1e-9       # of a direction: less of it is rounding
 _EDGE = 0.08          # of a record, within which it is not divided
-_SEARCHED = 600       # samples of a side that are looked at
 _STEPS = 5            # of a side's model from that of the whole: more, and it fits noise
 _FEWEST = 3           # samples of a side for each number of a model
 _LEFT = 0.1           # power of errors, noise apart, that two models may leave of those of one
@@ -87,8 +86,9 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     # Of a record shorter than a dead time nothing is left.
     places = [k for k, record in enumerate(samples.records) if record.end > record.start]
     whole = fit.model, free
-    # What is another plant as a whole is not divided.
-    others = (_another(samples, whole, place) for place in places if len(places) > 1)
+    # What is, as a whole, of another plant than the others are is not divided.
+    others = (_explained(samples, whole, _divided(samples, whole, whole, place, 0.0))
+              for place in places if len(places) > 1)
     other = max((Change(), *others), key=lambda change: change.cost)
     if other.cost > 0.0:
         return other
@@ -115,11 +115,6 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
         return Change()
     size = _divided(samples, plant, plant, place, found.share, certain=True)
     return size if size.left < _LEFT else Change(place, found.share, gain=found.gain)
-
-
-def _another(samples: Samples, own: Own, place: int) -> Change:
-    """Return a record as of another plant than the others are, if that explains it best."""
-    return _explained(samples, own, _divided(samples, own, own, place, 0.0))
 
 
 def _explained(samples: Samples, own: Own, found: Change) -> Change:
@@ -248,7 +243,7 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     larger: list[tuple[Array, ...]] = []
     sides = ((record.start, at), (at, record.end)) if share else ((at, record.end),)
     for start, end in sides:
-        side = samples.between([(start, end)]).thinned(_SEARCHED)
+        side = samples.between([(start, end)]).thinned(SEARCHED // 2)
         if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
             return Change()
         try:

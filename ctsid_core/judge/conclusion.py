@@ -23,7 +23,13 @@ from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
 from ctsid_core.judge.stuck import stuck_outputs
 from ctsid_core.likelihood.noise_gain import with_noise
 from ctsid_core.likelihood.output_error import Residuals
-from ctsid_core.likelihood.residuals import coloured_power, driven, residuals, white_part
+from ctsid_core.likelihood.residuals import (
+    by_output,
+    coloured_power,
+    driven,
+    residuals,
+    white_part,
+)
 from ctsid_core.likelihood.state_space import entry_changes, matrices_of
 from ctsid_core.linear.types import Array, Matrices
 from ctsid_core.model.covariance import Covariance, Rival, pole_deviation, spread
@@ -216,9 +222,8 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         UNJUDGED, excitation=tuple(by_place.get(j, Excitation(name))
                                    for j, name in enumerate(whole.input_names)),
         pole_uncertainty=pole_uncertainty(model.poles, deviation, 1.0 / part.length),
-        whiteness=everywhere(np.array([whiteness(np.concatenate([own[k][:, i] for own in errors]))
-                                       for k in range(len(errors[0]))
-                                       for i in range(errors[0][k].shape[1])])),
+        whiteness=everywhere(np.array([
+            whiteness(np.concatenate(parts)) for parts in by_output(errors)])),
         response_uncertainty=everywhere(seen[1]), error=everywhere(error),
         coloured_error=everywhere(coloured),
         held_out_error=everywhere(tested(unseen, error)),

@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 
 from ctsid_core.judge.motion import motion_within
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import Triangle, columns_of, evaluation_work
+from ctsid_core.likelihood.mode_columns import Triangle, columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals
 from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
@@ -58,7 +58,7 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
     known, delay = (samples, model.delay) if drifting is None else (
         drifting.thinned(_SEARCHED), delays_with_time(model.delay))
     columns = columns_of(known, model.poles, delay, direct=free.feedthrough, turned=False)
-    samples.effort.spend(evaluation_work(samples, len(model.poles)))
+    samples.effort.check()
     curved = _powers(samples, errors)
     for k, stream in enumerate(samples.records[0].streams):
         parts = [(*_linear(found[k], model.poles, free), _curves(record, k, model, own))
@@ -80,14 +80,7 @@ def curves_of(samples: Samples, fit: Fit) -> Array:
         for record, curved, own in zip(samples.records, powers, size, strict=True)])
 
 
-def beside(columns: Array, error: Array) -> tuple[Array, int]:
-    """Return what columns leave of errors, and how many of them tell something."""
-    Q, told = _basis(columns)
-    own = Q[:, told]
-    return error - own @ (own.T @ error), own.shape[1]
-
-
-def _basis(columns: Array) -> tuple[Array, Mask]:
+def basis_of(columns: Array) -> tuple[Array, Mask]:
     """Return columns made orthonormal one after another, and which are not of those before."""
     Q, R = np.linalg.qr(columns)
     return Q, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)
@@ -143,7 +136,7 @@ def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
     gains = np.zeros(errors[0].shape[1])
     if width + curves.shape[1] > MOST * count:
         return gains
-    Q, told = _basis(np.hstack((base, curves)))
+    Q, told = basis_of(np.hstack((base, curves)))
     own = Q[:, width:][:, told[width:]]
     Q, edges = Q[:, :width], np.cumsum([len(one) for one in errors])[:-1]
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):

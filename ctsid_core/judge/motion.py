@@ -27,8 +27,7 @@ def motion_within(samples: Samples, errors: Residuals) -> Array:
             for y in np.split(s.y - e, np.searchsorted(s.times, edges)):
                 if len(y):
                     squares[s.channels] += len(y) * np.var(y, axis=0)
-    found: Array = np.sqrt(squares / samples.counts.sum(axis=0))
-    return found
+    return np.asarray(np.sqrt(squares / samples.counts.sum(axis=0)))
 
 
 def motion_ahead(record: RecordSamples, errors: tuple[Array, ...], seconds: float) -> Array:

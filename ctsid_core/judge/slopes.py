@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctsid_core.judge.curve import MOST, beside
+from ctsid_core.judge.curve import MOST, basis_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, fit_states, jacobian
@@ -58,10 +58,12 @@ class Slopes(NamedTuple):
         if columns.shape[1] > MOST * len(self.error):
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
         self.samples.effort.spend(1.5 * len(self.error) * columns.shape[1] ** 2)
-        left, told = beside(columns, self.error)
+        Q, told = basis_of(columns)
+        own, numbers = Q[:, told], int(np.sum(told))
+        left = self.error - own @ (own.T @ self.error)
         errors = np.split(left, np.cumsum(self.counts)[:-1])
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
-        return Left(errors, power, told, float(self.counts @ np.log(power)) + told)
+        return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 
 
 def only(samples: Samples, place: int) -> Samples:

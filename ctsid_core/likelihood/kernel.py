@@ -271,9 +271,8 @@ def _packed(model: ModalModel, power: Array, *more: Array) -> Array:
     """Return a model, the mean squares of its errors and more as one row of numbers."""
     modes = np.concatenate((model.poles, model.b.ravel(), model.c.ravel(), model.x0.ravel()),
                            dtype=complex)
-    found: Array = np.concatenate((modes.view(float), model.delay, model.D.ravel(),
-                                   model.y0.ravel(), power.ravel(), *more))
-    return found
+    return np.concatenate((modes.view(float), model.delay, model.D.ravel(), model.y0.ravel(),
+                           power.ravel(), *more))
 
 
 def kernel_of(records: Sequence[Timed], nu: int, ny: int) -> Kernel | None:

@@ -141,8 +141,7 @@ def least_cost(columns: Columns, trim: bool) -> float:
 
 def cost_of(squares: Array, number: Array) -> Array:
     """Return -2 log likelihood of sums of squares of so many errors of each output."""
-    found: Array = np.log(np.maximum(squares / np.maximum(number, 1.0), ROUNDING)) @ number
-    return found
+    return np.asarray(np.log(np.maximum(squares / np.maximum(number, 1.0), ROUNDING)) @ number)
 
 
 def evaluation_work(samples: Samples, modes: int, *, slopes: bool = True,

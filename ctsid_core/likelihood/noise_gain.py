@@ -154,8 +154,7 @@ def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Arra
         len(rest), len(F))
     x0 = np.linalg.lstsq(np.hstack((columns.real, -columns.imag)), rest, rcond=1e-9)[0]
     start = (x0[:len(values)] + 1j * x0[len(values):])[:, np.newaxis] * free
-    found: Array = (right @ (_filtered(values, driven) + start)).real.T
-    return found
+    return np.asarray((right @ (_filtered(values, driven) + start)).real.T)
 
 
 def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight: Array,

@@ -335,8 +335,7 @@ class Places:
 
 def _driving(model: ModalModel, record: int) -> ComplexArray:
     """Return what moves each mode: inputs and the initial state, (m, nu + 1)."""
-    found: ComplexArray = np.concatenate((model.b, model.x0[record][:, np.newaxis]), axis=1)
-    return found
+    return np.concatenate((model.b, model.x0[record][:, np.newaxis]), axis=1)
 
 
 def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
@@ -459,7 +458,9 @@ def free_start(samples: Samples, poles: ComplexArray, delay: Array, columns: Col
     if ny == 1:
         return start
     group, part = ranks_of(poles)
-    reach = reach_of(columns)
+    # The size of the response of each mode to each input
+    reach = np.sqrt(sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0)
+                        for own in columns.triangles for t in own)) + 1e-300
     residues, starts = _free_residues(samples, poles, columns, free)
     left, s, right = np.linalg.svd(residues * reach[part == 0, np.newaxis], full_matrices=False)
     c = left[group, :, part].T
@@ -490,12 +491,6 @@ def _free_residues(samples: Samples, poles: ComplexArray, columns: Columns,
             residues[:, i] = _complex(b.reshape(n, nu), poles)
             starts[:, :, i] = _complex(x0.reshape(records, n).T, poles).T
     return residues, starts
-
-
-def reach_of(columns: Columns) -> Array:
-    """Return the size of the response of each mode to each input, (m, nu)."""
-    total = sum(np.sum(t.z[:, :, :-1].real ** 2, axis=0) for own in columns.triangles for t in own)
-    return np.sqrt(np.asarray(total)) + 1e-300
 
 
 def _solve(samples: Samples, fit: Fit, free: Free, wanted: Callable[[Places], Mask]) -> ModalModel:

@@ -38,19 +38,19 @@ def driven(samples: Samples, fit: Fit, errors: Residuals) -> Array:
     return np.concatenate(found)
 
 
+def by_output(errors: Residuals) -> list[list[Array]]:
+    """Return the errors of each output, a part of each record."""
+    return [[e[:, i] for e in rows] for rows in zip(*errors, strict=True)
+            for i in range(rows[0].shape[1])]
+
+
 def independent(errors: Residuals) -> Array:
     """
     Return the number of independent samples among the errors of each output, (ny,).
 
     N / (1 + 2 sum_k rho_k), the autocorrelation summed over lags until it is small.
     """
-    found = []
-    for rows in zip(*errors, strict=True):
-        count = sum(len(e) for e in rows)
-        factor = [_correlation(tuple(e[:, i] for e in rows))
-                  for i in range(rows[0].shape[1])]
-        found += [count / f for f in factor]
-    return np.array(found)
+    return np.array([sum(map(len, parts)) / _correlation(parts) for parts in by_output(errors)])
 
 
 def coloured_costs(errors: Residuals) -> Array:
@@ -59,8 +59,7 @@ def coloured_costs(errors: Residuals) -> Array:
 
     That of the innovations of an autoregression of each record, its numbers paid.
     """
-    return np.array([sum(autoregression(e[:, i])[0] for e in rows)
-                     for rows in zip(*errors, strict=True) for i in range(rows[0].shape[1])])
+    return np.array([sum(autoregression(e)[0] for e in parts) for parts in by_output(errors)])
 
 
 def autoregression(error: Array) -> tuple[float, Array]:
@@ -88,7 +87,7 @@ def autoregression(error: Array) -> tuple[float, Array]:
     return best
 
 
-def _correlation(parts: tuple[Array, ...]) -> float:
+def _correlation(parts: list[Array]) -> float:
     """Return 1 + 2 sum_k rho_k of a sequence in parts."""
     longest = max(len(e) for e in parts)
     total = np.zeros(longest)
@@ -112,24 +111,18 @@ def white_part(errors: Residuals) -> Array:
     From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6).
     """
     found = []
-    for stream in zip(*errors, strict=True):
-        rows = [e for e in stream if len(e) > 2]
-        total = sum(np.sum((e[2:] - 2.0 * e[1:-1] + e[:-2]) ** 2, axis=0) for e in rows)
-        count = sum(len(e) - 2 for e in rows)
-        found.append(np.sqrt(np.atleast_1d(total) / 6.0 / max(count, 1)))
-    return np.concatenate(found)
+    for parts in by_output(errors):
+        bent = [e[2:] - 2.0 * e[1:-1] + e[:-2] for e in parts]
+        found.append(sum(e @ e for e in bent) / 6.0 / max(sum(map(len, bent)), 1))
+    return np.sqrt(found)
 
 
 def mean_square(errors: Residuals) -> Array:
     """Return the mean square of the errors of each output, (ny,); NaN of none."""
-    found = []
-    for stream in zip(*errors, strict=True):
-        rows = np.concatenate(stream)
-        found.append(np.sum(rows ** 2, axis=0) / (len(rows) or np.nan) + 1e-300)
-    return np.concatenate(found)
+    return np.array([sum(e @ e for e in parts) / (sum(map(len, parts)) or np.nan) + 1e-300
+                     for parts in by_output(errors)])
 
 
 def coloured_power(errors: Residuals) -> Array:
     """Return the mean square of what is not white noise, (ny,)."""
-    found: Array = np.maximum(mean_square(errors) - white_part(errors) ** 2, 0.0)
-    return found
+    return np.asarray(np.maximum(mean_square(errors) - white_part(errors) ** 2, 0.0))

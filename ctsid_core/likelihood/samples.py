@@ -94,8 +94,7 @@ class Samples:
 
     def mean(self, values: Array) -> Array:
         """Return what records and outputs have, (records, ny), over all their samples, (ny,)."""
-        found: Array = np.average(values, axis=0, weights=self.counts)
-        return found
+        return np.asarray(np.average(values, axis=0, weights=self.counts))
 
     @property
     def interval(self) -> float:

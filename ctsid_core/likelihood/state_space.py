@@ -24,7 +24,7 @@ from ctsid_core.linear.least_squares import orthonormal
 from ctsid_core.linear.matrix_functions import CONDITION_LIMIT, modes
 from ctsid_core.linear.types import Array, ComplexArray, Matrices
 from ctsid_core.model.covariance import Entries
-from ctsid_core.signals.record import Signal
+from ctsid_core.signals.record import Signal, channel_slices
 
 _MET = 0.03           # relative distance of two poles below which they share a block
 GAUGE = 1e-7          # relative singular value below which a direction changes nothing
@@ -327,12 +327,10 @@ def _until_seen(change: Array, effect: Array) -> float:
 
 def _jumps(signals: tuple[Signal, ...], place: int) -> tuple[Array, Array]:
     """Return the stamps of an input, and by how much it jumps there; none if it is not held."""
-    for s in signals:
-        if place < s.width:
-            return (s.time[1:], np.diff(s.values[:, place])) if s.hold == 'zoh' else \
-                (np.empty(0), np.empty(0))
-        place -= s.width
-    raise IndexError(place)
+    s, own = next((s, own) for s, own in zip(signals, channel_slices(signals), strict=True)
+                  if place < own.stop)
+    return (s.time[1:], np.diff(s.values[:, place - own.start])) if s.hold == 'zoh' else \
+        (np.empty(0), np.empty(0))
 
 
 def _complex(rows: Array, m: int, pairs: NDArray[np.intp]) -> ComplexArray:

@@ -122,9 +122,6 @@ class Covariance:
         return (self.n, self.nu, self.ny, self.rivals) == (
             other.n, other.nu, other.ny, other.rivals) and np.array_equal(self.root, other.root)
 
-    def __hash__(self) -> int:
-        return hash((self.n, self.nu, self.ny, (self.root + 0.0).tobytes(), self.rivals))
-
     @staticmethod
     def entry_count(n: int, nu: int, ny: int) -> int:
         """Return how many entries a model has: the length p of a row."""
@@ -273,8 +270,7 @@ def scatter_of_poles(poles: ComplexArray, changes: ComplexArray) -> Array:
     # Of a pair both are known alike.
     twin = np.where(poles.imag == 0.0, np.arange(n), np.argmin(
         np.abs(poles[:, np.newaxis] - poles.conj()), axis=1))
-    found: Array = np.sqrt(0.5 * (power + power[twin]))
-    return found
+    return np.asarray(np.sqrt(0.5 * (power + power[twin])))
 
 
 def natural_frequency_deviation(covariance: Covariance, model: StateSpace) -> Array:

@@ -98,8 +98,7 @@ def _uncertain(model: StateSpace, covariance: Covariance | None) -> Array:
     size = np.abs(model.poles)
     std = np.zeros(model.n) if covariance is None else \
         np.linalg.norm(covariance.pole_changes(model), axis=0)
-    found: Array = np.maximum(_TOLD * std, _ROUNDING * np.max(size, initial=0.0))
-    return found
+    return np.asarray(np.maximum(_TOLD * std, _ROUNDING * np.max(size, initial=0.0)))
 
 
 def _integrating(model: StateSpace, covariance: Covariance | None) -> Gains | None:

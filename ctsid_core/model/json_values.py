@@ -38,8 +38,6 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else 'Infinity' if value > 0 else '-Infinity'
-    if isinstance(value, Enum):
-        return value.name
     return value if value is None or isinstance(value, str | bool | int | float) else str(value)
 
 

@@ -85,7 +85,12 @@ class Steps:
         Of poles (m,) [rad/s]: (m, nu, N), real if all poles are; derivatives are empty unless
         wanted.
         """
-        return _joined([_read_in_blocks(poles, part, slopes) for part in self._parts], 1)
+        found = []
+        for part in self._parts:
+            few = max(_CACHED // max(part.force[0].size, 1), 1)
+            found.append(_joined([_read(poles[i:i + few], part, slopes)
+                                  for i in range(0, max(len(poles), 1), few)], 0))
+        return _joined(found, 1)
 
 
 class _Part(NamedTuple):
@@ -163,14 +168,6 @@ def _part(drive: Drive, delay: Array, start: float, times: Array) -> _Part:
         force[j] *= h ** (j + 1)
     return _Part(lengths, which, S, D, slot, force, u, rate,
                  v[0, np.arange(len(of)), begins[of]])
-
-
-def _read_in_blocks(poles: Array | ComplexArray, part: _Part,
-                    slopes: bool) -> tuple[ComplexArray, ComplexArray]:
-    """Return the same as `_read`, some poles at a time."""
-    few = max(_CACHED // max(part.force[0].size, 1), 1)
-    return _joined([_read(poles[i:i + few], part, slopes)
-                    for i in range(0, max(len(poles), 1), few)], 0)
 
 
 def _joined(found: list[tuple[ComplexArray, ComplexArray]],

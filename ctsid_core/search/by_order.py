@@ -59,8 +59,7 @@ _SHORT = 0.05         # of a budget that order 1 has taken: one by one others wo
 _PASSES = 4           # in which b and c of a start are found, one after the other
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
-_STATES = 6           # of so many states, before it is known of how many,
-_FOR_LATER = 0.4      # of a budget that they may take: else fewer samples are looked at
+_STATES = 6           # of so many states, before it is known of how many
 POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 MORE = 2              # orders beyond the chosen one that are tried
@@ -183,7 +182,8 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
             if start is not None:
                 fit = fit_at(samples, *start[2:], free, slopes=False)
                 for _ in range(_PASSES if samples.rank > 1 else 0):
-                    fit = _again(samples, fit, free, slopes=False)
+                    fit = fit_at(samples, fit.model.poles, fit.model.delay, free, fit,
+                                 slopes=False)
                 return fit
         return None
 
@@ -221,7 +221,7 @@ def affordable(samples: Samples, n: int = _STATES) -> int:
     if not effort.budget:
         return most
     while most > _FEWEST_SAMPLES and _later(
-            samples.thinned(most), n) > _FOR_LATER * effort.worth(effort.budget):
+            samples.thinned(most), n) > (1.0 - SEARCH) * effort.worth(effort.budget):
         most = int(0.8 * most)
     effort.keep(_later(samples.thinned(most), n))
     return most
@@ -247,11 +247,8 @@ def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> flo
 
 def _delays(free: Free, known: Array) -> list[Array]:
     """Return the dead times of a first look."""
-    late = np.array(free.delays)
-    found = [known]
-    if late.any():
-        found += [np.where(late, free.longest * _RATIO ** k, known) for k in range(_DELAYS)]
-    return found
+    return [known, *(np.where(free.delays, free.longest * _RATIO ** k, known)
+                     for k in range(_DELAYS) if any(free.delays))]
 
 
 def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
@@ -306,11 +303,6 @@ def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: floa
         start = climb_on(start)
         apart = parted(samples, start, free, AKAIKE)
     return start if apart is None else climb_on(apart)
-
-
-def _again(samples: Samples, fit: Fit, free: Free, slopes: bool = True) -> Fit:
-    """Return a model of other samples, everything linear at its best there."""
-    return fit_at(samples, fit.model.poles, fit.model.delay, free, fit, slopes=slopes)
 
 
 def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:

@@ -190,10 +190,9 @@ def _climbed(joint: Samples, start: Fit, free: Free, last: Compared) -> Predicti
 
 def _nearby(joint: Samples, start: Fit, free: Free, last: Compared) -> PredictionFit | None:
     """Return the likeliest predictor near a start; the start, if that one is of no plant."""
-    try:
+    top = start
+    with suppress(np.linalg.LinAlgError):
         top = climb_roughly(joint, start, free)
-    except np.linalg.LinAlgError:
-        top = start
     return _judged(joint, top, free, last) \
         or (None if top is start else _judged(joint, start, free, last))
 
@@ -360,8 +359,6 @@ def plant_of(fit: Fit, samples: Samples, record: int, limit: float) -> Matrices 
     K = m.B[:, nu:] / samples.size                          # outputs were over their size
     try:
         A, B, drive = _open_loop(m.A, m.B[:, :nu], K, m.C, step, limit)
-        if not np.isfinite(A).all():
-            return None
         transition, integral = (x[0] for x in exponentials(A, np.array([step]), 1))
         gain = continuous_gain(A, m.C, np.linalg.solve(transition, integral @ drive), step)
         if not np.all(np.linalg.eigvals(A - gain @ m.C).real < 0.0):
@@ -387,12 +384,10 @@ def _open_loop(A: Array, B: Array, K: Array, C: Array, step: float,
                limit: float) -> tuple[Array, Array, Array]:
     """Return A, B and the drive of the innovations of the plant, from its predictor (1)."""
     moved, integral = _from_sample_to_sample(A, K, C, step)
-    plant = _logarithm(moved) / step if np.isfinite(moved).all() else moved
-    if not np.isfinite(plant).all():
-        raise np.linalg.LinAlgError('a transition of the plant has no logarithm')
-    if np.abs(np.imag(plant)).max() > 1e-6 * np.abs(plant).max():
+    found = _logarithm(moved) / step
+    if np.abs(found.imag).max() > 1e-6 * np.abs(found).max():
         raise np.linalg.LinAlgError('a transition of the plant has no real logarithm')
-    plant = _limited(np.real(plant), limit)
+    plant = _limited(found.real, limit)
     back = np.linalg.solve(exponentials(plant, np.array([step]), 1)[1][0], integral)
     return plant, back @ B, back @ K
 
@@ -401,8 +396,7 @@ def _logarithm(transition: Array) -> ComplexArray:
     """Return the principal logarithm, by eigenvectors unless these are nearly parallel."""
     values, right = np.linalg.eig(transition)
     if np.linalg.cond(right) < _PARALLEL and np.all(values != 0.0):
-        found: ComplexArray = (right * np.log(values.astype(complex))) @ np.linalg.inv(right)
-        return found
+        return np.asarray((right * np.log(values.astype(complex))) @ np.linalg.inv(right))
     with warnings.catch_warnings():                 # it judges its own accuracy too strictly
         warnings.simplefilter('ignore', RuntimeWarning)
         try:
@@ -467,8 +461,7 @@ def _limited(A: Array, limit: float) -> Array:
     if not beyond.any():
         return A
     values = np.where(beyond, limit + 1j * values.imag, values)
-    found: Array = np.real(right @ np.diag(values) @ np.linalg.inv(right))
-    return found
+    return np.asarray(np.real(right @ np.diag(values) @ np.linalg.inv(right)))
 
 
 def changes_of_plant(samples: Samples, fit: Fit, changes: Entries) -> Entries:

@@ -23,9 +23,8 @@ from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.solution import Solution
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.outliers import spikes
-from ctsid_core.signals.spikes import MAD
+from ctsid_core.signals.spikes import MAD, SURE
 
-_STANDING_OUT = 6.0   # robust deviations of an error, from which on it is looked at closely
 _AGAIN = 0.5 * SEARCH  # of a budget: where more is spent, it does not last for the same again
 
 
@@ -54,7 +53,7 @@ def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
 def _stand_out(errors: Array) -> Mask:
     """Return which errors lie far from 0, for most of them."""
     usual = MAD * np.median(np.abs(errors), axis=0)
-    return np.asarray(np.abs(errors) > _STANDING_OUT * usual)
+    return np.asarray(np.abs(errors) > SURE * usual)
 
 
 def given_back(part: Joint, found: Callable[[Joint], Solution | None],

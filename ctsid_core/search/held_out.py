@@ -65,8 +65,6 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     """
     if share == 0.0:
         return _nothing(samples, 'none are asked for (`validation.held_out`, or `hermite.edges`)')
-    if not len(fit.model.poles):
-        return _nothing(samples, 'it has no states')
     samples = samples.thinned(_SEARCHED)
 
     def of(early: Samples, part: Part) -> Fit | None:
@@ -181,9 +179,8 @@ def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:
                 squares[i] += own.power[r, i] * np.sum(moved[at:at + len(t.y)])
                 at += len(t.y)
     counts = early.counts.sum(axis=0)
-    found: Array = np.sqrt(squares / np.maximum(late.counts.sum(axis=0), 1.0)
-                           * counts / independent(residuals(early, own)))
-    return found
+    return np.asarray(np.sqrt(squares / np.maximum(late.counts.sum(axis=0), 1.0) * counts
+                              / independent(residuals(early, own))))
 
 
 def _rms(samples: Samples, fit: Fit) -> Array:

@@ -49,7 +49,6 @@ _STEPS = 15           # of its fixed point, ...
 _SETTLED = 0.1        # ... and the change of its logarithm that ends it
 _ROWS = 4             # samples for each mode, at least
 _SHIFTS = (0, 1, 2, 3, 4, 6, 8, 12, 16)     # dead times on the grid, in samples
-_WORK = 5.0           # for each weight of an output, cubed: of its likelihood
 _LEAST = 1e-12        # of a state's size over the largest one's
 
 
@@ -134,7 +133,7 @@ def _weights(joint: Samples, poles: Array, delay: Array, tables: list[Table]) ->
     m, nu, ny = len(poles), joint.nu, joint.ny
     weights, noise, worth, total = np.zeros((ny, m, nu)), np.ones(ny), 0.0, 0.0
     root = _root(poles, _DECAY / joint.interval)
-    joint.effort.spend(_WORK * ny * (m * nu) ** 3)
+    joint.effort.check()
     for states, y, channels, raw in tables:
         count = float(joint.counts[:, channels.start].sum())
         driven = states.reshape(len(states), m, nu)
@@ -158,8 +157,7 @@ def _root(poles: Array, decay: float) -> Array:
     products = (p + q + 2.0 * decay) / ((p + decay) * (q + decay) * (p + q + decay))
     inverse = np.linalg.pinv(1.0 / (p + q), rcond=1e-13, hermitian=True)
     values, turn = np.linalg.eigh(inverse @ products @ inverse)
-    found: Array = turn * np.sqrt(np.maximum(values, 0.0))
-    return found
+    return np.asarray(turn * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _likeliest(gram: Array, right: Array, power: float, count: float,

@@ -88,8 +88,7 @@ class Solution:
     @property
     def delay(self) -> Array:
         """Dead times of the moving inputs, (nu,) [s]."""
-        delay: Array = self.fit.model.delay[:len(self.part.parts[0].u)]
-        return delay
+        return np.asarray(self.fit.model.delay[:len(self.part.parts[0].u)])
 
 
 def own_delays(part: Joint, settings: Settings) -> Settings:

@@ -19,6 +19,7 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.output_error import Fit, Free, climb_roughly, fit_at, fit_states
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import modal_of
+from ctsid_core.linear.matrix_functions import SOUND
 from ctsid_core.model.estimate import Choice
 from ctsid_core.search.corrupt import corrupt_rows
 from ctsid_core.search.solution import Solution, own_delays
@@ -26,8 +27,6 @@ from ctsid_core.search.solve import free_of, order_row
 from ctsid_core.search.tried import tried
 from ctsid_core.settings import Settings
 from ctsid_core.subspace.interface import Method, MethodModel
-
-_WORST = 1e10         # condition of the eigenvectors up to which a model has modes
 
 
 def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) -> Solution | None:
@@ -118,7 +117,7 @@ def _fitted(one: MethodModel, samples: Samples, own: Settings, free: Free) -> Fi
     if not all(np.isfinite(x).all() for x in (m.A, m.B, m.C, m.D)):
         return None
     model = modal_of(m if own.feedthrough else replace(m, D=np.zeros_like(m.D)), samples, delay,
-                     _WORST)
+                     SOUND)
     if model is None or np.max(model.poles.real, initial=0.0) * samples.length > 20.0:
         return None
     with np.errstate(over='ignore', invalid='ignore'):

@@ -82,7 +82,12 @@ def _same(old: ComplexArray, new: ComplexArray, floor: float) -> dict[int, int]:
     right = [[k] for m in after for k in m if k not in same.values()]
     rest = paired(_upper(old, left), _upper(new, right), floor)
     changed = {left[i][0]: right[j][0] for i, j in rest.items()}
-    return same | _ordered(changed, before, after)
+    # Which half of a pair is which: earlier rows continue in earlier poles.
+    for mode in before:
+        _sort(changed, [row for row in mode if row in changed])
+    for mode in after:
+        _sort(changed, [row for row, k in changed.items() if k in mode])
+    return same | changed
 
 
 def _modes(values: ComplexArray) -> list[list[int]]:
@@ -100,16 +105,6 @@ def _upper(values: ComplexArray, modes: Sequence[Sequence[int]]) -> ComplexArray
     # both halves of a pair at its upper pole: they are equally far from any real one
     chosen = values[[m[0] for m in modes]]
     return np.asarray(chosen.real + 1j * np.abs(chosen.imag))
-
-
-def _ordered(changed: dict[int, int], before: Sequence[Sequence[int]],
-             after: Sequence[Sequence[int]]) -> dict[int, int]:
-    """Settle which half of a pair is which: earlier rows continue in earlier poles."""
-    for mode in before:
-        _sort(changed, [row for row in mode if row in changed])
-    for mode in after:
-        _sort(changed, [row for row, k in changed.items() if k in mode])
-    return changed
 
 
 def _sort(changed: dict[int, int], rows: Sequence[int]) -> None:

@@ -69,21 +69,20 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
     too_many, instead = [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         off, scale, _ = distance(row, weights)
-        stands_out, direct = standing_out(off, scale, sure), None
+        stands_out, direct = standing_out(off, scale, sure), np.zeros_like(row)
         if stands_out and inputs is not None and inputs.shape[1]:
             direct = followed(row, inputs, weights)
             off, scale, _ = distance(row - direct, weights)
             stands_out = standing_out(off, scale, sure)
         if not (stands_out or closely):
             continue
-        found, filled = find(Channel(time, weights, sure, resolution(row)),
-                             row if direct is None else row - direct)
+        found, filled = find(Channel(time, weights, sure, resolution(row)), row - direct)
         if np.count_nonzero(found) > MOST * len(row):
             too_many.append(j)
         elif found.any():
             instead = instead.copy() if instead is values else instead
             mask[:, j] = found
-            instead[:, j] = np.where(found, filled if direct is None else filled + direct, row)
+            instead[:, j] = np.where(found, filled + direct, row)
     return Spikes(mask, instead, values - instead, tuple(too_many))
 
 

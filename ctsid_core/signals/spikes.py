@@ -54,8 +54,6 @@ class Channel:
     def sharp(self, x: Array, without: Array, run: slice, local: float) -> bool:
         """Return whether a run stands out sharply, and nothing does any more without it."""
         first, last = max(run.start - 4, 0), min(run.stop + 4, len(x))
-        if last - first < 5:
-            return False
         weights = self.weights[:, first:last - 4]
         gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
         before, after = (_prediction_residual(values[first:last], weights)

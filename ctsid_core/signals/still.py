@@ -49,8 +49,6 @@ def longest_still(record: Record) -> tuple[Still, ...]:
 
 def _longest_run(times: Array, values: Array, duration: float) -> slice | None:
     """Return the places of a run too long to be chance, if any; other values are beside it."""
-    if len(values) < _FEWEST:
-        return None
     ends = np.flatnonzero(np.diff(values, append=np.nan) != 0.0)
     starts = np.concatenate(([0], ends[:-1] + 1))
     spans = times[ends] - times[starts]
