@@ -89,6 +89,13 @@ Seen = Callable[..., Samples]           # the samples, outputs left out for so l
 
 def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     """Return the model of records, or None if they are too short for any."""
+    found = _solve(part, settings, effort)
+    if found is None or found.doubt and found.doubt[1] in ('delay', ANY_ORDER):
+        return found
+    return replace(found, doubt=_other_delays(found, settings, effort) or found.doubt)
+
+
+def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     own = own_delays(part, settings)
 
     def known(ahead: float = 0.0) -> Samples:
@@ -177,8 +184,7 @@ def solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
                     _choices(part, settings, best, free,
                              (order - counted) * (best.fit.model.n == order)),
                     (*notes, *_at_bound(best, free)),
-                    doubt=_late(part, best, free) or wanted
-                    or _other_delays(samples, best, free, subspace, own) or needless
+                    doubt=_late(part, best, free) or wanted or needless
                     or _doubt(best.fit.model.poles, samples, free, own, grows),
                     smaller=smaller, rivals=_rivals(others), drifting=drifting,
                     singular_values=values, condition=condition)
@@ -515,21 +521,29 @@ def _wanted(part: Joint, settings: Settings, samples: Samples, free: Free) -> Do
         'is too small', ANY_ORDER)
 
 
-def _other_delays(samples: Samples, best: Tried, free: Free, subspace: _Subspace,
-                  own: Settings) -> Doubt | None:
+def _other_delays(found: Solution, settings: Settings, effort: Effort) -> Doubt | None:
     """Return that dead times are given with which less is explained than with others, if so."""
-    model, unknown = best.fit.model, own.unknown_delays(samples.nu)
-    if all(unknown) or best.left <= UNEXPLAINED or samples.effort.beyond(SEARCH):
+    own, simulated = own_delays(found.part, settings), found.simulated
+    unknown = np.array(own.unknown_delays(len(found.delay)))
+    if unknown.all() or simulated is None or effort.beyond(SEARCH):
         return None
-    free = replace(free, delays=(True,) * samples.nu)
-    samples, found = search_orders(
-        samples.thinned(SEARCHED), free, subspace.poles, order=own.order, max_order=model.n,
-        known_delay=np.zeros(samples.nu))
-    other = found.get(own.order or choose(found)) if found else None
-    if other is None or not beats(other, _fitted(samples, model, free, best.fit)) or np.allclose(
-            other.fit.model.delay, model.delay, rtol=0.0, atol=samples.interval):
+    left = [tried(*one).unexplained for one in (simulated, found.drifting) if one]
+    if min(left) <= UNEXPLAINED:
         return None
-    return ('dead times of ' + ', '.join(f'{d:.3g}' for d in other.fit.model.delay)
+    samples, (_, fit, given) = simulated[0].thinned(SEARCHED), simulated
+    free = replace(given, delays=(True,) * samples.nu)
+    samples, orders = search_orders(
+        samples, free, _Subspace(found.part, own, effort).poles, order=settings.order,
+        max_order=fit.model.n, known_delay=np.zeros(samples.nu))
+    other = orders.get(settings.order or choose(orders)) if orders else None
+    if other is None:
+        return None
+    model = other.fit.model
+    near = climbed(samples, _fitted(samples, replace(model, delay=np.where(
+        unknown, model.delay, own.delays(samples.nu))), given, other.fit), given)
+    if not (beats(other, near) and beats(other, _fitted(samples, fit.model, given, fit))):
+        return None
+    return ('dead times of ' + ', '.join(f'{d:.3g}' for d in model.delay)
             + ' s explain more than those that are given', ANY_DELAY)
 
 

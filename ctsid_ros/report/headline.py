@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
+import re
 import shlex
 
 from ctsid_core.model.estimate import Estimate
@@ -148,7 +149,7 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
                 return 'all of the recording', run.command('identify')
             return 'how much longer the data have to be', run.command('advise')
         case Remedy.SETTING:
-            return _set(run)
+            return _set(estimate.verdict.reason, run)
         case Remedy.RECORD:
             return _recorded(estimate.verdict.reason, run)
         case Remedy.COMPARE:
@@ -165,18 +166,24 @@ def _next(estimate: Estimate, run: Run) -> tuple[str, str]:
             return 'which signals are in the recording, at which rates, and when they move', info
 
 
-def _set(run: Run) -> tuple[str, str]:
+def _set(reason: str, run: Run) -> tuple[str, str]:
+    """Return how to change a setting: the one that the reason ends with, if it names a value."""
     if not run.params:
         return ('parameters in which to change that, for `ctsid identify ... --params '
                 'params.yaml`', shlex.join(('ctsid', 'init', *run.bags, '-o', 'params.yaml')))
-    return (f'the same once more, with that changed in {run.params}, or by `--set NAME=VALUE`',
-            run.command('identify', *run.chosen))
+    if not (told := re.search(r'set `([^`:]+): ([^`]+)`\.$', reason)):
+        return (f'the same once more, with that changed in {run.params}, or by `--set NAME=VALUE`',
+                run.command('identify', *run.chosen))
+    name, value = told.groups()
+    changes = (*(c for c in run.changes if c.partition('=')[0] != name), f'{name}={value}')
+    return ('the same once more, with that changed',
+            replace(run, changes=changes).command('identify', *run.chosen))
 
 
 def _recorded(reason: str, run: Run) -> tuple[str, str]:
     """Return how to come to samples without a fault, by the option that its sentence names."""
     if '`stamp' in reason:
-        return _set(run)
+        return _set('', run)
     if '`--time' in reason:
         return ('the same, rows at a constant rate (yours in place of 10 Hz)',
                 run.command('identify', *run.chosen, '--time', '10Hz'))
