@@ -72,6 +72,11 @@ def phi(z: Array | ComplexArray, count: int) -> list[ComplexArray]:
     and the others from (1) read backwards, phi_j = z phi_(j+1) + 1/j!. All are real if z is.
     """
     small = np.abs(z) < 1
+    if count and z.size and small.all():
+        found = [_phi_series(z, count)]
+        for j in range(count, 0, -1):
+            found.insert(0, z * found[0] + 1 / factorial(j - 1))
+        return found
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         found = [np.exp(z)]
         for j in range(count):
