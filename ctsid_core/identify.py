@@ -19,6 +19,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import solve
+from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
@@ -118,6 +119,7 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
 
     solution = given_back(part, found, effort)
     if solution is None:
-        return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
+        return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
+                                 spent=effort.beyond(SEARCH))
     sought = own_delays(part, settings).unknown_delays(len(part.parts[0].u))
     return conclude(solution, sought if refined else ())

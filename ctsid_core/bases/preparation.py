@@ -18,7 +18,7 @@ from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
-_FEWEST = 20            # samples of an output
+FEWEST = 20            # samples of an output
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 
@@ -100,15 +100,14 @@ def usable(record: Record, settings: Settings,
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
                   for j in fixed]
-    if min((len(s.time[s.rows(start, record.end)]) for s in record.outputs),
-           default=0) < _FEWEST:
+    if sparse(shorter):
         return Status.TOO_SHORT
     if not outputs:
         return Status.NO_RESPONSE
     if not inputs:
         return Status.NO_EXCITATION
     for signal in (*inputs, *outputs):
-        share = gap_time(signal, shorter.start, shorter.end) / shorter.duration
+        share = _in_gaps(signal, shorter)
         if share > _GAP_SHARE:
             return Status.GAPS
         if share > 0.0:
@@ -121,6 +120,38 @@ def usable(record: Record, settings: Settings,
     outputs, y_level = _centred(outputs, settings.trim)
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
                   u_level, y_level, tuple(notes), corrupt_u, corrupt_y)
+
+
+def sparse(record: Record) -> list[str]:
+    """Return the outputs of which there are too few samples."""
+    return _names(record.outputs, [_few(s, record) for s in record.outputs], record.output_names)
+
+
+def is_short(record: Record) -> bool:
+    """Return whether there are too few samples of any channel: it is not that one is missing."""
+    return all(_few(s, record) for s in (*record.inputs, *record.outputs))
+
+
+def _few(signal: Signal, record: Record) -> bool:
+    return len(signal.time[signal.rows(record.start, record.end)]) < FEWEST
+
+
+def broken(record: Record) -> list[str]:
+    """Return the channels of which too much lies in gaps."""
+    return [name for signals, names in ((record.inputs, record.input_names),
+                                        (record.outputs, record.output_names))
+            for name in _names(signals, [_in_gaps(s, record) > _GAP_SHARE for s in signals],
+                               names)]
+
+
+def _names(signals: Sequence[Signal], chosen: Sequence[bool], names: Sequence[str]) -> list[str]:
+    return [name for channels, one in zip(channel_slices(signals), chosen, strict=True) if one
+            for name in names[channels]]
+
+
+def _in_gaps(signal: Signal, record: Record) -> float:
+    """Return the part of a record that lies in gaps of a signal."""
+    return gap_time(signal, record.start, record.end) / record.duration
 
 
 def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
