@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
+from ctsid_core.bases.preparation import computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import conclude
@@ -89,8 +91,11 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     settings = settings or Settings()
     effort = Effort(settings.budget, cancelled)
     with one_thread():
+        cleaned = [computable(r) for r in records]
+        records, notes = tuple(r for r, _ in cleaned), chain.from_iterable(n for _, n in cleaned)
         result = _identify(records, settings, effort)
-        result = replace(result, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+        result = replace(result, notes=(*notes, *result.notes),
+                         start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
                          end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
         return cross_checked(result, settings, lambda other: _identify(records, other, effort))
 

@@ -18,6 +18,7 @@ from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
+_LARGEST = 1e120        # sums of squares of larger values, and one over those, are infinite
 FEWEST = 20            # samples of an output
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
@@ -69,6 +70,26 @@ class Usable:
         inputs[signal], corrupt[signal] = replace(own, values=values), replace(spiky, mask=mask)
         return replace(self, record=replace(self.record, inputs=tuple(inputs)),
                        corrupt_u=tuple(corrupt))
+
+
+def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return a record without values that are no measurements but torn bits, and notes on them."""
+    notes: list[str] = []
+
+    def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
+        found = []
+        for signal, channels in zip(signals, channel_slices(signals), strict=True):
+            good = (np.abs(signal.values) <= _LARGEST).all(axis=1)
+            if not good.all():
+                notes.append(f'{np.count_nonzero(~good)} of {len(good)} samples of '
+                             f'{", ".join(names[channels])} are larger than {_LARGEST:g}, and '
+                             'were not used; check that sensor')
+                signal = replace(signal, time=signal.time[good], values=signal.values[good])
+            found.append(signal)
+        return tuple(found)
+    inputs, outputs = (of(record.inputs, record.input_names),
+                       of(record.outputs, record.output_names))
+    return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
 
 
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -246,7 +267,8 @@ def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ..
                 rows = np.ascontiguousarray(values.T)   # reductions along rows are far quicker
                 low, high = rows.min(axis=1), rows.max(axis=1)
                 moves |= (late == d) & (
-                    high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high)))
+                    high - low > np.maximum(_CONSTANT * np.maximum(np.abs(low), np.abs(high)),
+                                            1.0 / _LARGEST))
         moves |= np.isin(places, keep)
         kept += places[moves].tolist()
         fixed += places[~moves].tolist()
