@@ -22,8 +22,10 @@ from plants import (
 import pytest
 
 from ctsid_core import Record, Settings, Signal, Status, identify
+from ctsid_core.bases.preparation import corrupt_outputs
 from ctsid_core.errors import CtsidError
 from ctsid_core.model.validation import simulation
+from ctsid_core.sequence.tracking import Tracker
 
 QUICK = Settings(held_out=0.0)
 FIRST = plant([[-3.0]], [[3.0]], [[1.0]])
@@ -620,3 +622,18 @@ def test_absurd_sizes_are_said_and_end_nothing(size):
         found = identify(Record.from_arrays(t, own, t, other, input_hold='zoh'))
         assert found.status in (Status.NO_EXCITATION, Status.NO_RESPONSE, Status.TOO_SHORT)
         assert size < 1.0 or any('1000 of 1000 samples of' in note for note in found.notes)
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_a_model_is_not_tested_on_torn_values():
+    """Over a motion of 1e308 any model would have a fit of 100 %."""
+    rng, t = np.random.default_rng(5), np.arange(2000) * 0.02
+    u, y = np.repeat(rng.choice([-1.0, 1.0], 100), 20), np.zeros(2000)
+    for k in range(1999):
+        y[k + 1] = np.exp(-0.06) * y[k] + (1.0 - np.exp(-0.06)) * u[k]
+    y += 0.03 * rng.standard_normal(2000)
+    y[1200], y[1700] = 1.7e308, -1.7e308
+    record, tracker = Record.from_arrays(t, u, t, y, input_hold='zoh'), Tracker()
+    tracker.take(record.between(0.0, 20.0))
+    assert 90.0 < tracker.take(record.between(15.0, 35.0)).fresh_fit[0] < 99.0
+    assert corrupt_outputs(record, Settings())[0].tolist() == [24.0, 34.0]

@@ -179,12 +179,20 @@ def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     """Return the times of the corrupt samples of each output that has any [s]."""
     if not record.outputs or not record.inputs:
         return {}
+    whole, (record, _) = record, computable(record)
+    found = {i: np.setdiff1d(one.time, other.time)
+             for one, other, channels in zip(whole.outputs, record.outputs,
+                                             channel_slices(whole.outputs), strict=True)
+             if len(other.time) < len(one.time) for i in range(channels.start, channels.stop)}
     part = usable(record, settings)
     if not isinstance(part, Usable):
-        return {}
+        return found
     columns = ((signal.time, bad) for signal, spiky in zip(
         part.record.outputs, part.corrupt_y, strict=True) for bad in spiky.mask.T)
-    return {i: time[bad] for i, (time, bad) in zip(part.y, columns, strict=True) if bad.any()}
+    for i, (time, bad) in zip(part.y, columns, strict=True):
+        if bad.any():
+            found[i] = np.union1d(found.get(i, np.empty(0)), time[bad])
+    return found
 
 
 def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
