@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
+from ctsid_core.bases.preparation import computable
 from ctsid_core.bases.records import Joint, Unusable, check_alike, join_records
 from ctsid_core.effort import Effort
 from ctsid_core.judge.conclusion import conclude
@@ -19,6 +21,7 @@ from ctsid_core.model.statespace import StateSpace
 from ctsid_core.search.corrupt import given_back
 from ctsid_core.search.solution import Solution, own_delays
 from ctsid_core.search.solve import solve
+from ctsid_core.search.tried import SEARCH
 from ctsid_core.search.unrefined import solve_by
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
@@ -88,8 +91,11 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
     settings = settings or Settings()
     effort = Effort(settings.budget, cancelled)
     with one_thread():
+        cleaned = [computable(r) for r in records]
+        records, notes = tuple(r for r, _ in cleaned), chain.from_iterable(n for _, n in cleaned)
         result = _identify(records, settings, effort)
-        result = replace(result, start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
+        result = replace(result, notes=(*notes, *result.notes),
+                         start_ns=min(r.epoch_ns + round(r.start * 1e9) for r in records),
                          end_ns=max(r.epoch_ns + round(r.end * 1e9) for r in records))
         return cross_checked(result, settings, lambda other: _identify(records, other, effort))
 
@@ -118,6 +124,7 @@ def _solved(part: Joint, records: tuple[Record, ...], settings: Settings,
 
     solution = given_back(part, found, effort)
     if solution is None:
-        return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes)
+        return unusable_estimate(Status.TOO_SHORT, records[0], settings, part.notes,
+                                 spent=effort.beyond(SEARCH))
     sought = own_delays(part, settings).unknown_delays(len(part.parts[0].u))
     return conclude(solution, sought if refined else ())

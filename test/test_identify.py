@@ -22,8 +22,10 @@ from plants import (
 import pytest
 
 from ctsid_core import Record, Settings, Signal, Status, identify
+from ctsid_core.bases.preparation import corrupt_outputs
 from ctsid_core.errors import CtsidError
 from ctsid_core.model.validation import simulation
+from ctsid_core.sequence.tracking import Tracker
 
 QUICK = Settings(held_out=0.0)
 FIRST = plant([[-3.0]], [[3.0]], [[1.0]])
@@ -600,3 +602,38 @@ def test_bursts_of_noise_do_not_fake_a_fit():
     loud = replace(signal, values=noisy(rng, signal.values, -30))
     found = identify(replace(given, outputs=(loud,)))
     assert found.status is Status.UNEXPLAINED
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+@pytest.mark.parametrize('size', [1e160, 1e300, 1.7e308, 1e-160, 1e-300, 5e-324])
+def test_absurd_sizes_are_said_and_end_nothing(size):
+    rng, t = np.random.default_rng(5), np.arange(1000) * 0.02
+    u, y = np.repeat(rng.choice([-1.0, 1.0], 50), 20), np.zeros(1000)
+    for k in range(999):
+        y[k + 1] = np.exp(-0.06) * y[k] + (1.0 - np.exp(-0.06)) * u[k]
+    y += 0.03 * rng.standard_normal(1000)
+    y /= np.abs(y).max()
+    torn = y.copy()
+    torn[[100, 500, 501]] = size, -size, size
+    found = identify(Record.from_arrays(t, u, t, torn, input_hold='zoh'))
+    assert found.good
+    assert size < 1.0 or any('3 of 1000 samples of y1' in note for note in found.notes)
+    for own, other in ((u * size, y), (u, y * size), (u * size, y * size)):
+        found = identify(Record.from_arrays(t, own, t, other, input_hold='zoh'))
+        assert found.status in (Status.NO_EXCITATION, Status.NO_RESPONSE, Status.TOO_SHORT)
+        assert size < 1.0 or any('1000 of 1000 samples of' in note for note in found.notes)
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_a_model_is_not_tested_on_torn_values():
+    """Over a motion of 1e308 any model would have a fit of 100 %."""
+    rng, t = np.random.default_rng(5), np.arange(2000) * 0.02
+    u, y = np.repeat(rng.choice([-1.0, 1.0], 100), 20), np.zeros(2000)
+    for k in range(1999):
+        y[k + 1] = np.exp(-0.06) * y[k] + (1.0 - np.exp(-0.06)) * u[k]
+    y += 0.03 * rng.standard_normal(2000)
+    y[1200], y[1700] = 1.7e308, -1.7e308
+    record, tracker = Record.from_arrays(t, u, t, y, input_hold='zoh'), Tracker()
+    tracker.take(record.between(0.0, 20.0))
+    assert 90.0 < tracker.take(record.between(15.0, 35.0)).fresh_fit[0] < 99.0
+    assert corrupt_outputs(record, Settings())[0].tolist() == [24.0, 34.0]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What too short a window lacks is said: its length."""
 
+from dataclasses import replace
 import re
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from ctsid_core import Record, Settings, identify
 from ctsid_core.judge.rules import KNOWN
 from ctsid_core.model.estimate import Status
+from ctsid_core.model.verdict import Remedy
+from ctsid_core.signals.record import Signal
 
 
 def motor(length: float, seed: int, *, noise: float, rate: float = 100.0) -> Record:
@@ -53,6 +56,32 @@ def test_fewer_samples_than_numbers_are_too_few(order):
     found = identify(record, Settings(order=order))
     assert found.status is Status.TOO_SHORT
     assert 'longer window' in found.verdict.reason
+
+
+def test_a_budget_that_is_too_small_is_not_a_window_that_is():
+    """So few samples can be looked at that 305 numbers explain them all."""
+    rng, t = np.random.default_rng(4), np.arange(6000) / 100.0
+    u = np.repeat(rng.standard_normal((300, 12)), 20, axis=0)
+    y = 0.1 * np.cumsum(u.sum(axis=1)) + rng.standard_normal(6000)
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+                     Settings(order=20, budget=0.05))
+    assert found.model is None
+    assert found.verdict.reason == ('The budget of 0.05 s is spent before there is a model of '
+                                    'order 20; raise `budget`.')
+    assert found.verdict.remedy is Remedy.SETTING
+
+
+def test_signals_that_are_missing_from_a_window_are_named():
+    """As all of a sensor that is not finite is: a longer window may not help."""
+    record, t = motor(4.0, 0, noise=0.02), np.arange(400) / 100.0
+    t = t + record.outputs[0].time[0]
+    for kept, status, words in ((t < t[0] + 0.1, Status.TOO_SHORT,
+                                '20 samples of roll that can be used; check that they come'),
+                                (t < t[0] + 1.0, Status.GAPS, 'in gaps of roll; choose')):
+        other = Signal(t[kept], np.sin(t[kept])[:, np.newaxis], 'linear', ('roll',))
+        found = identify(replace(record, outputs=(*record.outputs, other)))
+        assert found.status is status
+        assert words in found.verdict.reason
 
 
 def test_many_signals_in_a_short_window_do_not_stop_the_program():

@@ -18,7 +18,8 @@ from ctsid_core.signals.record import Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
-_FEWEST = 20            # samples of an output
+_LARGEST = 1e120        # sums of squares of larger values, and one over those, are infinite
+FEWEST = 20            # samples of an output
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 
@@ -71,6 +72,26 @@ class Usable:
                        corrupt_u=tuple(corrupt))
 
 
+def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return a record without values that are no measurements but torn bits, and notes on them."""
+    notes: list[str] = []
+
+    def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
+        found = []
+        for signal, channels in zip(signals, channel_slices(signals), strict=True):
+            good = (np.abs(signal.values) <= _LARGEST).all(axis=1)
+            if not good.all():
+                notes.append(f'{np.count_nonzero(~good)} of {len(good)} samples of '
+                             f'{", ".join(names[channels])} are larger than {_LARGEST:g}, and '
+                             'were not used; check that sensor')
+                signal = replace(signal, time=signal.time[good], values=signal.values[good])
+            found.append(signal)
+        return tuple(found)
+    inputs, outputs = (of(record.inputs, record.input_names),
+                       of(record.outputs, record.output_names))
+    return (replace(record, inputs=inputs, outputs=outputs) if notes else record), tuple(notes)
+
+
 def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the places of the inputs that act within a record, and of the outputs that move."""
     record = replace(record, start=_known_from(record, settings))
@@ -100,15 +121,14 @@ def usable(record: Record, settings: Settings,
                                ('output', record.output_names, fixed_y)):
         notes += [f'{kind} {names[j]} is constant over the window; the model leaves it out'
                   for j in fixed]
-    if min((len(s.time[s.rows(start, record.end)]) for s in record.outputs),
-           default=0) < _FEWEST:
+    if sparse(shorter):
         return Status.TOO_SHORT
     if not outputs:
         return Status.NO_RESPONSE
     if not inputs:
         return Status.NO_EXCITATION
     for signal in (*inputs, *outputs):
-        share = gap_time(signal, shorter.start, shorter.end) / shorter.duration
+        share = _in_gaps(signal, shorter)
         if share > _GAP_SHARE:
             return Status.GAPS
         if share > 0.0:
@@ -123,14 +143,54 @@ def usable(record: Record, settings: Settings,
                   u_level, y_level, tuple(notes), corrupt_u, corrupt_y)
 
 
+def sparse(record: Record) -> list[str]:
+    """Return the outputs of which there are too few samples."""
+    return _names(record.outputs, [_few(s, record) for s in record.outputs], record.output_names)
+
+
+def is_short(record: Record) -> bool:
+    """Return whether there are too few samples of any channel: it is not that one is missing."""
+    return all(_few(s, record) for s in (*record.inputs, *record.outputs))
+
+
+def _few(signal: Signal, record: Record) -> bool:
+    return len(signal.time[signal.rows(record.start, record.end)]) < FEWEST
+
+
+def broken(record: Record) -> list[str]:
+    """Return the channels of which too much lies in gaps."""
+    return [name for signals, names in ((record.inputs, record.input_names),
+                                        (record.outputs, record.output_names))
+            for name in _names(signals, [_in_gaps(s, record) > _GAP_SHARE for s in signals],
+                               names)]
+
+
+def _names(signals: Sequence[Signal], chosen: Sequence[bool], names: Sequence[str]) -> list[str]:
+    return [name for channels, one in zip(channel_slices(signals), chosen, strict=True) if one
+            for name in names[channels]]
+
+
+def _in_gaps(signal: Signal, record: Record) -> float:
+    """Return the part of a record that lies in gaps of a signal."""
+    return gap_time(signal, record.start, record.end) / record.duration
+
+
 def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:
     """Return the times of the corrupt samples of each output that has any [s]."""
+    whole, (record, _) = record, computable(record)
+    found = {i: np.setdiff1d(one.time, other.time)
+             for one, other, channels in zip(whole.outputs, record.outputs,
+                                             channel_slices(whole.outputs), strict=True)
+             if len(other.time) < len(one.time) for i in range(channels.start, channels.stop)}
     part = usable(record, settings)
     if not isinstance(part, Usable):
-        return {}
+        return found
     columns = ((signal.time, bad) for signal, spiky in zip(
         part.record.outputs, part.corrupt_y, strict=True) for bad in spiky.mask.T)
-    return {i: time[bad] for i, (time, bad) in zip(part.y, columns, strict=True) if bad.any()}
+    for i, (time, bad) in zip(part.y, columns, strict=True):
+        if bad.any():
+            found[i] = np.union1d(found.get(i, np.empty(0)), time[bad])
+    return found
 
 
 def without_corrupt(record: Record, settings: Settings) -> tuple[Record, tuple[str, ...]]:
@@ -213,7 +273,8 @@ def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ..
                 rows = np.ascontiguousarray(values.T)   # reductions along rows are far quicker
                 low, high = rows.min(axis=1), rows.max(axis=1)
                 moves |= (late == d) & (
-                    high - low > _CONSTANT * np.maximum(np.abs(low), np.abs(high)))
+                    high - low > np.maximum(_CONSTANT * np.maximum(np.abs(low), np.abs(high)),
+                                            1.0 / _LARGEST))
         moves |= np.isin(places, keep)
         kept += places[moves].tolist()
         fixed += places[~moves].tolist()

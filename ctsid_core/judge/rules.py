@@ -17,6 +17,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from ctsid_core.bases.preparation import FEWEST, broken, is_short, sparse
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.instants import after_start
@@ -311,25 +312,45 @@ def _outputs(e: Evidence, places: tuple[int, ...]) -> str:
 
 
 def unusable_estimate(status: Status, record: Record, settings: Settings,
-                      notes: tuple[str, ...] = (), failed: str = '') -> Estimate:
-    """Return the estimate that says why nothing of a record can be used, or what has failed."""
+                      notes: tuple[str, ...] = (), failed: str = '',
+                      spent: bool = False) -> Estimate:
+    """
+    Return the estimate that says why there is no model of a record.
+
+    Nothing of it can be used, or something has `failed`, or the budget is `spent`.
+    """
+    remedy, reason = Remedy.SETTING, (
+        f'The budget of {settings.budget:.3g} s is spent before there is a model'
+        f'{f" of order {settings.order}" * (settings.order > 0)}; raise `budget`.')
+    if not spent:
+        remedy, reason = _why_unusable(status, record, failed)
     return Estimate(status=status, settings=settings, notes=notes, verdict=replace(
-        UNJUDGED, grade=Grade.REJECT, reason=_why_unusable(status, record, failed),
-        remedy=REMEDIES.get(status, Remedy.SIGNALS)))
+        UNJUDGED, grade=Grade.REJECT, reason=reason, remedy=remedy))
 
 
-def _why_unusable(status: Status, record: Record, failed: str) -> str:
+def _why_unusable(status: Status, record: Record, failed: str) -> tuple[Remedy, str]:
     """Return why nothing of a record can be used, with the names that matter."""
+    remedy, reason = REMEDIES.get(status, Remedy.SIGNALS), str(status.value)
     if failed:
-        return (f'The arithmetic failed ({failed}); check the signals, their sizes and units, and '
-                'that the window is long enough.')
-    if status is Status.NO_EXCITATION:
-        return (f'No input moves within the window ({", ".join(record.input_names)}); choose a '
-                'part of the data in which they move.')
-    if status is Status.NO_RESPONSE:
-        return (f'No output moves within the window ({", ".join(record.output_names)}); check '
-                'that the sensors work.')
-    return str(status.value)
+        reason = (f'The arithmetic failed ({failed}); check the signals, their sizes and units, '
+                  'and that the window is long enough.')
+    elif status is Status.NO_EXCITATION:
+        reason = (f'No input moves within the window ({", ".join(record.input_names)}); choose a '
+                  'part of the data in which they move.')
+    elif status is Status.NO_RESPONSE:
+        reason = (f'No output moves within the window ({", ".join(record.output_names)}); check '
+                  'that the sensors work.')
+    elif status is Status.TOO_SHORT and (few := sparse(record)):
+        reason = (f'The window holds less than {FEWEST} samples of {", ".join(few)} that can be '
+                  'used; ')
+        if is_short(record):
+            reason += 'take a longer window.'
+        else:
+            remedy, reason = Remedy.SIGNALS, f'{reason}check that they come, and are finite.'
+    elif status is Status.GAPS and (names := broken(record)):
+        reason = (f'Too much of the window lies in gaps of {", ".join(names)}; choose a part '
+                  'without gaps.')
+    return remedy, reason
 
 
 def weakened(verdict: Verdict) -> Verdict:
