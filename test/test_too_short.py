@@ -75,8 +75,8 @@ def test_signals_that_are_missing_from_a_window_are_named():
     """As all of a sensor that is not finite is: a longer window may not help."""
     record, t = motor(4.0, 0, noise=0.02), np.arange(400) / 100.0
     t = t + record.outputs[0].time[0]
-    for kept, status, words in ((t < t[0] + 0.1, Status.TOO_SHORT,
-                                '20 samples of roll that can be used; check that they come'),
+    for kept, status, words in ((t < t[0] + 0.1, Status.TOO_SHORT, (
+            'too few samples of roll that can be used (less than 20); check that they come')),
                                 (t < t[0] + 1.0, Status.GAPS, 'in gaps of roll; choose')):
         other = Signal(t[kept], np.sin(t[kept])[:, np.newaxis], 'linear', ('roll',))
         found = identify(replace(record, outputs=(*record.outputs, other)))

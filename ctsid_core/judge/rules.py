@@ -341,8 +341,8 @@ def _why_unusable(status: Status, record: Record, failed: str) -> tuple[Remedy, 
         reason = (f'No output moves within the window ({", ".join(record.output_names)}); check '
                   'that the sensors work.')
     elif status is Status.TOO_SHORT and (few := sparse(record)):
-        reason = (f'The window holds less than {FEWEST} samples of {", ".join(few)} that can be '
-                  'used; ')
+        reason = (f'The window holds too few samples of {", ".join(few)} that can be used (less '
+                  f'than {FEWEST}); ')
         if is_short(record):
             reason += 'take a longer window.'
         else:
