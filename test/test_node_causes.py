@@ -90,9 +90,9 @@ def test_where_no_window_comes_any_more_nothing_is_well(live):
         robot.publish(name, EPOCH + round(t * 1e9), [float('nan')] * (2 if name == 'imu' else 1))
         time.sleep(0.002)
 
-    said = node.wait_health('identification', lambda h: spoilt() or h.level == Level.STALE,
-                            'that no window comes')
-    assert said.message.startswith('no window has come for ')
+    said = node.wait_health('identification', lambda h: spoilt() or h.message.startswith(
+        'no window has come for '), 'that no window comes')
+    assert said.level == Level.STALE
     assert ' s, see ingest; of the last window: ' in said.message
     last = robot._rest[0][0]
     for end in np.arange(last + 3.0, last + 20.0, 1.0):

@@ -214,3 +214,18 @@ def test_what_mends_samples_is_the_command(reason, command):
     given = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=replace(
         UNJUDGED, remedy=Remedy.RECORD, reason=reason, grade=Grade.WEAK))
     assert headline(given, Run('', ('bag',), 'params.yaml')).command == command
+
+
+
+@pytest.mark.parametrize(('reason', 'made'), [
+    ('It is so. If it is so, set `delay: auto`.', '--set order=2 --set delay=auto'),
+    ('It is so; set `method: hd-pbsid`.', '--set delay=0.3 --set order=2 --set method=hd-pbsid'),
+    ('It is late; correct the stamps (in a bag: set `stamp: log` for all channels).',
+     '--set delay=0.3 --set order=2'),
+    ('It is a bound; set `delay`, or take a longer window.', '--set delay=0.3 --set order=2')])
+def test_what_to_try_next_makes_the_change_that_the_reason_names(reason, made):
+    """In place of what was given: the same command once more would say the same."""
+    weak = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=replace(
+        UNJUDGED, grade=Grade.WEAK, reason=reason, remedy=Remedy.SETTING))
+    run = replace(RUN, changes=('delay=0.3', 'order=2'))
+    assert headline(weak, run).command == f'ctsid identify bag --params params.yaml {made}'
