@@ -356,6 +356,14 @@ def test_a_slow_sweep_is_at_many_frequencies():
     assert judged(with_inputs(0, sweep, 1, n=2)).excitation[0].frequencies > 2.25
 
 
+def test_noise_is_at_as_many_frequencies_as_the_plant_answers_to():
+    """None of its sines has much; they are as many as such as the largest would be."""
+    def noise(rng, t):
+        return rng.standard_normal((len(t), 1))
+    frequencies = judged(with_inputs(0, noise, 1, n=2)).excitation[0].frequencies
+    assert 20.0 < frequencies < 500.0
+
+
 def test_a_short_sweep_is_no_two_sines():
     """From 0.2 to 0.9 Hz in 5.5 s; the power of its lines is that of about two."""
     rng, t_u, t = np.random.default_rng(3), np.arange(0.0, 5.5, 0.02), np.arange(0.004, 5.5, 0.01)
