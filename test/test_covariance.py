@@ -241,6 +241,13 @@ STUDIES = {
 STILL, LAST = 'unstable, closed loop', list(STUDIES)[-1]
 
 
+def test_covariances_that_are_equal_count_once():
+    root = np.random.default_rng(0).standard_normal((3, 10))
+    first, same, other = (Covariance(values, 2, 1, 1) for values in (root, root.copy(), -root))
+    assert first == same != other
+    assert len({first, same, other}) == 2
+
+
 @pytest.mark.parametrize('gap', [0.001, 0.2j, 0.5, 1.0j, 3.0])
 @pytest.mark.parametrize('rows', [1, 30])
 def test_deviations_of_poles_that_nearly_meet_are_those_of_the_scatter(gap, rows):

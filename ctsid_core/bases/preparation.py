@@ -19,7 +19,7 @@ from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
 _LARGEST = 1e120        # sums of squares of larger values, and one over those, are infinite
-FEWEST = 20            # samples of an output
+FEWEST = 20             # samples of an output
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 
@@ -54,22 +54,24 @@ class Usable:
 
     def with_honest(self, honest: Sequence[Mask]) -> Usable:
         """Return the record with samples (N, m) of each output signal that are not corrupt."""
-        given = list(zip(self.record.outputs, self.corrupt_y, honest, strict=True))
-        return replace(self, record=replace(self.record, outputs=tuple(
-            replace(s, values=s.values + np.where(own, spiky.off, 0.0))
-            for s, spiky, own in given)),
-            corrupt_y=tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
+        outputs, corrupt = _as_measured(self.record.outputs, self.corrupt_y, honest)
+        return replace(self, record=replace(self.record, outputs=outputs), corrupt_y=corrupt)
 
     def with_input(self, signal: int, channel: int) -> Usable:
         """Return the record with a channel of an input signal as it was measured."""
-        own, spiky = self.record.inputs[signal], self.corrupt_u[signal]
-        values, mask = own.values.copy(), spiky.mask.copy()
-        values[:, channel] += spiky.off[:, channel]
-        mask[:, channel] = False
-        inputs, corrupt = list(self.record.inputs), list(self.corrupt_u)
-        inputs[signal], corrupt[signal] = replace(own, values=values), replace(spiky, mask=mask)
-        return replace(self, record=replace(self.record, inputs=tuple(inputs)),
-                       corrupt_u=tuple(corrupt))
+        honest = [np.zeros_like(spiky.mask) for spiky in self.corrupt_u]
+        honest[signal][:, channel] = True
+        inputs, corrupt = _as_measured(self.record.inputs, self.corrupt_u, honest)
+        return replace(self, record=replace(self.record, inputs=inputs), corrupt_u=corrupt)
+
+
+def _as_measured(signals: Sequence[Signal], corrupt: Sequence[Spikes], honest: Sequence[Mask]
+                 ) -> tuple[tuple[Signal, ...], tuple[Spikes, ...]]:
+    """Return signals with samples (N, m) of each as they were measured, and what is corrupt."""
+    given = list(zip(signals, corrupt, honest, strict=True))
+    return (tuple(replace(s, values=s.values + np.where(own, spiky.off, 0.0))
+                  for s, spiky, own in given),
+            tuple(replace(spiky, mask=spiky.mask & ~own) for _, spiky, own in given))
 
 
 def computable(record: Record) -> tuple[Record, tuple[str, ...]]:

@@ -122,6 +122,9 @@ class Covariance:
         return (self.n, self.nu, self.ny, self.rivals) == (
             other.n, other.nu, other.ny, other.rivals) and np.array_equal(self.root, other.root)
 
+    def __hash__(self) -> int:
+        return hash((self.n, self.nu, self.ny, (self.root + 0.0).tobytes(), self.rivals))
+
     @staticmethod
     def entry_count(n: int, nu: int, ny: int) -> int:
         """Return how many entries a model has: the length p of a row."""

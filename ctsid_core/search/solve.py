@@ -128,8 +128,8 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     others = [(_advantage(found[order], one, order != counted), one)
               for n, one in found.items() if n != order and not imitates(one, found[order])]
     notes = _left_out(found, order, settings, effort)
-    best, fewer = found[order], choose(found)
-    needless = None if not settings.order or fewer == order else (
+    best, fewer = found[order], choose(found) if settings.order else order
+    needless = None if fewer == order else (
         f'{fewer} state{"s explain" if fewer > 1 else " explains"} as much as the {order} that '
         'are given', ANY_ORDER)
     # So do modes that last where its past tells of none: of the set point, or of disturbances.
