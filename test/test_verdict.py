@@ -541,6 +541,22 @@ def test_disturbances_are_no_curves(seed, what):
     assert verdict.grade is Grade.GOOD, verdict.reason
 
 
+@pytest.mark.parametrize('seed', [0, *slow(2, 4)])
+def test_rounding_decides_on_no_curve(seed):
+    """The squares of two levels are the trim once more, and their responses the free ones."""
+    rng, t_u, t = (np.random.default_rng(seed), np.arange(0.0, 12.0, 0.02),
+                   np.arange(0.004, 12.0, 0.01))
+    u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)[:, np.newaxis]
+    y = held_response(plant([[0.0, 1.0], [-16.0, -2.0]], [[0.0], [16.0]], [[1.0, 0.0]]), t_u, u, t)
+    y = noisy(rng, y + 0.3 * y ** 2, 25)
+    gains = [identify(Record.from_arrays(t_u, u, t, y * (1.0 + rounding), input_hold='zoh'),
+                      Settings(order=2, delay=0.0, feedthrough=False)).verdict.curve_gain[0]
+             for rounding in (0.0, 1e-14, -1e-14)]
+    print(gains)
+    assert np.ptp(gains) < 1e-3
+    assert min(gains) > 10.0
+
+
 def test_curves_are_told_of_several_records_and_outputs():
     linear, bent = ([curved(seed, what) for seed in range(3)] for what in ('nothing', 'clips'))
     assert identify(linear).verdict.curve_gain[0] < 1.0

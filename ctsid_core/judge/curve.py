@@ -81,9 +81,11 @@ def curves_of(samples: Samples, fit: Fit) -> Array:
 
 
 def basis_of(columns: Array) -> tuple[Array, Mask]:
-    """Return columns made orthonormal one after another, and which are not of those before."""
+    """Return an orthonormal basis, and which columns it is of: no others before explain these."""
     Q, R = np.linalg.qr(columns)
-    return Q, np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)
+    told = np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)
+    # What is left of a column that others explain is rounding, and would lead a way of its own.
+    return (Q if told.all() else np.linalg.qr(columns[:, told])[0]), told
 
 
 def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:
@@ -137,8 +139,8 @@ def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
     if width + curves.shape[1] > MOST * count:
         return gains
     Q, told = basis_of(np.hstack((base, curves)))
-    own = Q[:, width:][:, told[width:]]
-    Q, edges = Q[:, :width], np.cumsum([len(one) for one in errors])[:-1]
+    width, edges = int(np.sum(told[:width])), np.cumsum([len(one) for one in errors])[:-1]
+    Q, own = Q[:, :width], Q[:, width:]
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):
         part = np.zeros(count)
         for _ in range(_TIMES):

@@ -58,8 +58,8 @@ class Slopes(NamedTuple):
         if columns.shape[1] > MOST * len(self.error):
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
         self.samples.effort.spend(1.5 * len(self.error) * columns.shape[1] ** 2)
-        Q, told = basis_of(columns)
-        own, numbers = Q[:, told], int(np.sum(told))
+        own = basis_of(columns)[0]
+        numbers = own.shape[1]
         left = self.error - own @ (own.T @ self.error)
         errors = np.split(left, np.cumsum(self.counts)[:-1])
         power = np.maximum([float(np.mean(e ** 2)) for e in errors], 1e-300)
