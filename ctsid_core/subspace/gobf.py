@@ -164,6 +164,7 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
         own[:, :, i::count] = part[:, :, nu:nu + 1 + trim]
         blocks.append(np.concatenate((part[:, :, :nu], own, part[:, :, nu + 2:]), axis=2))
     rows = np.concatenate(blocks)
+    check()
     missed = slice(nu + count * (1 + trim), -ny)
     keep = np.ones(rows.shape[2], dtype=bool)
     keep[missed] = np.any(rows[:, :, missed], axis=(0, 1))
