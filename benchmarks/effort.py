@@ -17,6 +17,7 @@ from scipy.signal import cont2discrete
 from ctsid_core.identify import identify
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
+from ctsid_core.subspace.methods import METHODS
 
 BUDGET = 0.5
 CASES = {                       # inputs, outputs, states, duration [s], rate [Hz], asked [s]
@@ -24,7 +25,11 @@ CASES = {                       # inputs, outputs, states, duration [s], rate [H
     '3x2': (3, 2, 4, 198.0, 50.0, 6.0),
     '4x3': (4, 3, 6, 65.0, 100.0, 4.0),
     '6x6': (6, 6, 12, 10.0, 250.0, 5.0),
+    '5x2': (5, 2, 6, 60.0, 100.0, None),
+    '1x12': (1, 12, 6, 30.0, 100.0, None),
     '10000': (1, 1, 2, 100.0, 100.0, None),
+    'ct-pbsid': (2, 2, 4, 100.0, 200.0, None),
+    'gobf': (2, 2, 4, 100.0, 200.0, None),
 }
 
 
@@ -61,10 +66,11 @@ def main(names: list[str]) -> None:
             seen.append(process_time())
             return False
 
-        whole = identify(record, Settings(), cancelled=asked_now)
+        settings = Settings(method=name if name in METHODS else 'hd-pbsid')
+        whole = identify(record, settings, cancelled=asked_now)
         times.append(process_time())
         middle = process_time()
-        short = identify(record, Settings(budget=BUDGET))
+        short = identify(record, settings.replace(budget=BUDGET))
         budgeted = process_time() - middle
         print(f'{name:8} {asked or float("nan"):7.1f} {times[-1] - times[0]:8.2f} '
               f'{whole.statistics["seconds_spent"]:8.2f} {budgeted:9.2f}  '

@@ -102,7 +102,7 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 
 def _identify(records: tuple[Record, ...], settings: Settings, effort: Effort) -> Estimate:
     effort.check()
-    part = join_records(records, settings.with_known_delays())
+    part = join_records(records, settings.with_known_delays(), effort.check)
     if isinstance(part, Unusable):
         return unusable_estimate(part.status, records[0], settings, part.notes)
     try:

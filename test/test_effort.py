@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work is counted, and what nobody wants any more is broken off."""
 
+from collections import Counter
 from time import process_time, thread_time
 
 from marks import slow
@@ -11,10 +12,14 @@ import pytest
 from ctsid_core.effort import RATE, VARIABLE, Effort, work_rate
 from ctsid_core.errors import Cancelled, SettingsError
 from ctsid_core.identify import identify
+from ctsid_core.judge import curve, slopes
+from ctsid_core.likelihood import noise_gain, output_error, state_space
 from ctsid_core.model.model_json import to_json
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.settings import OF_STRIDE, Settings
+from ctsid_core.signals import spikes
 from ctsid_core.signals.record import Record
+from ctsid_core.subspace import ct_pbsid, gobf, hd_pbsid
 from ctsid_ros.verbs.params import measured_rate
 
 QUICK = Settings(delay=0.0, order=2)
@@ -88,6 +93,46 @@ def test_it_is_asked_often_enough_to_end_within_a_tenth_of_a_second():
     identify(record, Settings(max_order=20), cancelled=lambda: times.append(thread_time()))
     assert len(times) > 10
     assert max(np.diff([*times, thread_time()])) < 0.1
+
+
+# What takes longest of all that an identification calls, and how often between two questions.
+LONG = {
+    curve: {'triangle': 1}, gobf: {'triangle': 1, '_filtered': 1, '_interpolation_error': 1},
+    ct_pbsid: {'triangle': 1, 'regress': 1, 'realise': 1}, hd_pbsid: {'stack_levels': 1},
+    noise_gain: {'_filtered': 3, '_derivatives': 1}, output_error: {'_slopes': 1},
+    slopes: {'basis_of': 1}, spikes: {'_judge': 3}, state_space: {'_mean_around': 1}}
+
+
+@pytest.mark.parametrize(('settings', 'reached'), [
+    (Settings(), {curve, noise_gain, output_error, slopes, spikes, state_space}),
+    (Settings(refine=False), {hd_pbsid}),
+    (Settings(method='gobf'), {gobf}), (Settings(method='ct-pbsid'), {ct_pbsid})])
+def test_it_is_asked_before_everything_that_takes_long(settings, reached, monkeypatch):
+    """Counted, for on a busy computer nothing takes a known time."""
+    since, most = Counter(), Counter()
+
+    def counted(key, function):
+        def call(*args, **keywords):
+            since[key] += 1
+            most[key] = max(most[key], since[key])
+            return function(*args, **keywords)
+        return call
+
+    for module, names in LONG.items():
+        for name in names:
+            monkeypatch.setattr(module, name, counted((module, name), getattr(module, name)))
+    rng = np.random.default_rng(5)
+    t, u = np.arange(0.0, 20.0, 0.02), np.repeat(rng.standard_normal((50, 2)), 20, axis=0)
+    y = np.zeros((1000, 3))
+    for k in range(999):
+        y[k + 1] = y[k] + 0.02 * ((u[k] @ [[1.0, 0.5, 2.0], [2.0, 1.0, 1.0]]) - y[k] * [1, 2, 4])
+    y += 0.05 * rng.standard_normal(y.shape)
+    y[rng.choice(1000, 20, replace=False)] += 10.0
+    identify(Record.from_arrays(t, u, t, y, input_hold='zoh'),
+             settings.replace(order=3, delay=0.0), cancelled=since.clear)
+    for module, names in LONG.items():
+        for name, limit in names.items():
+            assert (module in reached) <= most[module, name] <= limit
 
 
 def test_who_asks_does_not_change_the_model(record):

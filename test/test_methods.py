@@ -22,7 +22,8 @@ def record():
 @pytest.mark.parametrize('name', METHODS)
 def test_a_method_offers_models_of_the_orders_that_are_wanted(name, record):
     settings = Settings(method=name, delay=0.0)
-    offered = METHODS[name].models(join_records((record,), settings), settings, [1, 2])
+    offered = list(METHODS[name].models(join_records((record,), settings), settings, [1, 2],
+                                        lambda: None))
     assert {len(one.matrices.A) for one in offered} == {1, 2}
     assert all(one.settings.order == len(one.matrices.A) for one in offered)
     assert all(np.isfinite(one.singular_values).all() for one in offered)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,12 +102,13 @@ def moving(record: Record, settings: Settings) -> tuple[tuple[int, ...], tuple[i
 
 
 def usable(record: Record, settings: Settings,
-           keep: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())) -> Usable | Status:
+           keep: tuple[tuple[int, ...], tuple[int, ...]] = ((), ()),
+           check: Callable[[], None] = lambda: None) -> Usable | Status:
     """
     Return what of a record can be used, or the status that says why nothing can.
 
-    Places of inputs and outputs in `keep` are kept even if they do not move. Raises
-    `SettingsError` if `settings.delay` does not fit the number of inputs.
+    Places of inputs and outputs in `keep` are kept even if they do not move. `check` is called
+    often. Raises `SettingsError` if `settings.delay` does not fit the number of inputs.
     """
     start = _known_from(record, settings)
     if start >= record.end:
@@ -136,9 +137,10 @@ def usable(record: Record, settings: Settings,
         if share > 0.0:
             notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
                          f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
-    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs))
+    inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs),
+                                  check)
     outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
-                                   _held_at(record, outputs, settings))
+                                   _held_at(record, outputs, settings), check)
     inputs, u_level = _centred(inputs, settings.trim)
     outputs, y_level = _centred(outputs, settings.trim)
     return Usable(replace(shorter, inputs=tuple(inputs), outputs=tuple(outputs)), record, u, y,
@@ -227,10 +229,11 @@ def _held_at(record: Record, signals: list[Signal],
 
 
 def _despiked(signals: list[Signal], holds: tuple[str, ...], sure: float,
-              inputs: tuple[Array | None, ...]) -> tuple[list[Signal], tuple[Spikes, ...]]:
+              inputs: tuple[Array | None, ...],
+              check: Callable[[], None]) -> tuple[list[Signal], tuple[Spikes, ...]]:
     """Return the signals without spikes; those of other holds as they are: theirs are real."""
-    found = tuple(spikes(s.time, s.values, sure, inputs=direct) if s.hold in holds else
-                  no_spikes(s.values)
+    found = tuple(spikes(s.time, s.values, sure, inputs=direct, check=check)
+                  if s.hold in holds else no_spikes(s.values)
                   for s, direct in zip(signals, inputs, strict=True))
     return [replace(s, values=own.instead) if own.any else s
             for s, own in zip(signals, found, strict=True)], found

@@ -94,22 +94,23 @@ class Joint:
             lead=max(settings.delays(p.record.nu), default=0.0))) for p in self.parts))
 
 
-def join_records(records: Sequence[Record], settings: Settings) -> Joint | Unusable:
+def join_records(records: Sequence[Record], settings: Settings,
+                 check: Callable[[], None] = lambda: None) -> Joint | Unusable:
     """
     Return what can be used of records of the same channels, or why nothing can.
 
     A channel moves if it moves in any of them. A record that is too short, or full of gaps, is
-    left out and noted. Raises `SettingsError` if `settings.delay` does not fit the number of
-    inputs.
+    left out and noted. `check` is called often. Raises `SettingsError` if `settings.delay` does
+    not fit the number of inputs.
     """
     if len(records) == 1:
-        part = usable(records[0], settings)
+        part = usable(records[0], settings, check=check)
         return Unusable(part) if isinstance(part, Status) else Joint((part,), (1,))
     moves = [moving(record, settings) for record in records]
     keep = tuple(tuple(sorted(set().union(*(own[i] for own in moves)))) for i in (0, 1))
     parts, numbers, remarks, left = [], [], [], []
     for number, (record, own) in enumerate(zip(records, moves, strict=True), 1):
-        part = usable(record, settings, (keep[0], keep[1]))
+        part = usable(record, settings, (keep[0], keep[1]), check)
         if isinstance(part, Status):
             left.append(part)
             remarks.append(f'record {number} was left out: {part.value}')

@@ -23,7 +23,7 @@ sequence sigma (k + 1/2) the Legendre basis.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,7 +104,8 @@ def legendre(sigma: float, size: int) -> Chain:
     return chain([sigma * (k + 0.5) for k in range(size)])
 
 
-def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
+def respond(found: Chain, derivatives: Array, knots: Array,
+            check: Callable[[], None] = lambda: None) -> Array:
     """
     Return the response of a chain, at rest at first, to piecewise polynomials: (K, N, m).
 
@@ -113,7 +114,7 @@ def respond(found: Chain, derivatives: Array, knots: Array) -> Array:
     """
     rest = np.zeros((found.size, derivatives.shape[2]))
     return by_matrices(found.L, found.b[:, np.newaxis], derivatives[:, :, np.newaxis],
-                       np.diff(knots), rest)
+                       np.diff(knots), rest, check=check)
 
 
 def of_one_degree(parts: Sequence[Array]) -> list[Array]:

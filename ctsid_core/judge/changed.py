@@ -167,6 +167,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         return []
     samples.effort.spend(_LOOK + 4.0 * len(columns) * columns.shape[1] ** 2)
     basis, R = np.linalg.qr(columns)
+    samples.effort.check()
     # Of the choices of states, which change nothing, only rounding is left.
     known = np.abs(np.diag(R)) > _NOTHING * np.linalg.norm(columns, axis=0)
     nuisance, basis = np.count_nonzero(known[:np.count_nonzero(states)]), basis[:, known]

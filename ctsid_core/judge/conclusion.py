@@ -88,6 +88,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
         most_likely_change(*solution.drifting) if solution.drifting is not None else \
         most_likely_change(*simulated, solution.smaller, solution.telling)
     drift = _drift(solution) if solution.drifting or change.cost <= NOTED else Drift()
+    effort.check()
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
     status, verdict = judge(evidence)

@@ -17,6 +17,7 @@ Statistical Association 44 (least squares with errors of an autoregression).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -66,7 +67,8 @@ def curve_gains(samples: Samples, fit: Fit, free: Free,
                                                strict=True)]
         states, driven, curves = zip(*parts, strict=True)
         base = np.hstack((block_diag(*states), np.vstack(driven)))
-        gains[stream.channels] = _gained(base, np.vstack(curves), [own[k] for own in errors])
+        gains[stream.channels] = _gained(base, np.vstack(curves), [own[k] for own in errors],
+                                         samples.effort.check)
     return gains / np.maximum(motion_within(samples, errors), _LEAST)
 
 
@@ -126,7 +128,8 @@ def _real(responses: ComplexArray, poles: ComplexArray) -> Array:
     return np.concatenate((responses.real, responses[:, :, poles.imag > 0.0].imag), axis=2)
 
 
-def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
+def _gained(base: Array, curves: Array, errors: list[Array],
+            check: Callable[[], None]) -> Array:
     """
     Return the points of fit that curves gain beside what the model can do, by output.
 
@@ -144,6 +147,7 @@ def _gained(base: Array, curves: Array, errors: list[Array]) -> Array:
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):
         part = np.zeros(count)
         for _ in range(_TIMES):
+            check()
             R = triangle(np.vstack([
                 _innovations(autoregression(noise)[1], rows) for noise, rows in zip(
                     np.split(e - part, edges), np.split(np.column_stack((Q, own, e)), edges),

@@ -59,6 +59,7 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     own, answer = _uncorrelated(sent), np.sum(np.abs(response) ** 2, axis=1)
     found = []
     for j, place in enumerate(part.u):
+        samples.effort.check()
         name, seen = part.whole.input_names[place], weight[:, j] * answer[:, j]
         total = float(seen.sum())
         if not total > 0.0 or not np.isfinite(total):

@@ -57,11 +57,12 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     weight = 1.0 / np.sqrt(np.mean(np.vstack(parts) ** 2, axis=0) + 1e-300)
     none = np.zeros((n, ny)), (np.vstack(parts) * weight).ravel(), float(total * ny)
     # Of a plant that integrates nothing leads from no gain to that of its filter.
-    K, error, best = min((none, *_filters(F, G, C, parts, weight)), key=lambda one: one[2])
+    K, error, best = min((none, *_filters(F, G, C, parts, weight, effort)), key=lambda one: one[2])
     for _ in range(_STEPS):
-        found = _run(F, G, C, K, parts, weight, True)
+        found = _run(F, G, C, K, parts, weight, effort, True)
         if found is None:
             break
+        effort.check()
         rows = found[0]
         curvature = rows.T @ rows
         scale = np.sqrt(np.diag(curvature)) + 1e-300
@@ -69,9 +70,8 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
                                  rows.T @ error / scale) / scale
         moved = False
         for k in range(_HALVINGS):
-            effort.check()
             trial = K + 0.5 ** k * change.reshape(n, ny)
-            seen = _run(F, G, C, trial, parts, weight, False)
+            seen = _run(F, G, C, trial, parts, weight, effort)
             if seen is not None and seen[2] < best:
                 gain, K, (_, error, best), moved = best - seen[2], trial, seen, True
                 break
@@ -86,8 +86,8 @@ def noise_gain(A: Array, C: Array, parts: Sequence[Array], step: float,
     return continuous_gain(A, C, update, step), np.asarray(e.T @ e / max(total, 1))
 
 
-def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
-             weight: Array) -> Iterator[tuple[Array, Array, float]]:
+def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array], weight: Array,
+             effort: Effort) -> Iterator[tuple[Array, Array, float]]:
     """Yield gains of Kalman filters, e and its sum: all modes disturbed alike, as outputs see."""
     values, right = np.linalg.eig(F)
     right = right / np.maximum(np.linalg.norm(weight[:, np.newaxis] * C @ right, axis=0), 1e-300)
@@ -96,7 +96,7 @@ def _filters(F: Array, G: Array, C: Array, parts: Sequence[Array],
         covariances = _filtering(F, C, _SHARES[:, np.newaxis, np.newaxis] * moved, noise)
         for P in covariances[np.isfinite(covariances).all(axis=(1, 2))]:
             K = np.linalg.solve(G, F @ np.linalg.solve(C @ P @ C.T + noise, C @ P).T)
-            seen = _run(F, G, C, K, parts, weight, False)
+            seen = _run(F, G, C, K, parts, weight, effort)
             if seen is not None:
                 yield K, *seen[1:]
 
@@ -158,7 +158,7 @@ def predicted_states(F: Array, L: Array, C: Array, v: Array, count: int) -> Arra
 
 
 def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight: Array,
-         derivatives: bool) -> tuple[Array, Array, float] | None:
+         effort: Effort, derivatives: bool = False) -> tuple[Array, Array, float] | None:
     """
     Return derivatives of -e by K, e (both over the errors' size), and its sum of squares.
 
@@ -175,11 +175,13 @@ def _run(F: Array, G: Array, C: Array, K: Array, parts: Sequence[Array], weight:
     rows, errors = [], []
     seen = C @ right                                                     # (ny, n)
     for v in parts:
+        effort.check()
         driven = (left @ (G @ K @ v.T)).astype(complex)
         x = _filtered(values, driven)                                    # (n, N)
         e = v - (seen @ x).real.T
         errors.append(e * weight)
         if derivatives:
+            effort.check()
             rows.append(_derivatives(values, left @ G, seen, e) * weight)
     error = np.concatenate([e.ravel() for e in errors])
     if not np.isfinite(error).all():

@@ -188,6 +188,7 @@ class _Slopes:
 
 def _slopes(samples: Samples, fit: Fit, free: Free, around: PoleSteps) -> _Slopes:
     """Return where poles, dead times and, of several outputs, b and initial states should move."""
+    samples.effort.check()
     model, (dp, late, places) = fit.model, _coordinates(samples, fit.model, free, around)
     n = places.moving(samples.ny, len(samples.records))
     curvature, gradient, squares, linear = _eliminated(samples, fit, free, around, n) \

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -203,16 +204,18 @@ def _noise_power(samples: Samples, fit: Fit, free: Free, directions: Array) -> A
                 seen[:, k] = np.fft.rfft(channel, axis=0)
             both: Array = np.where(np.arange(len(seen)) % (0.5 * t.count), 2.0, 1.0)
             root = _root_of_spectra(seen @ _turned(seen) / t.count, np.fft.rfft(
-                noise[:, :, 0], axis=1).T / t.count, both)
+                noise[:, :, 0], axis=1).T / t.count, both, samples.effort.check)
             samples.effort.check()
             moved = root @ seen
             for part in (moved.real, moved.imag):
+                samples.effort.check()
                 part = part.reshape(-1, part.shape[2])
                 found += part.T @ part
     return found
 
 
-def _root_of_spectra(taken: ComplexArray, noise: ComplexArray, both: Array) -> ComplexArray:
+def _root_of_spectra(taken: ComplexArray, noise: ComplexArray, both: Array,
+                     check: Callable[[], None]) -> ComplexArray:
     """
     Return roots of the spectra of errors (frequencies, outputs) over both half-planes.
 
@@ -220,10 +223,12 @@ def _root_of_spectra(taken: ComplexArray, noise: ComplexArray, both: Array) -> C
     and more: what directions have `taken` out of it, (frequencies, outputs, outputs), is allowed
     for.
     """
+    check()
     numbers = both @ np.einsum('fii->fi', taken).real
     reach = min(int(np.ceil(np.max(numbers))), len(taken) - 1)
     values, turn = np.linalg.eigh(_mean_around(np.eye(taken.shape[1]) - taken, reach))
     less = (turn / np.sqrt(np.maximum(values, _SPARE))[:, np.newaxis]) @ _turned(turn)
+    check()
     noise = noise[:, :, np.newaxis]
     power, turn = np.linalg.eigh(less @ _mean_around(noise @ _turned(noise), reach) @ less)
     size = np.sqrt(both[:, np.newaxis] * np.maximum(power, 0.0))

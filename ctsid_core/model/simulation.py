@@ -188,7 +188,7 @@ def _bounded(A: Array, force: Array, h: Array) -> Array:
 
 
 def by_matrices(A: Array, B: Array, inputs: Array, h: Array, x0: Array,
-                backwards: bool = False) -> Array:
+                backwards: bool = False, check: Callable[[], None] = lambda: None) -> Array:
     """
     Return x of dx/dt = A x + B v, (K + 1, n, m), from x0 (n, m), or backwards to x0 at the end.
 
@@ -198,6 +198,7 @@ def by_matrices(A: Array, B: Array, inputs: Array, h: Array, x0: Array,
     x = np.empty((len(h) + 1, *x0.shape))
     x[-1 if backwards else 0] = x0
     for first in range(0, len(h), _CHUNK)[::-1 if backwards else 1]:
+        check()
         rows = slice(first, min(first + _CHUNK, len(h)))
         lengths, which = np.unique(h[rows], return_inverse=True)
         step, *integrals = exponentials(A, lengths, len(inputs))

@@ -42,7 +42,8 @@ def without_outliers(part: Joint, samples: Samples, fit: Fit) -> Joint:
         for k, (e, s, signal, spiky) in enumerate(zip(errors, record.streams, p.record.outputs,
                                                       p.corrupt_y, strict=True)):
             if len(e) and (_stand_out(e).any() or spiky.too_many):
-                seen, mask = spikes(s.times, e, closely=True), spiky.mask.copy()
+                seen = spikes(s.times, e, closely=True, check=samples.effort.check)
+                mask = spiky.mask.copy()
                 mask[np.searchsorted(signal.time, s.times)] = seen.mask
                 found[k] = replace(spiky, mask=mask, too_many=tuple(
                     j for j in spiky.too_many if j in seen.too_many))
@@ -137,7 +138,7 @@ def _honest(part: Joint, seen: Joint, solution: Solution) -> Joint | None:
             rows, mask = np.searchsorted(signal.time, s.times), np.zeros_like(spiky.mask)
             # Of what was measured: a spike stands out from errors that are large, but smooth.
             e = e + np.where(bridged.mask, bridged.off, 0.0)[rows] / samples.size[s.channels]
-            left = spikes(s.times, e, closely=True)
+            left = spikes(s.times, e, closely=True, check=samples.effort.check)
             mask[rows] = spiky.mask[rows] & ~_stand_out(e) & ~left.mask
             mask[:, list(left.too_many)] = False
             honest.append(mask)

@@ -9,7 +9,7 @@ simulations. A, B, C and D stay as the method made them; of `gobf` A does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -42,7 +42,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
                          max(own.delays(len(part.parts[0].u))), effort)
     free = replace(free_of(samples, own), delays=(False,) * samples.nu, limit=np.inf)
     orders = [settings.order] if settings.order else list(range(1, settings.max_order + 1))
-    best = _likeliest(method.models(part, own, orders), samples, own, free)
+    best = _likeliest(method.models(part, own, orders, effort.check), samples, own, free)
     if best is None:
         return None
     fit, made, by_order = best
@@ -59,7 +59,8 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
     def refit(early: Samples) -> Fit | None:
         records = part.early(own)
         for tuned in (replace(made.settings, delay=own.delay), own):
-            found = _likeliest(method.models(records, tuned, [fit.model.n]), early, own, free)
+            found = _likeliest(method.models(records, tuned, [fit.model.n], effort.check), early,
+                               own, free)
             if found is not None:
                 return found[0]
         return None
@@ -70,7 +71,7 @@ def solve_by(method: Method, part: Joint, settings: Settings, effort: Effort) ->
                     singular_values=made.singular_values, condition=made.condition)
 
 
-def _likeliest(offered: Sequence[MethodModel], samples: Samples, own: Settings,
+def _likeliest(offered: Iterable[MethodModel], samples: Samples, own: Settings,
                free: Free) -> tuple[Fit, MethodModel, dict[int, Fit]] | None:
     """Return the likeliest model, and the best of each order."""
     best: tuple[float, Fit, MethodModel] | None = None

@@ -8,7 +8,7 @@ samples are interpolated and weighted as they would be without.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,14 +53,15 @@ def no_spikes(values: Array) -> Spikes:
 
 
 def spikes(time: Array, values: Array, sure: float = SURE, *,
-           inputs: Array | None = None, closely: bool = False) -> Spikes:
+           inputs: Array | None = None, closely: bool = False,
+           check: Callable[[], None] = lambda: None) -> Spikes:
     """
     Find the corrupt samples of channels (N, m) that share their increasing stamps (N,).
 
     They lie beyond `sure` robust standard deviations; `inputs` (N, nu) are held ones, that
-    channels may follow at once; `closely`: look for small bursts even if no sample stands out. Of
-    white Gaussian noise with 10000 samples, about one record in 170 has a suspect; it then has to
-    pass the judgement, too.
+    channels may follow at once; `closely`: look for small bursts even if no sample stands out;
+    `check` is called often. Of white Gaussian noise with 10000 samples, about one record in 170
+    has a suspect; it then has to pass the judgement, too.
     """
     if len(time) < FEWEST:
         return no_spikes(values)
@@ -68,6 +69,7 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
     weights = weights_of(time)
     too_many, instead = [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
+        check()
         off, scale, _ = distance(row, weights)
         stands_out, direct = standing_out(off, scale, sure), np.zeros_like(row)
         if stands_out and inputs is not None and inputs.shape[1]:
@@ -76,7 +78,7 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
             stands_out = standing_out(off, scale, sure)
         if not (stands_out or closely):
             continue
-        found, filled = find(Channel(time, weights, sure, resolution(row)), row - direct)
+        found, filled = find(Channel(time, weights, sure, resolution(row)), row - direct, check)
         if np.count_nonzero(found) > MOST * len(row):
             too_many.append(j)
         elif found.any():

@@ -17,6 +17,7 @@ of Mathematical Statistics 35.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def standing_out(off: Array, scale: float, sure: float) -> bool:
     return bool((np.abs(off) > limit * _local(off, scale)).any())
 
 
-def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
+def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, Array]:
     """Return which samples of a channel are corrupt, and the channel without them."""
     bad, filled = np.zeros(len(x), dtype=bool), x.copy()
     for _ in range(_ROUNDS):
@@ -86,6 +87,7 @@ def find(channel: Channel, x: Array) -> tuple[Mask, Array]:
             for first, last in _runs(suspect | rechecked, apart):
                 if not suspect[first:last + 1].any():
                     continue
+                check()
                 wide = slice(first, last + 1)
                 given = np.concatenate((filled[:first], np.where(
                     rechecked[wide], x[wide], filled[wide]), filled[last + 1:]))

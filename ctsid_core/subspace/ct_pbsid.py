@@ -23,7 +23,7 @@ Bergamasco and Lovera 2011, IET Control Theory & Applications 5; [HD] sections 1
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -48,10 +48,10 @@ _MOST = 20000             # instants of a record
 _DECAYED = 1e-10          # of a Laguerre function: what counts as zero
 
 
-def by_projection(part: Joint, settings: Settings,
-                  orders: Sequence[int]) -> list[MethodModel]:
-    """Return the models of every order, pole and past left open."""
-    records, found = [p.record for p in part.parts], []
+def by_projection(part: Joint, settings: Settings, orders: Sequence[int],
+                  check: Callable[[], None]) -> Iterator[MethodModel]:
+    """Yield the models of every order, pole and past left open."""
+    records = [p.record for p in part.parts]
     pasts = [settings.past] if settings.past else _PASTS
     longest = max(r.duration for r in records)
     for a in _poles(records, settings, min(pasts)):
@@ -59,27 +59,28 @@ def by_projection(part: Joint, settings: Settings,
         fitting = [p for p in pasts if longest > 2.0 * reach(p + 2) / a]
         if not fitting:
             continue
-        levels = laguerre_levels(records, settings, a, max(fitting) + 2)
+        levels = laguerre_levels(records, settings, a, max(fitting) + 2, check)
         nz = len(levels.scale)
         for p in fitting:
             first = replace(levels, rows=levels.rows[-(p + 2):, :, :(p + 2) * nz])
-            found += _realised(first, settings.replace(
+            check()
+            yield from _realised(first, settings.replace(
                 laguerre_pole=a, past=p, future=settings.future or p), orders)
-    return found
 
 
 def _realised(levels: Levels, settings: Settings,
-              orders: Sequence[int]) -> list[MethodModel]:
-    """Return the models of one pole and one p; none if there are too few instants."""
+              orders: Sequence[int]) -> Iterator[MethodModel]:
+    """Yield the models of one pole and one p; none if there are too few instants."""
     p, a = settings.past, settings.laguerre_pole
     nz, ny = len(levels.scale), levels.counts[3]
     if levels.rows.shape[2] < (p + 2) * nz:
-        return []
+        return
     subspace = regress(levels, Tuning(0.0, 1.0, p, settings.future), feedthrough=True,
                        rank_tolerance=settings.rank_tolerance)
-    return [MethodModel(to_continuous(realise(subspace, n), a), settings.replace(order=n),
-                        subspace.singular_values, subspace.condition)
-            for n in orders if n < min(p * ny, settings.future * ny + 1)]
+    for n in orders:
+        if n < min(p * ny, settings.future * ny + 1):
+            yield MethodModel(to_continuous(realise(subspace, n), a), settings.replace(order=n),
+                              subspace.singular_values, subspace.condition)
 
 
 def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[float]:
@@ -92,8 +93,8 @@ def _poles(records: Sequence[Record], settings: Settings, past: int) -> list[flo
     return [float(a) for a in np.geomspace(low, high, _POLES)]
 
 
-def laguerre_levels(records: Sequence[Record], settings: Settings, a: float,
-                    count: int) -> Levels:
+def laguerre_levels(records: Sequence[Record], settings: Settings, a: float, count: int,
+                    check: Callable[[], None] = lambda: None) -> Levels:
     """
     Return the Laguerre coefficients of records, compressed by one QR factorisation.
 
@@ -101,7 +102,8 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float,
     row for each input and output. Too short records are left out.
     """
     blocks = [block for record in records
-              if (block := _block(record, settings, a, count)).shape[2]]
+              if (block := _block(record, settings, a, count, check)).shape[2]]
+    check()
     z = np.concatenate(blocks, axis=2)                        # (count, nz, instants)
     scale = np.sqrt(np.mean(z ** 2, axis=(0, 2)))
     scale[scale == 0.0] = 1.0
@@ -111,18 +113,20 @@ def laguerre_levels(records: Sequence[Record], settings: Settings, a: float,
     return Levels(compressed.reshape(count, nu + ny, -1)[::-1], scale, (nu, 0, 0, ny))
 
 
-def _block(record: Record, settings: Settings, a: float, count: int) -> Array:
+def _block(record: Record, settings: Settings, a: float, count: int,
+           check: Callable[[], None]) -> Array:
     """Return the coefficients of one record seen from its instants, (count, nz, instants)."""
     at = instants(record, reach(count) / a)
     if len(at) == 0:
         return np.empty((count, record.nu + record.ny, 0))
     z = coefficients((*record.inputs, *record.outputs), at, (record.start, record.end), a, count,
-                     (*settings.delays(record.nu), *(0.0,) * record.ny))
+                     (*settings.delays(record.nu), *(0.0,) * record.ny), check)
     return z - z.mean(axis=2, keepdims=True) if settings.trim else z
 
 
 def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float], a: float,
-                 count: int, delays: Sequence[float]) -> Array:
+                 count: int, delays: Sequence[float],
+                 check: Callable[[], None] = lambda: None) -> Array:
     """
     Return `count` Laguerre coefficients of signals seen from instants (M,): (count, channels, M).
 
@@ -134,7 +138,7 @@ def coefficients(signals: Sequence[Signal], at: Array, span: tuple[float, float]
     # The derivatives at the ends of intervals, where they begin in reversed time
     ends = shifted(ahead, np.diff(knots)[:, np.newaxis])
     ends[1::2] *= -1.0
-    seen = respond(chain([a] * count), ends[:, ::-1], -knots[::-1])
+    seen = respond(chain([a] * count), ends[:, ::-1], -knots[::-1], check)
     return seen[::-1][np.searchsorted(knots, at)].transpose(1, 2, 0)
 
 

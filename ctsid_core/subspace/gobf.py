@@ -33,7 +33,7 @@ multiplied with the states: poles can be right to four digits and B to none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import factorial
 
@@ -52,15 +52,17 @@ from ctsid_core.signals.record import Record, Signal
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
 
 KINKS = 2             # integrals of held inputs whose kinks are worth it
+_CHUNK = 4096         # stamps at a time where a matrix is stored for each
 _NOTHING = 1e-12      # of a signal, that interpolation misses by rounding
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
 _FUNCTIONS = 8
 _SHARE = 0.8                    # of the fewest samples, that rows of the equations may be
 
 
-def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
+def by_bases(part: Joint, settings: Settings, orders: Sequence[int],
+             check: Callable[[], None]) -> Iterator[MethodModel]:
     """
-    Return models of all orders that the chain can hold, for each pole sequence that comes in.
+    Yield models of all orders that the chain can hold, for each pole sequence that comes in.
 
     Raises `SettingsError` if the pole sequence of the settings is none.
     """
@@ -68,21 +70,19 @@ def by_bases(part: Joint, settings: Settings, orders: Sequence[int]) -> list[Met
     nu, ny = records[0].nu, records[0].ny
     delay = settings.delays(nu)
     samples = sum(len(sample_times(record)) for record in records)
-    found = []
     for own in _chains(part, settings, max(orders)):
         if own.size * (nu + 2 * len(records) + ny) > _SHARE * samples:
             continue
         filtered = filter_records(records, own, delay, trim=settings.trim,
-                                  feedthrough=settings.feedthrough)
+                                  feedthrough=settings.feedthrough, check=check)
         seen = observe(filtered, settings.rank_tolerance)
         for n in orders:
             if n >= min(own.size * ny - 1, len(seen.singular_values)):
                 continue
             A, C = dynamics(own, seen.left[:, :n])
-            found.append(MethodModel(
+            yield MethodModel(
                 plain_matrices(A, np.zeros((n, nu)), C, np.zeros((ny, nu))),
-                _used(settings, own, n), seen.singular_values, seen.condition, poles_only=True))
-    return found
+                _used(settings, own, n), seen.singular_values, seen.condition, poles_only=True)
 
 
 def _used(settings: Settings, own: Chain, n: int) -> Settings:
@@ -146,7 +146,7 @@ class Observability:
 
 def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, ...], *,
                    trim: bool, feedthrough: bool = True, pieces: Pieces = input_polynomials,
-                   kinks: int = KINKS) -> Filtered:
+                   kinks: int = KINKS, check: Callable[[], None] = lambda: None) -> Filtered:
     """
     Return the signals of records through a chain, at the stamps of the densest output of each.
 
@@ -155,7 +155,8 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
     `pieces` says what signals are between their samples, and `kinks` how many integrals of inputs
     that are held, or on straight lines, are looked at for what interpolation misses of them.
     """
-    found = [_filtered(record, chain, delay, pieces, kinks, feedthrough) for record in records]
+    found = [_filtered(record, chain, delay, pieces, kinks, feedthrough, check)
+             for record in records]
     nu, ny, count = records[0].nu, records[0].ny, len(records)
     blocks = []
     for i, part in enumerate(found):
@@ -163,18 +164,20 @@ def filter_records(records: Sequence[Record], chain: Chain, delay: tuple[float, 
         own[:, :, i::count] = part[:, :, nu:nu + 1 + trim]
         blocks.append(np.concatenate((part[:, :, :nu], own, part[:, :, nu + 2:]), axis=2))
     rows = np.concatenate(blocks)
+    check()
     missed = slice(nu + count * (1 + trim), -ny)
     keep = np.ones(rows.shape[2], dtype=bool)
     keep[missed] = np.any(rows[:, :, missed], axis=(0, 1))
     counts = (nu, count, count * trim, int(keep[missed].sum()))
     flat = rows[:, :, keep].transpose(1, 2, 0).reshape(-1, len(rows))
+    check()
     compressed = triangle(flat.T).T if flat.shape[1] > flat.shape[0] else flat
     short = compressed.reshape(chain.size, sum(counts) + ny, -1)
     return Filtered(chain, short[:, :-ny], short[:, -ny:], counts)
 
 
 def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pieces,
-              kinks: int, feedthrough: bool) -> Array:
+              kinks: int, feedthrough: bool, check: Callable[[], None]) -> Array:
     """Return u, impulse, constant, kinks and y through a chain, (times, N, signals)."""
     times = sample_times(record)
     none = (0.0,) * record.ny
@@ -184,11 +187,15 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     uneven = np.repeat([s.hold != 'smooth' for s in record.inputs],
                        [s.width for s in record.inputs]).astype(bool)
     missed = interpolation_errors(u[:, :, uneven], knots, record.outputs, pieces, kinks,
-                                  0 if feedthrough else 1)
+                                  0 if feedthrough else 1, check)
     ones = np.ones((1, len(knots), 1))
     signals = np.concatenate(of_one_degree((u, ones, missed, y)), axis=2)
-    w = respond(chain, signals, knots)[np.searchsorted(knots, times)]
-    impulse = (exponentials(chain.L, times - times[0], 0)[0] @ chain.b)[:, :, np.newaxis]
+    w = respond(chain, signals, knots, check)[np.searchsorted(knots, times)]
+    impulse = np.empty((*w.shape[:2], 1))
+    for first in range(0, len(times), _CHUNK):
+        check()
+        some = slice(first, first + _CHUNK)
+        impulse[some, :, 0] = exponentials(chain.L, times[some] - times[0], 0)[0] @ chain.b
     return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
 
 
@@ -248,7 +255,8 @@ def integrated(derivatives: Array, knots: Array) -> Array:
 
 
 def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal], interpolate: Pieces,
-                         count: int, first: int) -> Array:
+                         count: int, first: int,
+                         check: Callable[[], None] = lambda: None) -> Array:
     """
     Return what interpolation of each output signal misses of the inputs' integrals.
 
@@ -261,6 +269,7 @@ def interpolation_errors(u: Array, knots: Array, outputs: Sequence[Signal], inte
     found: list[Array] = []
     integral = u
     for power in range(count + 1 if u.shape[2] and count else 0):
+        check()
         integral = integrated(integral, knots) if power else integral
         if power >= first:
             found += [_interpolation_error(integral, knots, signal, interpolate)

@@ -20,7 +20,7 @@ window p, is a grid from the length and the band of the data.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -195,17 +195,17 @@ class Subspaces:
                        rank_tolerance=self.settings.rank_tolerance)
 
 
-def by_lines(part: Joint, settings: Settings, orders: Sequence[int]) -> list[MethodModel]:
-    """Return models of all orders that the lines can hold, for every tuning left open."""
-    subspaces = Subspaces(part.project(settings), settings)
-    found = []
+def by_lines(part: Joint, settings: Settings, orders: Sequence[int],
+             check: Callable[[], None]) -> Iterator[MethodModel]:
+    """Yield models of all orders that the lines can hold, for every tuning left open."""
+    subspaces = Subspaces(part.project(settings, check), settings)
     for n in orders:
         for tuning in subspaces.tunings(n):
+            check()
             subspace = subspaces.of(tuning)
             if n < len(subspace.singular_values):
-                found.append(MethodModel(
+                yield MethodModel(
                     realise(subspace, n), settings.replace(
                         order=n, beta=tuning.beta, gamma=tuning.gamma, past=tuning.past,
                         future=tuning.future),
-                    subspace.singular_values, subspace.condition))
-    return found
+                    subspace.singular_values, subspace.condition)

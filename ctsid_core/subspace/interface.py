@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ctsid_core.bases.records import Joint
@@ -30,10 +30,10 @@ class MethodModel:
 class Method:
     """A row of the table of methods."""
 
-    # From the records, the settings and the orders that are wanted to all models that the method
-    # has to offer: of every order and every tuning that the settings leave open. Orders that the
-    # data are too short for are left out.
-    models: Callable[[Joint, Settings, Sequence[int]], list[MethodModel]]
+    # From the records, the settings, the orders that are wanted and what is called often to all
+    # models that the method has to offer: of every order and every tuning that the settings leave
+    # open. Orders that the data are too short for are left out.
+    models: Callable[[Joint, Settings, Sequence[int], Callable[[], None]], Iterator[MethodModel]]
     # Whether its models are taken to the maximum of the likelihood, with dead times that are not
     # given; else they stay as they are made, the likeliest is taken, and those count as 0.
     refines: bool = False
