@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work is counted, and what nobody wants any more is broken off."""
 
+from pathlib import Path
+import runpy
 from time import process_time, thread_time
 
 from marks import slow
@@ -18,6 +20,7 @@ from ctsid_core.signals.record import Record
 from ctsid_ros.verbs.params import measured_rate
 
 QUICK = Settings(delay=0.0, order=2)
+BENCHMARK = Path(__file__).resolve().parent.parent / 'benchmarks' / 'effort.py'
 
 
 @pytest.fixture
@@ -152,6 +155,20 @@ def test_a_budget_holds_for_many_inputs_and_outputs(budget, feedthrough):
     print(found.statistics['seconds_spent'], found.fit)
     assert found.statistics['seconds_spent'] < 1.1 * budget
     assert budget < 0.5 or found.fit.min() > 85.0            # the noise leaves 90 %
+
+
+@pytest.mark.parametrize(('case', 'budget'), [
+    ('6x6', 0.5), ('3x2', 0.25), *slow(('6x6', 0.1), ('6x6', 1.0), ('4x3', 0.1), ('3x2', 0.1))])
+def test_a_search_that_a_budget_ends_gives_no_less_than_hd_pbsid(case, budget):
+    """Dead times of one state say little of many: HD-PBSID has those that are given, too."""
+    benchmark = runpy.run_path(str(BENCHMARK))
+    *shape, _ = benchmark['CASES'][case]
+    record = benchmark['recorded'](*shape)
+    found, own = (identify(record, Settings(budget=budget, refine=refine))
+                  for refine in (True, False))
+    print(found.statistics['seconds_spent'], found.fit, own.fit)
+    assert found.statistics['seconds_spent'] < 1.2 * budget
+    assert found.fit.min() > min(own.fit.min(), 85.0)       # the noise leaves 90 %
 
 
 def test_windows_have_the_budget_of_their_stride():
