@@ -108,7 +108,8 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
-        if samples.rank > 1 and looked == {1} and not order and samples.effort.beyond(_SHORT):
+        if samples.rank > 1 and looked == {1} and not (order or short) \
+                and samples.effort.beyond(_SHORT):
             best = far = _pointed((known_delay, fit.model.delay), subspace, grid, free, max_order)
     if found and not order:
         _without_modes(thin, found, free)
