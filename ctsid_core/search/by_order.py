@@ -59,7 +59,7 @@ _PASSES = 4           # in which b and c of a start are found, one after the oth
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
 _STATES = 6           # of so many states, before it is known of how many
-_SHORT = 0.02         # of a budget that order 1 has taken: ten orders take fifty times as much
+_SHORT = 0.05         # of a budget for each order: with more HD-PBSID is asked where to go on
 POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 MORE = 2              # orders beyond the chosen one that are tried
@@ -108,9 +108,11 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
-        if samples.rank > 1 and looked == {1} and not (order or short) \
-                and samples.effort.beyond(_SHORT):
-            best = far = _pointed((known_delay, fit.model.delay), subspace, grid, free, max_order)
+        if samples.rank > 1 and not (far or order or short) \
+                and samples.effort.beyond(_SHORT * len(looked)):
+            far = _pointed((known_delay, found[best].fit.model.delay), subspace, grid, free,
+                           max_order, found[best])
+            best = max(best, far)
     if found and not order:
         _without_modes(thin, found, free)
         _with_drift(thin, found, free)
@@ -199,7 +201,7 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
     low, high, n = 3, max_order, max_order
-    while low <= high and not (costs and samples.effort.beyond(POINT)):
+    while low <= high and not (costs and samples.effort.beyond(SEARCH)):
         if (fit := by_subspace(n)) is not None:
             costs[n] = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
         if n in costs and costs[n] > min(costs.values()) + near:
