@@ -2,6 +2,8 @@
 """Work is counted, and what nobody wants any more is broken off."""
 
 from collections import Counter
+from pathlib import Path
+import runpy
 from time import process_time, thread_time
 
 from marks import slow
@@ -23,6 +25,7 @@ from ctsid_core.subspace import ct_pbsid, gobf, hd_pbsid
 from ctsid_ros.verbs.params import measured_rate
 
 QUICK = Settings(delay=0.0, order=2)
+BENCHMARK = Path(__file__).resolve().parent.parent / 'benchmarks' / 'effort.py'
 
 
 @pytest.fixture
@@ -197,6 +200,18 @@ def test_a_budget_holds_for_many_inputs_and_outputs(budget, feedthrough):
     print(found.statistics['seconds_spent'], found.fit)
     assert found.statistics['seconds_spent'] < 1.1 * budget
     assert budget < 0.5 or found.fit.min() > 85.0            # the noise leaves 90 %
+
+
+@pytest.mark.parametrize(('case', 'budget'), [
+    ('6x6', 0.5), ('3x2', 0.25), *slow(('6x6', 0.25), ('6x6', 1.0), ('4x3', 0.25))])
+def test_a_budget_that_ends_the_search_gives_a_model(case, budget):
+    """Dead times of few states say little of many: HD-PBSID has those that are given, too."""
+    benchmark = runpy.run_path(str(BENCHMARK))
+    *shape, _ = benchmark['CASES'][case]
+    found = identify(benchmark['recorded'](*shape), Settings(budget=budget))
+    print(found.statistics['seconds_spent'], found.fit)
+    assert found.statistics['seconds_spent'] < 1.2 * budget
+    assert found.fit.min() > 75.0                           # the noise leaves 90 %
 
 
 def test_windows_have_the_budget_of_their_stride():

@@ -55,11 +55,11 @@ SEARCHED = 1000       # samples of a stream that the search looks at
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
 _EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
-_SHORT = 0.05         # of a budget that order 1 has taken: one by one others would not be reached
 _PASSES = 4           # in which b and c of a start are found, one after the other
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
 _STATES = 6           # of so many states, before it is known of how many
+_SHORT = 0.05         # of a budget for each order: with more HD-PBSID is asked where to go on
 POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 MORE = 2              # orders beyond the chosen one that are tried
@@ -88,7 +88,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     best, far = 1, 0
     while True:
         short = samples.effort.beyond(SEARCH)
-        if order in looked or short and found and not order:
+        if order in looked or short and best in found and not order:
             break
         # One after the other from 1 upwards, unless a start points further.
         n = nearest(range(1, max_order + 1), looked, best) if not order else \
@@ -108,15 +108,20 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
-        if samples.rank > 1 and looked == {1} and not order and samples.effort.beyond(_SHORT):
-            best = max(best, _pointed((fit.model.delay,), subspace, grid, free, max_order))
+        if samples.rank > 1 and not (far or order or short) \
+                and samples.effort.beyond(_SHORT * len(looked)):
+            far = _pointed((known_delay, found[best].fit.model.delay), subspace, grid, free,
+                           max_order, found[best])
+            best = max(best, far)
     if found and not order:
         _without_modes(thin, found, free)
         _with_drift(thin, found, free)
-    if thin is samples or order not in (0, *found):
+    if not found or order not in (0, *found):
         return samples, found
     chosen = order or choose(found)
     samples = samples.thinned(affordable(samples, found[chosen].fit.model.n))
+    if thin is samples:
+        return samples, found
     if samples.effort.beyond(SEARCH):
         found = {chosen: found[chosen]}
     return samples, {n: replace(climbed(
@@ -196,7 +201,7 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
     costs: dict[int, float] = {}
     low, high, n = 3, max_order, max_order
-    while low <= high and not samples.effort.beyond(POINT):
+    while low <= high and not (costs and samples.effort.beyond(SEARCH)):
         if (fit := by_subspace(n)) is not None:
             costs[n] = float(np.sum(samples.counts * np.log(np.maximum(fit.power, ENOUGH ** 2))))
         if n in costs and costs[n] > min(costs.values()) + near:

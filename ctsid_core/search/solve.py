@@ -28,7 +28,7 @@ from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
-from ctsid_core.search.by_order import MORE, SEARCHED, affordable, search_orders
+from ctsid_core.search.by_order import MORE, POINT, SEARCHED, affordable, search_orders
 from ctsid_core.search.by_prediction import (
     AHEAD,
     Compared,
@@ -693,11 +693,12 @@ class _Subspace:
         """
         Return the regressions, with dead times as they are given or as first found.
 
-        Small models of several inputs have any dead times: those given are a start, too.
+        Small models of several inputs have any dead times: those given are a start, too, and where
+        a budget is short the first that are asked for are all.
         """
         given = bool(np.array_equal(delay, self._own.delays(len(delay))))
-        if given in self._made:
-            return self._made[given]
+        if given in self._made or self._made and self._effort.beyond(POINT):
+            return self._made.get(given)
         self._made[given], own = None, self._own.replace(delay=tuple(delay.tolist()))
         self._effort.spend(_PROJECTION + _PER_SAMPLE * sum(
             float(len(s.time)) for p in self._part.parts for s in p.record.outputs))
