@@ -40,6 +40,7 @@ from ctsid_core.likelihood.residuals import (
     white_part,
 )
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.least_squares import basis_of
 from ctsid_core.linear.types import Array
 
 _INSTANTS = tuple(np.linspace(0.1, 0.9, 33).tolist())       # parts at which it is divided
@@ -148,7 +149,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
 
     Two models may leave hardly more than noise of one output, and than the whole's model does.
     With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
-    samples before an instant says all of that side, and 1 - Q'Q all of the other one.
+    samples before an instant says all of that side, and Q'Q of the others all of the other one.
     """
     samples = samples.thinned(SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
@@ -161,31 +162,27 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     most = min(most, float(np.sum(slopes.counts) - (1.0 - _LEFT) * np.max(
         slopes.counts * (1.0 - noise))))
     order = np.argsort(shares, kind='stable')
-    # What a side's own states and trims explain is no change: they come first.
-    columns = np.column_stack((rows[:, states], rows[:, ~states]))[order]
-    if len(columns) <= columns.shape[1]:        # samples enough for one model only
+    if len(rows) <= rows.shape[1]:              # samples enough for one model only
         return []
-    samples.effort.spend(_LOOK + 4.0 * len(columns) * columns.shape[1] ** 2)
-    basis, R = np.linalg.qr(columns)
-    samples.effort.check()
-    # Of the choices of states, which change nothing, only rounding is left.
-    known = np.abs(np.diag(R)) > _NOTHING * np.linalg.norm(columns, axis=0)
-    nuisance, basis = np.count_nonzero(known[:np.count_nonzero(states)]), basis[:, known]
+    samples.effort.spend(_LOOK + 2.0 * len(rows) * rows.shape[1] ** 2)
+    # What a side's own states and trims explain is no change: they come first.
+    basis = basis_of(rows[:, states][order])
+    nuisance = basis.shape[1]
+    basis = np.hstack((basis, basis_of(rows[:, ~states][order], basis)))
     told = basis.T @ error[order]
     rest = error[order] - basis @ told
     told = np.append(told, np.linalg.norm(rest))
     basis = np.column_stack((basis, rest / max(told[-1], 1e-300)))
-    parts = np.split(basis, np.searchsorted(shares[order], _INSTANTS, side='right'))[:-1]
-    before = np.cumsum([part.T @ part for part in parts], axis=0)
-    unit = np.eye(before.shape[1])
+    parts = np.split(basis, np.searchsorted(shares[order], _INSTANTS, side='right'))
+    sums = np.cumsum([part.T @ part for part in parts], axis=0)
     least = np.argmin([len(s.times) for s in record.streams])
     span = (record.streams[least].times - record.start) / (record.end - record.start)
     early = np.searchsorted(span, _INSTANTS, side='right')
     promise, left = np.zeros(len(_INSTANTS)), np.zeros(len(_INSTANTS))
-    for side, count in ((before, early), (unit - before, len(span) - early)):
+    for side, count in ((sums[:-1], early), (sums[-1] - sums[:-1], len(span) - early)):
         samples.effort.check()
         seen = side @ told
-        root = np.linalg.cholesky(side[:, :-1, :-1] + _NOTHING * unit[:-1, :-1])
+        root = np.linalg.cholesky(side[:, :-1, :-1] + _NOTHING * np.eye(len(told) - 1))
         by = np.linalg.solve(root, seen[:, :-1, np.newaxis])[:, :, 0] ** 2
         own_states, all_of_it = (np.maximum(seen @ told - by[:, :k].sum(axis=1), 1e-300)
                                  for k in (nuisance, by.shape[1]))

@@ -29,8 +29,8 @@ from ctsid_core.likelihood.mode_columns import Triangle, columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, Residuals
 from ctsid_core.likelihood.residuals import autoregression, residuals
 from ctsid_core.likelihood.samples import RecordSamples, Samples
-from ctsid_core.linear.least_squares import triangle
-from ctsid_core.linear.types import Array, ComplexArray, Mask
+from ctsid_core.linear.least_squares import basis_of, triangle
+from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.model.modal import steps_of
 from ctsid_core.search.drifting import delays_with_time
 from ctsid_core.signals.record import Signal
@@ -40,7 +40,6 @@ _SEARCHED = 600       # samples of a stream that are looked at
 MOST = 0.5           # columns for each sample: with more nothing is told
 _TIMES = 3            # that noise is estimated
 _CHANCE = 2.0         # deviations beyond what numbers gain by chance, that are by chance, too
-_DEPENDENT = 1e-4     # part of a column that others do not explain: less is rounding, or none
 _LEAST = 0.02         # motion within a tenth of a record, over all: less is as much
 
 
@@ -80,14 +79,6 @@ def curves_of(samples: Samples, fit: Fit) -> Array:
         block / one for k, stream in enumerate(record.streams)
         for block in [_curves(record, k, fit.model, curved)] for one in own[stream.channels]))
         for record, curved, own in zip(samples.records, powers, size, strict=True)])
-
-
-def basis_of(columns: Array) -> tuple[Array, Mask]:
-    """Return an orthonormal basis, and which columns it is of: no others before explain these."""
-    Q, R = np.linalg.qr(columns)
-    told = np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(columns, axis=0)
-    # What is left of a column that others explain is rounding, and would lead a way of its own.
-    return (Q if told.all() else np.linalg.qr(columns[:, told])[0]), told
 
 
 def _powers(samples: Samples, errors: Residuals) -> list[list[Signal]]:
@@ -137,13 +128,11 @@ def _gained(base: Array, curves: Array, errors: list[Array],
     first as if there were no curves: gusts that a controller answers, or a plant that integrates,
     would be taken for them else.
     """
-    width, count = base.shape[1], len(base)
-    gains = np.zeros(errors[0].shape[1])
-    if width + curves.shape[1] > MOST * count:
+    count, gains = len(base), np.zeros(errors[0].shape[1])
+    if base.shape[1] + curves.shape[1] > MOST * count:
         return gains
-    Q, told = basis_of(np.hstack((base, curves)))
-    width, edges = int(np.sum(told[:width])), np.cumsum([len(one) for one in errors])[:-1]
-    Q, own = Q[:, :width], Q[:, width:]
+    Q, edges = basis_of(base), np.cumsum([len(one) for one in errors])[:-1]
+    own, width = basis_of(curves, Q), Q.shape[1]
     for i, e in enumerate(np.concatenate(errors).T if own.shape[1] else ()):
         part = np.zeros(count)
         for _ in range(_TIMES):

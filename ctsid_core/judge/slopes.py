@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctsid_core.judge.curve import MOST, basis_of
+from ctsid_core.judge.curve import MOST
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
 from ctsid_core.likelihood.output_error import Fit, Free, fit_states, jacobian
 from ctsid_core.likelihood.samples import Samples
+from ctsid_core.linear.least_squares import basis_of
 from ctsid_core.linear.types import Array, Mask
 
 SEARCHED = 1200       # samples of a stream that are looked at
@@ -57,8 +58,8 @@ class Slopes(NamedTuple):
         columns = np.hstack((self.rows, more))
         if columns.shape[1] > MOST * len(self.error):
             return Left([], np.full(len(self.counts), np.inf), 0, np.inf)
-        self.samples.effort.spend(1.5 * len(self.error) * columns.shape[1] ** 2)
-        own = basis_of(columns)[0]
+        self.samples.effort.spend(0.6 * len(self.error) * columns.shape[1] ** 2)
+        own = basis_of(columns)
         numbers = own.shape[1]
         left = self.error - own @ (own.T @ self.error)
         errors = np.split(left, np.cumsum(self.counts)[:-1])

