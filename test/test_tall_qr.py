@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles of tall matrices against NumPy's, and against the products that they stand for."""
+"""Triangles and bases of tall matrices, against NumPy's and what they stand for."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from ctsid_core.linear.least_squares import triangle
+from ctsid_core.linear.least_squares import basis_of, triangle
 
 SIZES = [(1, 1), (10, 3), (3, 10), (5000, 1), (2000, 40), (1025, 64), (30000, 12), (4097, 100)]
 
@@ -58,3 +58,18 @@ def test_equal_bits_for_equal_columns():
 
 def test_no_rows_have_an_empty_triangle():
     assert triangle(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_a_basis_spans_what_columns_tell_beside_those_before():
+    """Copies, sums, what is before and nothing are left out, whatever the units."""
+    rng = np.random.default_rng(2)
+    columns = rng.standard_normal((2000, 6)) * 10.0 ** rng.uniform(-6, 6, 6)
+    before = basis_of(columns[:, :2])
+    more = np.column_stack((columns, columns[:, 2:4] @ [1.0, 2.0], np.zeros(2000)))
+    found = np.hstack((before, basis_of(more, before)))
+    assert found.shape == (2000, 6)
+    assert np.abs(found.T @ found - np.eye(6)).max() < 1e-12
+    left = columns - found @ (found.T @ columns)
+    assert np.all(np.linalg.norm(left, axis=0) < 1e-12 * np.linalg.norm(columns, axis=0))
+    assert basis_of(more[:, -1:]).shape == (2000, 0)
+    assert basis_of(more[:, :0], before).shape == (2000, 0)
