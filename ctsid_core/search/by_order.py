@@ -60,7 +60,6 @@ _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
 _STATES = 6           # of so many states, before it is known of how many
 _SHORT = 0.05         # of a budget for each order: with more HD-PBSID is asked where to go on
-POINT = 0.4           # of a budget that a look at where to begin may take
 _NEARLY = 1.5         # times the errors of a better start, that one is worth climbing from
 MORE = 2              # orders beyond the chosen one that are tried
 _CLEAN = 1e-9         # rms error over motion with which nothing is left to explain
@@ -111,7 +110,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
         if samples.rank > 1 and not (far or order or short) \
                 and samples.effort.beyond(_SHORT * len(looked)):
             far = _pointed((known_delay, found[best].fit.model.delay), subspace, grid, free,
-                           max_order, found[best])
+                           max_order)
             best = max(best, far)
     if found and not order:
         _without_modes(thin, found, free)

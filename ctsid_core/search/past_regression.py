@@ -39,7 +39,7 @@ from ctsid_core.likelihood.pole_steps import bounded
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import triangle
 from ctsid_core.linear.types import Array, ComplexArray, Places
-from ctsid_core.search.by_order import POINT
+from ctsid_core.search.tried import POINT
 
 _MODES = 8            # that sum up the past, ...
 _SLOWEST, _FASTEST = 0.1, 2.0               # ... of so many radians in a sample interval

@@ -28,7 +28,7 @@ from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
 from ctsid_core.model.estimate import Choice, OrderTried
-from ctsid_core.search.by_order import MORE, POINT, SEARCHED, affordable, search_orders
+from ctsid_core.search.by_order import MORE, SEARCHED, affordable, search_orders
 from ctsid_core.search.by_prediction import (
     AHEAD,
     Compared,
@@ -54,6 +54,7 @@ from ctsid_core.search.solution import (
 from ctsid_core.search.tried import (
     AKAIKE,
     LEAST,
+    POINT,
     SEARCH,
     UNEXPLAINED,
     Tried,

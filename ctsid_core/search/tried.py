@@ -35,7 +35,8 @@ ENOUGH = 0.005        # of an output's motion: states that explain less are not 
 _CLEANER = 4.0        # power of errors before over after, with which states matter all the same,
 LEAST = 1e-4          # if the errors were more than this part of the motion
 AKAIKE = 2.0          # price of a parameter
-SEARCH = 0.6          # of a budget that the search may take
+SEARCH = 0.6          # of a budget that the search may take, ...
+POINT = 0.4           # ... and a look at where to begin
 UNEXPLAINED = 0.04    # error that is not noise, over the motion, with which more may be told
 
 

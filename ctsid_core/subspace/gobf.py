@@ -44,15 +44,19 @@ from ctsid_core.bases.records import Joint
 from ctsid_core.bases.takenaka_malmquist import Chain, chain, legendre, of_one_degree, respond
 from ctsid_core.errors import SettingsError
 from ctsid_core.linear.least_squares import svd, triangle
-from ctsid_core.linear.matrix_functions import exponentials
 from ctsid_core.linear.types import Array, ComplexArray, plain_matrices
-from ctsid_core.model.simulation import Pieces, input_polynomials, knots_between, shifted
+from ctsid_core.model.simulation import (
+    Pieces,
+    by_matrices,
+    input_polynomials,
+    knots_between,
+    shifted,
+)
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record, Signal
 from ctsid_core.subspace.interface import SLOWEST, MethodModel
 
 KINKS = 2             # integrals of held inputs whose kinks are worth it
-_CHUNK = 4096         # stamps at a time where a matrix is stored for each
 _NOTHING = 1e-12      # of a signal, that interpolation misses by rounding
 _FRACTIONS = (1.0, 0.3, 0.1)    # of the outputs' band, that the largest pole may lie at
 _FUNCTIONS = 8
@@ -191,11 +195,8 @@ def _filtered(record: Record, chain: Chain, delay: tuple[float, ...], pieces: Pi
     ones = np.ones((1, len(knots), 1))
     signals = np.concatenate(of_one_degree((u, ones, missed, y)), axis=2)
     w = respond(chain, signals, knots, check)[np.searchsorted(knots, times)]
-    impulse = np.empty((*w.shape[:2], 1))
-    for first in range(0, len(times), _CHUNK):
-        check()
-        some = slice(first, first + _CHUNK)
-        impulse[some, :, 0] = exponentials(chain.L, times[some] - times[0], 0)[0] @ chain.b
+    b = chain.b[:, np.newaxis]
+    impulse = by_matrices(chain.L, b, np.empty((0, 0, 1, 1)), np.diff(times), b, check=check)
     return np.concatenate((w[:, :, :record.nu], impulse, w[:, :, record.nu:]), axis=2)
 
 
