@@ -707,3 +707,20 @@ def test_the_first_level_of_a_command_acts_before_it_moves(tmp_path):
                comments='', header='t [s],duty,speed')
     config = guessed(tmp_path / 'run.csv').config
     assert [c.name for c in (*config.inputs, *config.outputs)] == ['duty', 'speed']
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_torn_values_are_no_signal(tmp_path):
+    """Values so large that their squares are infinite: a column of them, and some in an output."""
+    rng, t = np.random.default_rng(7), 0.01 * np.arange(1001)
+    u = np.sign(np.sin(2.0 * t) + np.sin(5.1 * t))
+    y = np.zeros(1001)
+    for k in range(1000):
+        y[k + 1] = u[k] + (y[k] - u[k]) * np.exp(-0.03)
+    y += 0.05 * rng.standard_normal(1001)
+    some = np.where(np.arange(1001) % 100 == 50, 1.7e308, y)
+    table = tmp_path / 'flight.csv'
+    np.savetxt(table, np.column_stack((t, u, some, 1e308 * y)), delimiter=',', comments='',
+               header='t,u,y,torn')
+    assert keys(ranked(table))[0] == (('flight', 'u'), ('flight', 'y'))
+    assert all('torn' not in (p.input.key[1], p.output.key[1]) for p in ranked(table).pairs)

@@ -14,11 +14,10 @@ from ctsid_core.model.estimate import Status
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.settings import Settings
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
-from ctsid_core.signals.record import Record, Signal, channel_slices
+from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
-_LARGEST = 1e120        # sums of squares of larger values, and one over those, are infinite
 FEWEST = 20             # samples of an output
 _GAP_SHARE = 0.3        # of the window that may lie in gaps
 
@@ -81,10 +80,10 @@ def computable(record: Record) -> tuple[Record, tuple[str, ...]]:
     def of(signals: tuple[Signal, ...], names: tuple[str, ...]) -> tuple[Signal, ...]:
         found = []
         for signal, channels in zip(signals, channel_slices(signals), strict=True):
-            good = (np.abs(signal.values) <= _LARGEST).all(axis=1)
+            good = (np.abs(signal.values) <= LARGEST).all(axis=1)
             if not good.all():
                 notes.append(f'{np.count_nonzero(~good)} of {len(good)} samples of '
-                             f'{", ".join(names[channels])} are larger than {_LARGEST:g}, and '
+                             f'{", ".join(names[channels])} are larger than {LARGEST:g}, and '
                              'were not used; check that sensor')
                 signal = replace(signal, time=signal.time[good], values=signal.values[good])
             found.append(signal)
@@ -279,7 +278,7 @@ def _moving(record: Record, signals: tuple[Signal, ...], delays: tuple[float, ..
                 low, high = rows.min(axis=1), rows.max(axis=1)
                 moves |= (late == d) & (
                     high - low > np.maximum(_CONSTANT * np.maximum(np.abs(low), np.abs(high)),
-                                            1.0 / _LARGEST))
+                                            1.0 / LARGEST))
         moves |= np.isin(places, keep)
         kept += places[moves].tolist()
         fixed += places[~moves].tolist()

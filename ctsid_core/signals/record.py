@@ -18,6 +18,8 @@ from ctsid_core.errors import DataError
 from ctsid_core.linear.types import Array
 from ctsid_core.settings import HOLDS, Hold
 
+LARGEST = 1e120     # sums of squares of larger values, and one over those, are infinite
+
 
 @dataclass(frozen=True, eq=False)  # arrays have no truth value: equal means identical
 class Signal:

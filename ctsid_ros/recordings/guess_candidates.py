@@ -15,6 +15,7 @@ import re
 import numpy as np
 
 from ctsid_core.linear.types import Array
+from ctsid_core.signals.record import LARGEST
 from ctsid_core.signals.wrapped import wraps
 from ctsid_ros.decoding.field_path import FieldPath, parse_field, plain
 from ctsid_ros.decoding.message_types import FieldType, MessageType
@@ -182,7 +183,7 @@ def _of_topic(topic: TopicSurvey, kind: MessageType, paths: Sequence[FieldPath],
     types = [_type(kind, path) for path in paths]
     whole = [i for i, one in enumerate(types) if not one.base.startswith('float')]
     for i, path in enumerate(paths):
-        good = np.isfinite(samples.values[:, i])
+        good = np.abs(samples.values[:, i]) <= LARGEST
         time, values = samples.time[good], samples.values[good, i]
         if not len(time) or (str(path) not in wanted and (
                 len(time) < FEWEST or no_signal(time, values, counts=i in whole))):
