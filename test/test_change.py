@@ -14,6 +14,7 @@ from plants import (
     Plant,
     flown,
     held,
+    held_response,
     match,
     noisy,
     paper,
@@ -29,6 +30,7 @@ from ctsid_core.judge.changed import _divided
 from ctsid_core.likelihood.output_error import climb, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.solve import free_of
+from ctsid_core.signals.record import Signal
 
 CLOSED_LOOP = Settings(feedthrough=False)
 
@@ -256,3 +258,20 @@ def test_a_plant_that_drifts_is_good_with_a_word(seed, how, words):
 def test_of_several_records_the_one_that_drifts_is_named():
     found = identify([drifting(0), drifting(1, gain=0.4)])
     assert any('the plant drifts within record 2:' in note for note in found.notes)
+
+
+@pytest.mark.parametrize('every', [(1, 20), (20, 20), (20, 1)])
+@pytest.mark.parametrize('seed', range(3))
+def test_a_change_of_one_output_is_seen_however_often_others_come(seed, every):
+    """Samples at 100 or 5 Hz; the gain of the second output grows by 30 % in the middle."""
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(3000)
+    u = np.repeat(rng.standard_normal(50), 60)[:, np.newaxis]
+    signals = []
+    for pole, times, k in ((-3.0, 1.0, every[0]), (-2.0, 1.3, every[1])):
+        y = held_response(plant([[pole]], [[-pole]], [[1.0]]), t, u, t)
+        y *= np.where(t < 15.0, 1.0, times)[:, np.newaxis]
+        y += 0.02 * y.std() * rng.standard_normal(y.shape)
+        signals.append(Signal(t[::k], y[::k], 'linear'))
+    found = identify(Record((Signal(t, u, 'zoh'),), tuple(signals), 0.0, 29.9))
+    assert found.status is Status.CHANGED
+    assert found.statistics['change_share'] == pytest.approx(0.5, abs=0.02)

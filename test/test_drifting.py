@@ -107,10 +107,15 @@ def test_an_order_that_is_given_is_fitted_as_it_is():
     mean, given = identify(record), identify(record, Settings(order=1))
     assert mean.model.n == 1
     assert given.fit[0] >= mean.fit[0]
-    assert given.good                   # however much it drifts, which is told
-    far = identify(drifting(1, gain=1.2), Settings(order=1))
-    assert far.good
-    assert any('the plant drifts' in note for note in far.notes)
+    assert given.good
+    assert any('the plant drifts' in note for note in given.notes)
+
+
+@pytest.mark.parametrize('order', [0, 1])
+def test_too_much_drift_is_not_good_whether_an_order_is_given_or_not(order):
+    found = identify(drifting(1, gain=1.2), Settings(order=order))
+    assert found.verdict.grade is Grade.WEAK
+    assert 'he plant drifts' in found.verdict.reason
 
 
 def test_too_much_drift_is_not_good():

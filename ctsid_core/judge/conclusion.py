@@ -208,12 +208,11 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
     def everywhere(values: Array) -> Array:
         return _spread_out(values, last.y, whole.ny)
 
-    error: Array = np.sqrt(solution.samples.mean(solution.fit.power))
-    coloured = np.sqrt(coloured_power(errors))
+    fitted: Array = np.sqrt(solution.samples.mean(solution.fit.power))
+    error, coloured = fitted, np.sqrt(coloured_power(errors))
     if solution.by_prediction:
         error = solution.errors_ahead[AHEAD]
-        coloured = np.maximum(error, np.sqrt(np.maximum(
-            error ** 2 - white_part(errors) ** 2, 0.0)) / _moved(solution, errors))
+        coloured = np.maximum(error, _not_white(solution, errors, error))
     share = solution.independent / solution.samples.counts.sum(axis=0)
     fixed = tuple(j for j in range(whole.nu) if j not in last.u)
     by_place = dict(zip(last.u, seen[0], strict=True))
@@ -227,13 +226,14 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
             whiteness(np.concatenate(parts)) for parts in by_output(errors)])),
         response_uncertainty=everywhere(seen[1]), error=everywhere(error),
         coloured_error=everywhere(coloured),
-        held_out_error=everywhere(tested(unseen, error)),
+        held_out_error=everywhere(tested(unseen, fitted)),
         independent=everywhere(share), change_cost=change.cost, curve_gain=everywhere(curves))
     return Evidence(
         input_names=whole.input_names, output_names=whole.output_names, fixed_inputs=fixed,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=stuck_outputs(solution, moving),
-        expected=everywhere(unseen.expected), untested=unseen.why, driven=everywhere(
+        expected=everywhere(unseen.expected), untested=unseen.why,
+        fitted=everywhere(fitted) if solution.by_prediction else None, driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
@@ -289,11 +289,15 @@ def _spread_out(values: Array, places: tuple[int, ...], count: int,
     return out
 
 
-def _moved(solution: Solution, errors: Residuals) -> Array:
-    """Return what outputs move by in the time that predictions are ahead, over the motion."""
+def _not_white(solution: Solution, errors: Residuals, ahead: Array) -> Array:
+    """Return what is not white of errors ahead, over what outputs move by in that time."""
     last = solution.part.last
+    record, own = solution.samples.records[last], errors[last]
+    motion = np.concatenate([np.std(s.y, axis=0) for s in record.streams])
+    noise = white_part((own,)) / np.maximum(motion, 1e-300)
     period = max(s.period for s in solution.part.parts[last].record.outputs)
-    return motion_ahead(solution.samples.records[last], errors[last], HORIZONS[AHEAD] * period)
+    return np.asarray(np.sqrt(np.maximum(ahead ** 2 - noise ** 2, 0.0))
+                      / motion_ahead(record, own, HORIZONS[AHEAD] * period))
 
 
 def _where(part: Joint, change: Change) -> str:

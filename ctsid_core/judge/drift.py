@@ -42,7 +42,7 @@ class Drift(NamedTuple):
     cost: float = 0.0       # rms over the motion, of the output where it is most [%]
     late: bool = False      # whether dead times alone explain most of it
     inputs: tuple[InputDrift, ...] = ()     # of which the model is the mean, as far as it is known
-    moved: float = 0.0      # the cost of these alone, of offsets that drift apart [%]
+    moved: float = 0.0      # the same of gains and dead times alone, where offsets are known [%]
 
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:
@@ -113,5 +113,6 @@ def _of_record(samples: Samples, own: Own, place: int, least: float) -> Drift:
         return Drift()
     late = slopes.beside(slopes.drift[:, slopes.delays[~slopes.states]])
     most = int(np.argmax(missed))
-    return Drift(place, 100.0 * float(np.sqrt(missed[most])), bool(
-        (2.0 * late.power < constant.power + drifting.power)[most]))
+    cost = 100.0 * float(np.sqrt(missed[most]))
+    return Drift(place, cost, bool(
+        (2.0 * late.power < constant.power + drifting.power)[most]), moved=cost)

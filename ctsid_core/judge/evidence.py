@@ -43,3 +43,9 @@ class Evidence:
     doubt: Doubt | None = None      # what it looks like if a setting is not right
     wrapped: Doubt | None = None    # an angle that wraps, and what unwraps it
     faults: tuple[str, ...] = ()    # of the samples, see `Record`
+    fitted: Array | None = None     # (ny,): error one sample ahead, if found by its predictions
+
+    @property
+    def learnt(self) -> Array:
+        """What the error on what was held out is compared with, (ny,)."""
+        return self.numbers.error if self.fitted is None else self.fitted

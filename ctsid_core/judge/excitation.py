@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +34,7 @@ _TAIL = 0.01          # of the weight that lies below, and above, the excited ba
 _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
 _SAME = 1e-8          # relative singular value below which responses are alike
-_POINTS = 4096        # of the uniform grid of time, at most
+_POINTS = 2 ** 16      # of the uniform grid of time of a record, at most
 _LINES = 200          # of the spectrum of the inputs, the strongest
 _FINER = 8            # times as near as lines are frequencies at which sines are looked for
 _LEFT = 0.03          # of the motion of an input: its sines are alike that have less
@@ -49,8 +50,8 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     simulation that is the record, of predictions how far they go. `apart`, (nu,): how far
     `rivals_apart` are.
     """
-    omega, weight, lines, sent, acting = _input_spectra(
-        samples, np.array(model.delay)[list(part.u)])
+    omega, lines, sent, acting = _input_spectra(samples, np.array(model.delay)[list(part.u)])
+    weight = np.abs(lines.T) ** 2
     # That tells a mean over a width of 1 / ahead, of modes that do not decay beside their growth.
     width = 1.0 / ahead + np.max(model.poles.real, initial=0.0)
     response = _moving(replace(model, A=model.A - width * np.eye(model.n)).frequency_response(
@@ -61,16 +62,17 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     for j, place in enumerate(part.u):
         samples.effort.check()
         name, seen = part.whole.input_names[place], weight[:, j] * answer[:, j]
+        most = max(acting, key=lambda one: float(np.sum(one.differences[j] ** 2)))
         total = float(seen.sum())
         if not total > 0.0 or not np.isfinite(total):
-            found.append(Excitation(name, frequencies=acting.count(j), own=float(own[j])))
+            found.append(Excitation(name, frequencies=most.count(j), own=float(own[j])))
             continue
         below = np.cumsum(seen) / total
         low, high = (float(omega[min(int(np.searchsorted(below, share)), len(omega) - 1)])
                      for share in (_TAIL, 1.0 - _TAIL))
         unsure = float(np.hypot(np.sqrt(weight[:, j] @ variance[:, j] / total), apart[j])) \
             if own[j] > _ALONE else np.inf
-        found.append(Excitation(name, low, high, acting.count(j, high), float(own[j]), unsure))
+        found.append(Excitation(name, low, high, most.count(j, high), float(own[j]), unsure))
     seen = np.einsum('fij,jf->fi', response, lines)
     with np.errstate(invalid='ignore', divide='ignore'):
         by_output = np.sqrt(moved / np.sum(np.abs(seen) ** 2, axis=0))
@@ -166,7 +168,6 @@ def _moving(values: ComplexArray, part: Usable) -> ComplexArray:
 
 def _uncorrelated(u: Array) -> Array:
     """Return the share of each input's power that no other input explains, (nu,)."""
-    u = u - u.mean(axis=1, keepdims=True)
     power = np.sum(u ** 2, axis=1)
     own = np.zeros(len(u))
     for j in range(len(u)):
@@ -212,6 +213,20 @@ class _Acting:
             left -= sine
 
 
+class _Spectra(NamedTuple):
+    """
+    The strongest lines of the differenced inputs, every octave alike, and what was sent.
+
+    Of all records: at uniform instants, centred, for inputs that move together are not told apart
+    by their dead times.
+    """
+
+    omega: Array            # (M,), ascending
+    lines: ComplexArray     # (nu, M)
+    sent: Array             # (nu, N)
+    acting: tuple[_Acting, ...]     # of each record
+
+
 def _half_rates(signal: Signal) -> list[float]:
     """
     Return half the rate of each channel [rad/s]: beyond it are the edges of its hold.
@@ -227,18 +242,23 @@ def _half_rates(signal: Signal) -> list[float]:
     return found
 
 
-def _input_spectra(samples: Samples, delay: Array
-                   ) -> tuple[Array, Array, ComplexArray, Array, _Acting]:
-    """
-    Return frequencies, weights (M, nu) and lines (nu, M) of the inputs there, and more.
+def _input_spectra(samples: Samples, delay: Array) -> _Spectra:
+    """Return the spectra of the inputs as they act, later by their dead times, in all records."""
+    found = [_of_record(r, delay) for r in samples.records if r.end > r.start]
+    omega, lines, sent = (np.concatenate(one, axis=-1) for one in
+                          list(zip(*found, strict=True))[:3])
+    power = np.abs(lines) ** 2
+    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
+    places = np.argsort(-strength, kind='stable')[:_LINES]
+    places = places[np.argsort(omega[places], kind='stable')]
+    return _Spectra(omega[places], lines[:, places], sent, tuple(one[3] for one in found))
 
-    As they act, later by their dead times, on the record in which they change most; the strongest
-    lines only. Further what was sent of that, at uniform instants, for inputs that move together
-    are not told apart by their dead times; and how the differences act.
-    """
-    record = max(samples.records, key=_motion)
+
+def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray, Array, _Acting]:
+    """Return frequencies, lines (nu, M), what was sent, and how differences act, in a record."""
+    length = record.end - record.start
     finest = min(s.period for s in record.streams)
-    count = int(np.clip((record.end - record.start) / finest, 32, _POINTS))
+    count = int(np.clip(length / finest, 32, _POINTS))
     t = np.linspace(record.start, record.end, count)
     ends = np.cumsum([s.width for s in record.inputs])
     inputs = record.inputs[:int(np.searchsorted(ends, len(delay))) + 1]
@@ -246,18 +266,10 @@ def _input_spectra(samples: Samples, delay: Array
     since = record.start - float(np.max(delay))
     sent = steps_of(inputs, 0.0 * delay, since, np.linspace(
         since, record.end - float(np.min(delay)), count)).inputs
-    lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:]
     omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
-    power = np.abs(lines) ** 2 / omega
-    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
-    places = np.sort(np.argsort(-strength, kind='stable')[:_LINES])
+    # Over the root of the length, so that lines of records of any lengths add up.
+    lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:] / np.sqrt(omega * length)
     half_rates = np.array([rate for s in inputs for rate in _half_rates(
         s.between(since, record.end))])
-    return (omega[places], power[:, places].T, lines[:, places] / np.sqrt(omega[places]), sent,
+    return (omega, lines, (sent - sent.mean(axis=1, keepdims=True)) * np.sqrt(t[1] - t[0]),
             _Acting(np.diff(u, axis=1), t[1] - t[0], half_rates))
-
-
-def _motion(record: RecordSamples) -> float:
-    """Return by how much the inputs of a record change in all."""
-    return float(sum(np.abs(np.diff(s.values[s.rows(record.start, record.end)], axis=0)).sum()
-                     for s in record.inputs))

@@ -17,19 +17,28 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.bases.preparation import FEWEST, broken, is_short, sparse
+from ctsid_core.bases.preparation import FEWEST, broken, is_short, longest_gap, sparse
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.instants import after_start
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
-from ctsid_core.model.verdict import EXPLAINED, UNJUDGED, Grade, Remedy, Verdict
+from ctsid_core.model.verdict import (
+    EXPLAINED,
+    UNJUDGED,
+    Excitation,
+    Grade,
+    Remedy,
+    Verdict,
+)
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
-from ctsid_core.search.solution import DISTURBED, GIVEN
+from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN
 from ctsid_core.settings import Settings
 from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
+_SURELY = 1.25          # times the motion that makes a response known: with less noise there may
+                        # be more states
 _UNCORRELATED = 0.1     # part of an input's power that other inputs do not explain
 _LEAKS = 0.25           # frequencies more than its sines that an input seems to have: one sine
                         # sent at 5 to 100 Hz has 1.16, two have 2.21 at most in 99 of 100
@@ -62,8 +71,8 @@ def judge(evidence: Evidence) -> tuple[Status, Verdict]:
             remedy, reason = fault
         given = evidence.doubt is not None and evidence.doubt[1] in GIVEN
         doubtful = status in _DOUBTED and (remedy in _GUESSED or given)
-        if reason not in evidence.faults and (
-                doubt := evidence.wrapped or (evidence.doubt if doubtful else None)):
+        doubt = evidence.wrapped or (evidence.doubt if doubtful else None)
+        if reason not in evidence.faults and doubt and doubt[1] not in reason:
             what, setting = doubt
             remedy, reason = Remedy.SETTING, (
                 f'{_begun(what)}. If that is not so: {reason[0].lower()}{reason[1:]} '
@@ -88,19 +97,35 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
+    idle = _idle(e)
     for i in _largest_first(e.numbers.coloured_error, _UNEXPLAINED):
-        yield Status.UNEXPLAINED, Remedy.SIGNALS, (
+        yield Status.UNEXPLAINED, Remedy.EXCITE if idle else Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
-            f'left, noise apart, is {_of_motion(e, i)}{e.worst}; check that these are the right '
-            'signals.')
+            f'left, noise apart, is {_of_motion(e, i)}{e.worst}; '
+            f'{idle or "check that these are the right signals"}.')
     # What follows nothing goes by itself.
     follows = (e.numbers.held_out_error < _DRIVEN * e.driven) & ~unsure(
-        e.expected, e.numbers.error)
+        e.expected, e.learnt)
     for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
-        yield Status.UNEXPLAINED, Remedy.SIGNALS, (
+        yield Status.UNEXPLAINED, Remedy.EXCITE if idle else Remedy.SIGNALS, (
             f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)})'
-            f'{_within(e)}, as far as the noise lets see; check that these are the right signals, '
-            'that they move, and that the window is long enough.')
+            f'{_within(e)}, as far as the noise lets see; ' + (
+                idle or 'check that these are the right signals, that they move, and that the '
+                'window is long enough') + '.')
+
+
+def _idle(e: Evidence) -> str:
+    """Return how to move the first input that does not move, or not by itself; if any."""
+    for j, one in enumerate(e.numbers.excitation):
+        if j in e.fixed_inputs:
+            return f'move input {one.name} (it does not move within the window)'
+        if one.own < _UNCORRELATED:
+            return f'move input {one.name} independently of the others ({_shared(one)})'
+    return ''
+
+
+def _shared(one: Excitation) -> str:
+    return f'only {round(100 * one.own, 2):g} % of its power is not correlated with theirs'
 
 
 def _changed(e: Evidence) -> str:
@@ -193,9 +218,9 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     for i in _largest_first(e.numbers.curve_gain, _CURVED):
         yield Remedy.PART, (
             f'Output {e.output_names[i]} is not linear in the inputs: squares and cubes of these '
-            f'and of the outputs raise the fit by {e.numbers.curve_gain[i]:.1f} %, so something '
-            'saturates, sticks, strikes or is clipped; take a part of the data in which it moves '
-            'less.')
+            'and of the outputs raise the fit within a tenth of the window by '
+            f'{e.numbers.curve_gain[i]:.1f} %, so something saturates, sticks, strikes or is '
+            'clipped; take a part of the data in which it moves less (more, if it sticks).')
     moving = [both for j, both in enumerate(zip(e.numbers.excitation, e.apart, strict=False))
               if j not in e.fixed_inputs]
     for one, _ in moving:
@@ -213,8 +238,7 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
     for one, apart in sorted(moving, key=lambda both: np.nan_to_num(
             both[0].uncertainty, nan=np.inf), reverse=True):
         if not one.uncertainty <= KNOWN:
-            alone = 'move it independently of the other inputs (only ' \
-                f'{100 * one.own:.2g} % of its power is not correlated with theirs)'
+            alone = f'move it independently of the other inputs ({_shared(one)})'
             cure = alone if one.own < _UNCORRELATED else _more(one.uncertainty / KNOWN)
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
                 f', for models of other orders that may be as right are {_percent(apart)} away '
@@ -226,12 +250,14 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.SIGNALS, (
             f'The inputs explain little of output {e.output_names[i]}: what is left, noise '
             f'apart, is {_of_motion(e, i)}; find what else acts on it, and take it as an input.')
-    unseen, error = e.numbers.held_out_error, e.numbers.error
-    for i in _largest_first(unseen / allowed(error), 1.0):
+    unseen = e.numbers.held_out_error
+    for i in _largest_first(unseen / allowed(e.learnt), 1.0):
         yield Remedy.LONGER, (
             f'On the part of the window that was held out the error of output '
             f'{e.output_names[i]} is {_percent(unseen[i])} of its motion, on the rest '
-            f'{_percent(error[i])}; take a longer window.')
+            f'{_percent(e.learnt[i])}; take a longer window.')
+    if e.doubt and e.doubt[1] == ANY_DELAY:
+        yield Remedy.SETTING, f'{_begun(e.doubt[0])}; set `{ANY_DELAY}`.'
     if not np.isfinite(e.expected).any():
         yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
 
@@ -240,6 +266,7 @@ def _more(times: float) -> str:
     """Return how much more motion divides a deviation so often, and how much more time."""
     if not times < 10.0:
         return 'move it much more (as it moves: take a much longer window)'
+    times *= _SURELY
     return f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
         f'window {np.ceil(10.0 * times ** 2) / 10.0:.2g} times as long)'
 
@@ -282,7 +309,7 @@ def _summary(e: Evidence) -> str:
     unseen = f'and the part held out{ahead} to {100 * (1 - float(held)):.1f} % ' \
         if held >= 0.0 else ''
     untested = '' if unseen else \
-        ' Nothing was held out to test it: a test there could tell nothing, or was not asked for.'
+        ' Nothing was held out to test it: a test there could tell nothing.'
     does = 'predicts the window, 10 samples ahead,' if e.by_prediction else 'simulates the window'
     return (f'Every test is passed: the model {does} to '
             f'{100 * (1 - float(np.nanmax(e.numbers.error))):.1f} % {unseen}of the motion; the '
@@ -323,12 +350,13 @@ def unusable_estimate(status: Status, record: Record, settings: Settings,
         f'The budget of {settings.budget:.3g} s is spent before there is a model'
         f'{f" of order {settings.order}" * (settings.order > 0)}; raise `budget`.')
     if not spent:
-        remedy, reason = _why_unusable(status, record, failed)
+        remedy, reason = _why_unusable(status, record, failed, settings.order)
     return Estimate(status=status, settings=settings, notes=notes, verdict=replace(
         UNJUDGED, grade=Grade.REJECT, reason=reason, remedy=remedy))
 
 
-def _why_unusable(status: Status, record: Record, failed: str) -> tuple[Remedy, str]:
+def _why_unusable(status: Status, record: Record, failed: str,
+                  order: int) -> tuple[Remedy, str]:
     """Return why nothing of a record can be used, with the names that matter."""
     remedy, reason = REMEDIES.get(status, Remedy.SIGNALS), str(status.value)
     if failed:
@@ -347,9 +375,14 @@ def _why_unusable(status: Status, record: Record, failed: str) -> tuple[Remedy, 
             reason += 'take a longer window.'
         else:
             remedy, reason = Remedy.SIGNALS, f'{reason}check that they come, and are finite.'
+    elif status is Status.TOO_SHORT and order:
+        remedy, reason = Remedy.SETTING, (
+            f'The window is too short for a model of order {order}; set `order: 0`, or take a '
+            'longer window.')
     elif status is Status.GAPS and (names := broken(record)):
-        reason = (f'Too much of the window lies in gaps of {", ".join(names)}; choose a part '
-                  'without gaps.')
+        first, last = longest_gap(record)
+        reason = (f'Too much of the window lies in gaps of {", ".join(names)} (the longest '
+                  f'{after_start(first, last)}); choose a part without gaps.')
     return remedy, reason
 
 
@@ -406,7 +439,7 @@ def in_sequence(estimate: Estimate, fresh_fit: Array, fresh_ratio: Array, moved:
         verdict = weakened(verdict)
     if verdict.grade is Grade.GOOD:
         reasons = [*_collapses(model.output_names, fresh_fit, fresh_ratio),
-                   *_moves(model.n, before, moved)]
+                   *_moves(model.n, before, moved, fresh_ratio)]
         if reasons:
             remedy, reason = reasons[0]
             verdict = replace(verdict, grade=Grade.WEAK, reason=reason, remedy=remedy)
@@ -428,8 +461,10 @@ def _times(ratio: float) -> str:
     return f', its error {ratio:.1f} times that on older data' if np.isfinite(ratio) else ''
 
 
-def _moves(order: int, before: tuple[int, ...], moved: float) -> Iterator[tuple[Remedy, str]]:
-    if before and order not in before:
+def _moves(order: int, before: tuple[int, ...], moved: float,
+           ratio: Array) -> Iterator[tuple[Remedy, str]]:
+    # Models of other orders are as good where the last one simulates the new data as the old.
+    if before and order not in before and not np.isfinite(ratio).all():
         yield Remedy.SETTING, (
             f'The order has changed from {before[0]} to {order} since the last accepted model; '
             'set `order` in the parameter file, to keep one.')

@@ -13,6 +13,7 @@ from ctsid_core.linear.types import Array
 _SMALL = 0.05         # autocorrelation below which the sum over lags ends
 _LAGS = 20            # of an autoregression of errors, at most, ...
 _FEWEST = 10          # ... with so many samples for each
+_RUN = 8              # samples that tell how much errors vary within a short time
 
 
 def residuals(samples: Samples, fit: Fit) -> Residuals:
@@ -108,12 +109,15 @@ def white_part(errors: Residuals) -> Array:
     """
     Return the rms of the white part of the errors of each output, (ny,).
 
-    From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6).
+    From what neighbours do not share: (e_(k+1) - 2 e_k + e_(k-1)) / sqrt(6). Noise that is
+    stronger the faster it is, as of differences, has less: no more than runs of samples vary.
     """
     found = []
     for parts in by_output(errors):
-        bent = [e[2:] - 2.0 * e[1:-1] + e[:-2] for e in parts]
-        found.append(sum(e @ e for e in bent) / 6.0 / max(sum(map(len, bent)), 1))
+        bent = np.concatenate([e[2:] - 2.0 * e[1:-1] + e[:-2] for e in parts])
+        runs = np.concatenate([e[:len(e) // _RUN * _RUN].reshape(-1, _RUN) for e in parts])
+        found.append(min(float(bent @ bent) / 6.0 / max(len(bent), 1),
+                         float(np.mean(np.var(runs, axis=1, ddof=1))) if len(runs) else np.inf))
     return np.sqrt(found)
 
 

@@ -253,7 +253,7 @@ def _judged(joint: Samples, fit: Fit, free: Free, last: Compared,
     one = replace(one, parameters=one.parameters + more)
     delay, nu = fit.model.delay, joint.nu - joint.ny
     # One sample ahead the likelihood itself says it, with the initial states that suit it best.
-    likely = np.sqrt(fit.power.mean(axis=0))
+    likely = np.sqrt(joint.mean(fit.power))
     known: list[PredictionFit] = []
     for limit in (np.inf, 0.0):
         plant = plant_of(fit, joint, last.place, limit)

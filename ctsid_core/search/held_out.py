@@ -27,7 +27,6 @@ from ctsid_core.linear.matrix_functions import SOUND
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.search.by_prediction import plant_of
 
-_MANY = 4             # records from which on whole ones are held out
 _PARTS = 3            # of each record are held out
 _SEARCHED = 2000      # samples of a stream that are looked at
 _MORE = 3.0           # times its own error, that a model may err on data held out ...
@@ -35,8 +34,6 @@ _LEAST = 0.05         # ... or this part of the motion; no test if ...
 _EXPECTED = 2.0       # ... so many deviations that the rest of the data leaves are more
 _NO_MODEL = 'the rest of them alone gives no such model'
 _GAP = 5.0            # sample intervals, from which on samples are not neighbours
-
-Part = Callable[[Samples], Samples]     # what takes some of the samples
 
 
 @dataclass(frozen=True)
@@ -57,24 +54,29 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     """
     Return the errors on the share of the samples that is held out.
 
-    Of a few records, the ends of the thirds of each, so that sweeps and steps are in both: the
-    model of the rest, with the poles of the whole refined there, runs through them, with its
-    states and its trim. Of many, whole records. Of a model that only predictions tell: one-step
-    predictions. `refit` makes the model of the first part, by default output error does, or
-    predictions by which the plant was found: their `predictor`.
+    The ends of the thirds of each record, so that sweeps and steps, and axes that are moved one
+    after the other, are in both: the model of the rest, with the poles of the whole refined there,
+    runs through them, with its states and its trim. Of a model that only predictions tell:
+    one-step predictions. `refit` makes the model of the first part, by default output error does,
+    or predictions by which the plant was found: their `predictor`.
     """
     if share == 0.0:
         return _nothing(samples, 'none are asked for (`validation.held_out`, or `hermite.edges`)')
-    samples = samples.thinned(_SEARCHED)
+    samples, count = samples.thinned(_SEARCHED), _PARTS if refit is None else 1
 
-    def of(early: Samples, part: Part) -> Fit | None:
+    def kept(whole: Samples) -> Samples:
+        return _parts(whole, share, False, count)
+
+    def of(early: Samples) -> Fit | None:
+        if refit is not None:
+            return refit(early)
         if predictor is None:
             # From the residues of the whole: of poles that are alike no others tell them.
             near = fit_states(early, fit.model, free)
             return climb_roughly(
                 early, fit_at(early, fit.model.poles, fit.model.delay, free, near), free)
         joint, top, own = predictor
-        rest = part(joint.thinned(_SEARCHED))
+        rest = kept(joint.thinned(_SEARCHED))
         top = climb_roughly(rest, fit_at(rest, top.model.poles, top.model.delay, own), own)
         m = plant_of(top, rest, 0, free.limit)
         # Two integrators hardly differ; here six digits are enough.
@@ -82,16 +84,10 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
         return None if plant is None else fit_states(early, plant, free)
 
     try:
-        if len(samples.records) >= _MANY:
-            return _by_records(samples, of, free, share)
-        count = _PARTS if refit is None else 1
-
-        def kept(whole: Samples) -> Samples:
-            return _parts(whole, share, False, count)
         early, late = kept(samples), _parts(samples, share, True, count)
         if np.min(early.counts) < 4 * fit.model.n + 4:
             return _nothing(samples, 'too few samples would be left for the model')
-        own = refit(early) if refit is not None else of(early, kept)
+        own = of(early)
         if own is None:
             return _nothing(samples, _NO_MODEL)
         there, everywhere = (_motion(part, fit) for part in (late, samples))
@@ -145,24 +141,6 @@ def _motion(samples: Samples, fit: Fit) -> Array:
                 squares[s.channels] += np.sum(moves[np.diff(s.times) < _GAP * s.period] ** 2,
                                               axis=0)
     return found
-
-
-def _by_records(samples: Samples, of: Callable[[Samples, Part], Fit | None],
-                free: Free, share: float) -> HeldOut:
-    count = len(samples.records)
-    many = max(round(share * count), 1)
-    held = {(2 * k + 1) * count // (2 * many) for k in range(many)}
-
-    def kept(whole: Samples) -> Samples:
-        return replace(whole, records=tuple(
-            r for i, r in enumerate(whole.records) if i not in held))
-    own = of(kept(samples), kept)
-    if own is None:
-        return _nothing(samples, _NO_MODEL)
-    rest = replace(samples, records=tuple(
-        r for i, r in enumerate(samples.records) if i in held))
-    return HeldOut(_rms(rest, fit_states(rest, own.model, free)), np.zeros(samples.ny),
-                   np.zeros(samples.ny, dtype=bool))
 
 
 def _expected(early: Samples, late: Samples, own: Fit, free: Free) -> Array:

@@ -92,8 +92,13 @@ def _bags(word: str) -> Iterator[str]:
 
 def _inside(folder: Path, suffixes: tuple[str, ...]) -> Iterator[str]:
     """Yield the bags in a folder: a folder with metadata.yaml is one, else its files are."""
-    for place, folders, files in os.walk(folder):
+    seen: set[str] = set()
+    for place, folders, files in os.walk(folder, followlinks=True):
         folders.sort()
+        if (real := os.path.realpath(place)) in seen:       # links may lead back
+            folders.clear()
+            continue
+        seen.add(real)
         if _METADATA in files:
             folders.clear()
             yield place

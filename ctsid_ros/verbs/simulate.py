@@ -83,7 +83,7 @@ class _Outcome:
 
 def command(args: argparse.Namespace) -> int:
     """Read, simulate, print."""
-    from ctsid_core.bases.preparation import without_corrupt
+    from ctsid_core.bases.preparation import moving, without_corrupt
     from ctsid_core.judge.rules import retested
     from ctsid_core.judge.unseen import as_judged, failure
     from ctsid_core.model.storage import load_estimate, load_metadata
@@ -103,10 +103,14 @@ def command(args: argparse.Namespace) -> int:
         _check_dead_times(model, data.record)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
-        failed = failure(estimate, as_judged(estimate, outcome.model, record)
-                         if estimate.by_predictions else outcome.simulated, record)
+        rests = record.nu > 0 and not moving(record, config.settings)[0]
+        failed = '' if rests else failure(
+            estimate, as_judged(estimate, outcome.model, record)
+            if estimate.by_predictions else outcome.simulated, record)
         estimate = retested(estimate, failed)
-        notes = (*_own_data(estimate, record), *_unsimulated(outcome.simulated),
+        notes = (*_own_data(estimate, record), *_unsimulated(outcome.simulated), *rests * (
+            'no input moves in this recording, which tells nothing of the model: choose another, '
+            'or a part in which they move',),
                  *([f'{failed}; `ctsid identify` of this recording has its own model, `ctsid '
                     'compare` of both shows what has changed'] if failed else []), *bag.notes,
                  *data.complaints, *spikes,
