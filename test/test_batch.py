@@ -131,6 +131,15 @@ def test_bags_are_found_in_folders_patterns_and_lists(fleet, tmp_path):
         find_bags([str(tmp_path / '*.mcap')])
 
 
+def test_links_are_followed_and_may_lead_back(fleet, tmp_path):
+    (tmp_path / 'one').symlink_to(fleet / 'alpha/flight1')
+    (tmp_path / 'day').mkdir()
+    (tmp_path / 'day/beta').symlink_to(fleet / 'beta')
+    (tmp_path / 'day/round').symlink_to(tmp_path)
+    assert sorted(find_bags([str(tmp_path)])) == [str(fleet / name) for name in (
+        'alpha/flight1', 'beta/broken.mcap', 'beta/flight3')]
+
+
 def test_logs_and_tables_are_found_where_there_is_no_bag(tmp_path):
     tables = [tmp_path / 'a.csv', tmp_path / 'b/c.ULG']
     for path in tables:

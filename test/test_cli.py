@@ -250,6 +250,17 @@ def test_simulate_explains_another_bag_without_parameters(ctsid, shared, identif
     assert set(found['prediction']) == {'1', '10'}
 
 
+def test_a_recording_in_which_nothing_moves_is_of_no_other_plant(ctsid, identified, tmp_path):
+    rest = write_flight(tmp_path / 'rest', [
+        replace(s, message=array(0.0, 0.5)) if s.topic == '/cmd' else s
+        for s in flight(10.0, seed=2)])
+    code, out, _ = ctsid('simulate', identified[0] / 'model.json', rest, '--json')
+    notes = ' '.join(json.loads(out)['notes'])
+    assert code == 0
+    assert 'no input moves in this recording, which tells nothing of the model' in notes
+    assert 'not the same' not in notes
+
+
 def test_the_recording_that_a_model_is_of_is_no_test(ctsid, shared, identified):
     code, out, _ = ctsid('simulate', identified[0] / 'model.json', shared / 'bag', '--json')
     assert code == 0

@@ -18,6 +18,7 @@ from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
+from ctsid_core.likelihood.residuals import coloured_power
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
 from ctsid_core.search.solve import free_of
@@ -461,3 +462,58 @@ def test_what_a_controller_makes_of_gusts_is_no_lead():
     """An input that is computed from outputs follows them: a lead explains a little of that."""
     given = experiment('rates-1x1', 1, 2)
     assert 'utputs answer' not in identify(given.record, given.settings).verdict.reason
+
+
+@pytest.mark.parametrize(('blue', 'lasting'), [(0.0, 0.6), (1.0, 0.0), (1.0, 0.6)])
+def test_noise_of_differences_hides_nothing_slow(blue, lasting):
+    """A seventh of its power more passes for white, not 2.7 times it as by second differences."""
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal(20001)
+    noise = np.diff(white) / np.sqrt(2.0) if blue else white[1:]
+    error = noise + lasting * np.sqrt(2.0) * np.sin(0.01 * np.arange(20000))
+    found = float(np.sqrt(coloured_power(((error[:, np.newaxis],),))[0]))
+    assert found == pytest.approx(lasting, abs=0.12 if lasting else 0.05)
+
+
+def test_a_resonance_in_a_long_record_is_looked_at_where_it_is():
+    """Of 100 s at 200 Hz nearly all of the motion is at 30 Hz: so are band and deviation."""
+    rng, t = np.random.default_rng(0), 0.005 * np.arange(20000)
+    w, z = 2.0 * np.pi * 30.0, 0.02
+    lag_and_pair = block_diag([[-2.0]], [[0.0, 1.0], [-w * w, -2.0 * z * w]])
+    truth = plant(lag_and_pair, [[2.0], [0.0], [w * w]], [[1.0, 0.5, 0.0]])
+    u = rng.standard_normal((len(t), 1))
+    found = identify(Record.from_arrays(
+        t, u, t, noisy(rng, held_response(truth, t, u, t), 10), input_hold='zoh'))
+    assert found.good
+    one = found.verdict.excitation[0]
+    assert 20.0 < one.low / (2.0 * np.pi) < 30.0 < one.high / (2.0 * np.pi) < 45.0
+    model, = np.abs(found.model.frequency_response(np.array([w]))).ravel()
+    true, = np.abs(truth.C @ np.linalg.solve(1j * w * np.eye(3) - truth.A, truth.B)).ravel()
+    assert model == pytest.approx(true, rel=3.0 * one.uncertainty)
+
+
+@pytest.mark.parametrize(('second', 'advice'), [
+    (0.0, 'move input u2 (it does not move within the window).'),
+    (1.0, 'move input u1 independently of the others (only 0 % of its power is not correlated '
+          'with theirs).')])
+def test_an_output_that_follows_nothing_has_inputs_that_tell_nothing(second, advice):
+    """A robot that drives straight on: its yaw rate is noise, and that is no wrong signal."""
+    rng, t = np.random.default_rng(2), 0.02 * np.arange(1000)
+    u = np.repeat(rng.standard_normal(50), 20)[:, np.newaxis]
+    speed = held_response(plant([[-4.0]], [[4.0]], [[1.0]]), t, u, t)
+    noise = 0.02 * rng.standard_normal((len(t), 2))
+    found = identify(Record.from_arrays(
+        t, np.hstack((u, second * u)), t, np.hstack((speed, 0.0 * speed)) + noise,
+        input_hold='zoh'), Settings(feedthrough=False))
+    assert found.status is Status.UNEXPLAINED
+    assert found.verdict.reason.endswith(advice)
+
+
+def test_an_order_that_a_record_is_too_short_for_is_named():
+    rng, t = np.random.default_rng(0), np.linspace(0.0, 6.0, 60)
+    u = np.repeat(rng.standard_normal(12), 5)
+    found = identify(Record.from_arrays(t, u, t, rng.standard_normal(60), input_hold='zoh'),
+                     Settings(order=20))
+    assert found.status is Status.TOO_SHORT
+    assert found.verdict.reason == ('The window is too short for a model of order 20; set '
+                                    '`order: 0`, or take a longer window.')
