@@ -2,9 +2,9 @@
 """
 The command `ctsid`.
 
-stdout carries the result, stderr everything else. Exit codes: 0 a model was accepted (or there
-was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is acceptable,
-130 interrupted (the results so far are written).
+stdout carries the result, stderr everything else. Exit codes: 0 a model was accepted, GOOD or
+WEAK (or there was nothing to accept), 1 it could not run, 2 usage, 3 it ran but no model is
+acceptable, 130 interrupted (the results so far are written).
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
-from ctsid_core.judge import changed
-from ctsid_core.judge.excitation import rivals_apart
+from ctsid_core.judge import changed, conclusion, rules
+from ctsid_core.judge.excitation import _input_spectra, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.modal_model import ModalModel
@@ -517,3 +517,33 @@ def test_an_order_that_a_record_is_too_short_for_is_named():
     assert found.status is Status.TOO_SHORT
     assert found.verdict.reason == ('The window is too short for a model of order 20; set '
                                     '`order: 0`, or take a longer window.')
+
+
+def test_what_predictions_have_not_seen_is_compared_one_sample_ahead(monkeypatch):
+    """As it is computed: ten samples ahead anything does worse than three times that."""
+    seen = []
+    monkeypatch.setattr(conclusion, 'judge', lambda e: seen.append(e) or rules.judge(e))
+    given = experiment('rates-1x1', 33, 1)
+    found = identify(given.record, given.settings)
+    assert found.by_predictions
+    evidence, = seen
+    assert np.all(evidence.learnt < 0.7 * evidence.numbers.error)
+    far = replace(evidence, numbers=replace(
+        evidence.numbers, held_out_error=np.maximum(3.1 * evidence.learnt, 0.051)))
+    assert 'that was held out' in rules.judge(far)[1].reason
+
+
+def test_records_weigh_as_long_as_they_move():
+    """Twice the same motion in one record has twice the weight, at any rate of the outputs."""
+    u = np.repeat(np.random.default_rng(0).standard_normal(10), 4)[:, np.newaxis]
+    records = []
+    for times, rate in ((1, 20.0), (2, 20.0), (1, 40.0)):
+        t_u, t_y = 0.05 * np.arange(40 * times), np.arange(0.0, 2.0 * times, 1.0 / rate)
+        records.append(Record.from_arrays(t_u, np.tile(u, (times, 1)), t_y, np.sin(t_y),
+                                          input_hold='zoh'))
+    whole = samples_of(records, [[None]] * 3)
+    weights = [float(np.sum(np.abs(_input_spectra(
+        replace(whole, records=whole.records[k:k + 1]), np.zeros(1)).lines) ** 2))
+        for k in range(3)]
+    assert weights[1] == pytest.approx(2.0 * weights[0], rel=0.2)
+    assert weights[2] == pytest.approx(weights[0], rel=0.3)
