@@ -463,3 +463,52 @@ def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises):
     assert np.max(model.poles.real) == pytest.approx(0.5, abs=0.05)
     assert found.status is Status.OK
     assert found.verdict.coloured_error[0] < 0.5
+
+
+def lag_and_pair(t: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The response of a lag, and of a pair at 12 Hz that rings."""
+    w = 2.0 * np.pi * 12.0
+    A = np.zeros((3, 3))
+    A[0, 0], A[1:, 1:] = -2.0, [[0.0, 1.0], [-w * w, -0.04 * w]]
+    return held_response(plant(A, [[2.0], [0.0], [w * w]], [[1.0, 0.4, 0.0]]), t, u, t)
+
+
+def test_what_is_known_is_asked_in_many_records_as_far_as_in_one():
+    """Twelve of 10 s, in noise that hides the pair: the band ends beyond it, and it is WEAK."""
+    rng, t, records = np.random.default_rng(1), 0.01 * np.arange(1000), []
+    for k in range(12):
+        u = np.repeat(rng.standard_normal(1000), rng.integers(15, 60, 1000))[:1000, np.newaxis]
+        y = lag_and_pair(t, u) + 2.0 * rng.standard_normal((1000, 1))
+        records.append(Record.from_arrays(t + 1000.0 * k, u, t + 1000.0 * k, y, input_hold='zoh'))
+    found = identify(records)
+    assert found.verdict.excitation[0].high > 2.0 * np.pi * 12.0
+    assert not found.good
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_noise_of_many_short_records_is_no_drift(seed):
+    """The largest of 30 by chance: 23 % of the motion of a record, and 4 % of all."""
+    rng, t, records = np.random.default_rng(1000 + seed), 0.1 * np.arange(40), []
+    for k in range(30):
+        u = np.repeat(rng.standard_normal(8), 5)[:, np.newaxis]
+        y = held_response(plant([[-2.0]], [[2.0]], [[1.0]]), t, u, t)
+        y += 0.5 * rng.standard_normal(y.shape)
+        records.append(Record.from_arrays(t + 100.0 * k, u, t + 100.0 * k, y, input_hold='zoh'))
+    found = identify(records)
+    assert 'he plant drifts' not in found.verdict.reason
+
+
+def test_a_slow_record_of_one_sine_does_not_count_for_all():
+    """Beside one at ten times its rate that moves at many frequencies, as far and as long."""
+    rng, records = np.random.default_rng(0), []
+    rich = random_signal(rng, 1, 2.0, 60.0)
+    for start, rate, signal in ((0.0, 100.0, rich.at),
+                                (1000.0, 10.0, lambda t: np.sin(6.0 * t)[:, np.newaxis])):
+        t, fine = np.arange(0.0, 60.0, 1.0 / rate), np.arange(0.0, 60.0, 0.005)
+        y = held_response(plant([[0.0, 1.0], [-16.0, -3.2]], [[0.0], [16.0]], [[1.0, 0.0]]),
+                          fine, signal(fine), t)
+        records.append(Record.from_arrays(t + start, signal(t), t + start, y + 0.01 *
+                                          rng.standard_normal(y.shape), input_hold='smooth'))
+    found = identify(records, Settings(feedthrough=False))
+    assert found.good, found.verdict.reason
+    assert found.verdict.excitation[0].frequencies > 10.0

@@ -18,7 +18,7 @@ from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
-from ctsid_core.likelihood.residuals import coloured_power
+from ctsid_core.likelihood.residuals import coloured_power, white_part
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
 from ctsid_core.search.solve import free_of
@@ -475,6 +475,13 @@ def test_noise_of_differences_hides_nothing_slow(blue, lasting):
     assert found == pytest.approx(lasting, abs=0.12 if lasting else 0.05)
 
 
+def test_short_loud_records_are_as_white_as_long_quiet_ones():
+    rng = np.random.default_rng(0)
+    parts = [rng.standard_normal(800), *(10.0 * rng.standard_normal(15) for _ in range(29))]
+    whole = white_part(tuple((e[:, np.newaxis],) for e in parts))[0]
+    assert whole == pytest.approx(np.std(np.concatenate(parts)), rel=0.1)
+
+
 def test_a_resonance_in_a_long_record_is_looked_at_where_it_is():
     """Of 100 s at 200 Hz nearly all of the motion is at 30 Hz: so are band and deviation."""
     rng, t = np.random.default_rng(0), 0.005 * np.arange(20000)
@@ -493,9 +500,9 @@ def test_a_resonance_in_a_long_record_is_looked_at_where_it_is():
 
 
 @pytest.mark.parametrize(('second', 'advice'), [
-    (0.0, 'move input u2 (it does not move within the window).'),
-    (1.0, 'move input u1 independently of the others (only 0 % of its power is not correlated '
-          'with theirs).')])
+    (0.0, 'move input u2, if y2 is to follow it (it does not move within the window).'),
+    (1.0, 'move input u1 independently of the others, if y2 is to follow it (only 0 % of its '
+          'power is not correlated with theirs).')])
 def test_an_output_that_follows_nothing_has_inputs_that_tell_nothing(second, advice):
     """A robot that drives straight on: its yaw rate is noise, and that is no wrong signal."""
     rng, t = np.random.default_rng(2), 0.02 * np.arange(1000)

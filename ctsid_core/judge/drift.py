@@ -42,16 +42,19 @@ class Drift(NamedTuple):
     cost: float = 0.0       # rms over the motion, of the output where it is most [%]
     late: bool = False      # whether dead times alone explain most of it
     inputs: tuple[InputDrift, ...] = ()     # of which the model is the mean, as far as it is known
-    moved: float = 0.0      # the same of gains and dead times alone, where offsets are known [%]
+    moved: float = 0.0      # the same over all records, of gains and dead times alone if known [%]
 
 
 def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Drift:
     """Return the drift of the record where it costs most, if more than the `least` [%]."""
     if not np.max(fit.power) > (0.01 * least) ** 2:
         return Drift()
-    return max((_of_record(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
-                for k, record in enumerate(samples.records) if record.end > record.start),
-               key=lambda drift: drift.cost, default=Drift())
+    found = max((_of_record(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
+                 for k, record in enumerate(samples.records) if record.end > record.start),
+                key=lambda drift: drift.cost, default=Drift())
+    # Of all motion the drift of a short record, the largest of many, is a small part.
+    share = np.sum(samples.counts[found.record]) / np.sum(samples.counts)
+    return found._replace(moved=found.cost * float(np.sqrt(share)))
 
 
 def drift_of_inputs(names: Sequence[str], mean: Fit, drifting: Fitted) -> Drift:
@@ -113,6 +116,5 @@ def _of_record(samples: Samples, own: Own, place: int, least: float) -> Drift:
         return Drift()
     late = slopes.beside(slopes.drift[:, slopes.delays[~slopes.states]])
     most = int(np.argmax(missed))
-    cost = 100.0 * float(np.sqrt(missed[most]))
-    return Drift(place, cost, bool(
-        (2.0 * late.power < constant.power + drifting.power)[most]), moved=cost)
+    return Drift(place, 100.0 * float(np.sqrt(missed[most])), bool(
+        (2.0 * late.power < constant.power + drifting.power)[most]))

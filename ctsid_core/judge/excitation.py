@@ -35,7 +35,7 @@ _AT_ONCE = 2 ** 16     # numbers of a response that are looked at together
 _ALONE = 1e-10        # of an input's power that others do not explain: less is none
 _SAME = 1e-8          # relative singular value below which responses are alike
 _POINTS = 2 ** 16      # of the uniform grid of time of a record, at most
-_LINES = 200          # of the spectrum of the inputs, the strongest
+_LINES = 200          # of the spectrum of the inputs of a record, the strongest
 _FINER = 8            # times as near as lines are frequencies at which sines are looked for
 _LEFT = 0.03          # of the motion of an input: its sines are alike that have less
 
@@ -62,7 +62,7 @@ def excitations(samples: Samples, part: Usable, covariance: Covariance | None, m
     for j, place in enumerate(part.u):
         samples.effort.check()
         name, seen = part.whole.input_names[place], weight[:, j] * answer[:, j]
-        most = max(acting, key=lambda one: float(np.sum(one.differences[j] ** 2)))
+        most = max(acting, key=lambda one: float(np.sum(np.abs(one.differences[j]))))
         total = float(seen.sum())
         if not total > 0.0 or not np.isfinite(total):
             found.append(Excitation(name, frequencies=most.count(j), own=float(own[j])))
@@ -247,15 +247,12 @@ def _input_spectra(samples: Samples, delay: Array) -> _Spectra:
     found = [_of_record(r, delay) for r in samples.records if r.end > r.start]
     omega, lines, sent = (np.concatenate(one, axis=-1) for one in
                           list(zip(*found, strict=True))[:3])
-    power = np.abs(lines) ** 2
-    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
-    places = np.argsort(-strength, kind='stable')[:_LINES]
-    places = places[np.argsort(omega[places], kind='stable')]
-    return _Spectra(omega[places], lines[:, places], sent, tuple(one[3] for one in found))
+    order = np.argsort(omega, kind='stable')
+    return _Spectra(omega[order], lines[:, order], sent, tuple(one[3] for one in found))
 
 
 def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray, Array, _Acting]:
-    """Return frequencies, lines (nu, M), what was sent, and how differences act, in a record."""
+    """Return the strongest lines of a record, what was sent, and how differences act."""
     length = record.end - record.start
     finest = min(s.period for s in record.streams)
     count = int(np.clip(length / finest, 32, _POINTS))
@@ -269,7 +266,11 @@ def _of_record(record: RecordSamples, delay: Array) -> tuple[Array, ComplexArray
     omega = 2.0 * np.pi * np.fft.rfftfreq(count - 1, t[1] - t[0])[1:]
     # Over the root of the length, so that lines of records of any lengths add up.
     lines = np.fft.rfft(np.diff(u, axis=1), axis=1)[:, 1:] / np.sqrt(omega * length)
+    power = np.abs(lines) ** 2
+    strength = np.sum(power / (power.sum(axis=1, keepdims=True) + 1e-300), axis=0)
+    places = np.argsort(-strength, kind='stable')[:_LINES]
     half_rates = np.array([rate for s in inputs for rate in _half_rates(
         s.between(since, record.end))])
-    return (omega, lines, (sent - sent.mean(axis=1, keepdims=True)) * np.sqrt(t[1] - t[0]),
+    sent = (sent - sent.mean(axis=1, keepdims=True)) * np.sqrt(t[1] - t[0])
+    return (omega[places], lines[:, places], sent,
             _Acting(np.diff(u, axis=1), t[1] - t[0], half_rates))

@@ -97,8 +97,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
             'its last value is repeated; take a part of the data in which it moves.')
     if e.change.cost > _CHANGED:
         yield Status.CHANGED, Remedy.SPLIT, _changed(e)
-    idle = _idle(e)
     for i in _largest_first(e.numbers.coloured_error, _UNEXPLAINED):
+        idle = _idle(e, i)
         yield Status.UNEXPLAINED, Remedy.EXCITE if idle else Remedy.SIGNALS, (
             f'No linear model explains {e.output_names[i]} by {_listed(e.input_names)}: what is '
             f'left, noise apart, is {_of_motion(e, i)}{e.worst}; '
@@ -106,7 +106,8 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
     # What follows nothing goes by itself.
     follows = (e.numbers.held_out_error < _DRIVEN * e.driven) & ~unsure(
         e.expected, e.learnt)
-    for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows):
+    for k in np.flatnonzero((e.numbers.response_uncertainty > _FOLLOWS) & ~follows).tolist():
+        idle = _idle(e, k)
         yield Status.UNEXPLAINED, Remedy.EXCITE if idle else Remedy.SIGNALS, (
             f'Output {e.output_names[k]} does not follow the inputs ({_listed(e.input_names)})'
             f'{_within(e)}, as far as the noise lets see; ' + (
@@ -114,13 +115,14 @@ def _rejections(e: Evidence) -> Iterator[tuple[Status, Remedy, str]]:
                 'window is long enough') + '.')
 
 
-def _idle(e: Evidence) -> str:
+def _idle(e: Evidence, i: int) -> str:
     """Return how to move the first input that does not move, or not by itself; if any."""
+    wanted = f'if {e.output_names[i]} is to follow it'
     for j, one in enumerate(e.numbers.excitation):
         if j in e.fixed_inputs:
-            return f'move input {one.name} (it does not move within the window)'
+            return f'move input {one.name}, {wanted} (it does not move within the window)'
         if one.own < _UNCORRELATED:
-            return f'move input {one.name} independently of the others ({_shared(one)})'
+            return f'move input {one.name} independently of the others, {wanted} ({_shared(one)})'
     return ''
 
 
@@ -264,11 +266,11 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
 
 def _more(times: float) -> str:
     """Return how much more motion divides a deviation so often, and how much more time."""
+    times *= _SURELY
     if not times < 10.0:
         return 'move it much more (as it moves: take a much longer window)'
-    times *= _SURELY
     return f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
-        f'window {np.ceil(10.0 * times ** 2) / 10.0:.2g} times as long)'
+        f'window {np.ceil(10.0 * times ** 2) / 10.0:.3g} times as long)'
 
 
 def _of_motion(e: Evidence, i: int) -> str:

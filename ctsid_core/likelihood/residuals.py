@@ -13,7 +13,7 @@ from ctsid_core.linear.types import Array
 _SMALL = 0.05         # autocorrelation below which the sum over lags ends
 _LAGS = 20            # of an autoregression of errors, at most, ...
 _FEWEST = 10          # ... with so many samples for each
-_RUN = 8              # samples that tell how much errors vary within a short time
+_RUN = 8              # samples at least, that tell how much errors vary within a short time
 
 
 def residuals(samples: Samples, fit: Fit) -> Residuals:
@@ -115,9 +115,11 @@ def white_part(errors: Residuals) -> Array:
     found = []
     for parts in by_output(errors):
         bent = np.concatenate([e[2:] - 2.0 * e[1:-1] + e[:-2] for e in parts])
-        runs = np.concatenate([e[:len(e) // _RUN * _RUN].reshape(-1, _RUN) for e in parts])
-        found.append(min(float(bent @ bent) / 6.0 / max(len(bent), 1),
-                         float(np.mean(np.var(runs, axis=1, ddof=1))) if len(runs) else np.inf))
+        runs = [e[:len(e) // k * k].reshape(k, -1) for e in parts if len(e) > 1
+                for k in [max(len(e) // _RUN, 1)]]
+        within = sum(float(np.sum(np.var(one, axis=1, ddof=1))) * one.shape[1] for one in runs)
+        found.append(min(float(bent @ bent) / 6.0 / max(len(bent), 1), within / sum(
+            one.size for one in runs) if runs else np.inf))
     return np.sqrt(found)
 
 

@@ -62,6 +62,8 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
     """
     if share == 0.0:
         return _nothing(samples, 'none are asked for (`validation.held_out`, or `hermite.edges`)')
+    if len(samples.records) > 1:        # too short for other methods, if they are many
+        refit = None
     samples, count = samples.thinned(_SEARCHED), _PARTS if refit is None else 1
 
     def kept(whole: Samples) -> Samples:
