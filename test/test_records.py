@@ -13,7 +13,11 @@ import pytest
 from scipy.linalg import expm
 
 from ctsid_core import DataError, Record, Settings, Status, identify
+from ctsid_core.judge import conclusion
+from ctsid_core.judge.rules import judge
 from ctsid_core.model.storage import load_estimate, save_model
+from ctsid_core.search import by_prediction
+from ctsid_core.search.by_prediction import information
 
 QUICK = Settings(held_out=0.0)
 PLANT = PLANTS['hd51']  # of the laws: quick to identify
@@ -438,7 +442,7 @@ def test_of_many_records_no_axis_is_held_out_as_a_whole():
 
 
 @pytest.mark.parametrize('noises', [(0.02, 0.2), (0.2, 0.02)])
-def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises):
+def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises, monkeypatch):
     """
     A plant that grows, held by a controller: noise of 0.2 explains what predictions miss.
 
@@ -458,7 +462,13 @@ def test_predictions_of_the_last_record_are_judged_by_its_own_noise(noises):
             x = grown * x + 2.0 * (grown - 1.0) * u[i, 0] + 0.01 * rng.standard_normal()
         t = 1000.0 * k + h * np.arange(count)
         records.append(Record.from_arrays(t, u, t, y, input_hold='zoh'))
+    ahead, seen = [], []
+    monkeypatch.setattr(by_prediction, 'information', lambda errors, *rest: ahead.append(
+        errors[0]) or information(errors, *rest))
+    monkeypatch.setattr(conclusion, 'judge', lambda e: seen.append(e) or judge(e))
     found = identify(records, Settings(feedthrough=False))
+    # Orders are compared by the errors one sample ahead of all samples, however short a record is
+    assert np.min(np.abs(np.concatenate(ahead) / seen[0].learnt - 1.0)) < 1e-3
     model = found.model or found.rejected_model
     assert np.max(model.poles.real) == pytest.approx(0.5, abs=0.05)
     assert found.status is Status.OK

@@ -27,6 +27,18 @@ def motor(length: float, seed: int, *, noise: float, rate: float = 100.0) -> Rec
     return Record.from_arrays(t, u, t, y, input_hold='zoh').between(10.0, 10.0 + length, lead=0.0)
 
 
+@pytest.mark.parametrize('hold', ['zoh', 'linear'])
+def test_an_input_of_torn_values_alone_beside_a_gap(hold):
+    t = 0.02 * np.arange(600)
+    u = np.repeat(np.random.default_rng(0).standard_normal(30), 20)[:, np.newaxis]
+    seen = t[(t < 3.0) | (t > 9.0)]
+    found = identify(Record(
+        (Signal(t, u, 'zoh'), Signal(t, np.full_like(u, 1e300), hold)),
+        (Signal(seen, np.sin(seen)[:, np.newaxis], 'smooth'),), 0.0, float(t[-1])))
+    assert found.status is Status.GAPS
+    assert '(the longest from 0.0 to 12.0 s after' in found.verdict.reason
+
+
 @pytest.mark.parametrize('feedthrough', [True, False])
 @pytest.mark.parametrize('length', [0.15, 0.2, 0.25])
 def test_a_window_of_two_dead_times_is_too_short(length, feedthrough):

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag, expm
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.judge import changed, conclusion, rules
-from ctsid_core.judge.excitation import _input_spectra, rivals_apart
+from ctsid_core.judge.excitation import _input_spectra, _uncorrelated, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.modal_model import ModalModel
@@ -554,3 +554,17 @@ def test_records_weigh_as_long_as_they_move():
         for k in range(3)]
     assert weights[1] == pytest.approx(2.0 * weights[0], rel=0.2)
     assert weights[2] == pytest.approx(weights[0], rel=0.3)
+
+
+def test_inputs_move_together_for_as_long_as_they_do():
+    """For 60 s at 10 Hz, not for 6 s at 100 Hz: the samples are as many, the time is not."""
+    rng, records = np.random.default_rng(0), []
+    for k, (rate, same) in enumerate(((10.0, True), (100.0, False))):
+        t = np.arange(600) / rate
+        u = np.repeat(rng.standard_normal((60, 2)), 10, axis=0)
+        u[:, 1] = u[:, 0] if same else u[:, 1]
+        records.append(Record.from_arrays(t + 100.0 * k, u, t + 100.0 * k, np.sin(t),
+                                          input_hold='zoh'))
+    own = _uncorrelated(_input_spectra(samples_of(records, [[None]] * 2), np.zeros(2)).sent)
+    # Of u1 - u2 60 / 66, the best by time, is left 0.17 of the power; by samples 0.75 would be.
+    np.testing.assert_allclose(own, 0.17, rtol=0.2)

@@ -169,13 +169,14 @@ def broken(record: Record) -> list[str]:
 
 
 def longest_gap(record: Record) -> tuple[float, float]:
-    """Return when the longest gap of these begins and ends, after the start [s]."""
+    """Return when the longest gap of these channels begins and ends, after the start [s]."""
     gaps = []
     for s in (*record.inputs, *record.outputs):
         if not _in_gaps(s, record) > _GAP_SHARE:
             continue
-        known = s.time[:1] if s.hold == 'zoh' else np.append(s.time, np.inf)    # it is held on
-        t = np.clip(np.append(-np.inf, known), record.start, record.end) - record.start
+        held = s.hold == 'zoh' and len(s.time) > 0      # known from its first sample on
+        times = s.time[:1] if held else np.append(s.time, np.inf)
+        t = np.clip(np.append(-np.inf, times), record.start, record.end) - record.start
         k = int(np.argmax(np.diff(t)))
         gaps.append((float(t[k]), float(t[k + 1])))
     return max(gaps, key=lambda gap: gap[1] - gap[0])

@@ -245,8 +245,7 @@ def _half_rates(signal: Signal) -> list[float]:
 def _input_spectra(samples: Samples, delay: Array) -> _Spectra:
     """Return the spectra of the inputs as they act, later by their dead times, in all records."""
     found = [_of_record(r, delay) for r in samples.records if r.end > r.start]
-    omega, lines, sent = (np.concatenate(one, axis=-1) for one in
-                          list(zip(*found, strict=True))[:3])
+    omega, lines, sent = (np.concatenate([one[k] for one in found], axis=-1) for k in range(3))
     order = np.argsort(omega, kind='stable')
     return _Spectra(omega[order], lines[:, order], sent, tuple(one[3] for one in found))
 
