@@ -164,7 +164,7 @@ def test_deviations_know_that_the_order_might_be_another_one():
 def test_what_is_not_known_is_nan():
     m = model(1)
     for given, n, nu, ny in ((Estimate(status=Status.OK, settings=Settings(), model=m), 3, 2, 2),
-                             (Estimate(status=Status.GAPS, settings=Settings()), 0, 0, 0)):
+                             (Estimate(status=Status.TOO_SHORT, settings=Settings()), 0, 0, 0)):
         assert given.pole_covariance.shape == (n, 2, 2)
         assert given.natural_frequency_std.shape == given.damping_std.shape == (n,)
         assert given.dc_gain_std.shape == (ny, nu)

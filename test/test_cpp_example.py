@@ -49,7 +49,7 @@ def check_model(headers, tmp_path_factory) -> Path:
     ({}, FRESH, 1.0),
     ({'held_out_fit': np.array([np.nan])}, np.array([np.nan]), 0.0),
     ({}, np.empty(0), 4.9),
-    ({'status': Status.GAPS, 'model': None}, FRESH, 1.0),
+    ({'status': Status.TOO_SHORT, 'model': None}, FRESH, 1.0),
     ({'verdict': replace(UNJUDGED, reason='A reason.')}, FRESH, 1.0),
     ({'model': replace(TRUTH, input_names=('other',))}, FRESH, 1.0),
     ({}, FRESH, 29.0),

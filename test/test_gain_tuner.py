@@ -37,7 +37,7 @@ def test_good_model_meets_no_objection():
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
-    ({'status': Status.GAPS, 'model': None}, 'REJECT: Too much of the window lies in gaps'),
+    ({'status': Status.TOO_SHORT, 'model': None}, 'REJECT: The window holds too few samples'),
     ({'verdict': replace(UNJUDGED, reason='A reason.')}, 'WEAK: A reason'),
     ({'status': Status.OK, 'model': replace(TRUTH, input_names=('other',))},
      'from other to rate; wanted is from torque to rate'),

@@ -392,21 +392,18 @@ def test_a_window_with_too_few_samples():
         assert found.model is None
 
 
-def test_gaps():
-    t = T[(T < 2.0) | (T > 7.0)]
-    found = identify(Record.from_arrays(T, WAVE, t, np.sin(t)))
-    assert found.status is Status.GAPS
-
-
-def test_small_gaps_are_survived_and_noted():
+@pytest.mark.parametrize(('end', 'share'), [(4.1, '1.1 %'), (9.0, '50 %')])
+def test_gaps_of_outputs_are_survived_and_noted(end, share):
+    """Half of the samples tell as much as a record of half the length."""
     rng = np.random.default_rng(7)
     p = PLANTS['hd51']
     given = running(rng, p, 40, rate=200.0, band=1.0)
     signal = given.outputs[0]
-    kept = (signal.time < 4.0) | (signal.time > 4.1)
+    kept = (signal.time < 4.0) | (signal.time > end)
     found = identify(replace(given, outputs=(replace(
         signal, time=signal.time[kept], values=signal.values[kept]),)))
-    assert any('gaps' in note for note in found.notes)
+    assert found.good
+    assert any(f'{share} of the window has no samples of' in note for note in found.notes)
     np.testing.assert_allclose(match(found.model.poles, p.poles), p.poles, atol=0.1)
 
 

@@ -9,7 +9,6 @@ from scipy.interpolate import CubicSpline
 from ctsid_core.bases.hermite_functions import hermite_functions
 from ctsid_core.bases.quadrature import (
     coefficients,
-    gap_time,
     integrate,
     smooth_values,
     spline_degree,
@@ -276,28 +275,6 @@ def test_integration_of_a_known_derivative():
         g[0, k + 1] = -np.sqrt((k + 1) / 2.0)
         c = integrate(g, np.array([1.0 if k == 0 else 0.0]))
         np.testing.assert_allclose(c[0], np.eye(42)[k], atol=1e-13)
-
-
-@pytest.mark.parametrize(('hold', 'stamps', 'wanted'), [
-    ('zoh', [0.0, 0.1, 0.2, 5.0], 0.0),                  # held: known however long
-    ('zoh', [2.0, 2.1, 2.2, 5.0], 2.0),                  # but not before its first sample
-    ('zoh', [11.0, 11.1, 12.0], 10.0),
-    ('linear', np.arange(0, 10.01, 0.1), 0.0),
-    ('smooth', np.delete(np.arange(0, 10.01, 0.1), range(30, 60)), 3.1),
-    ('smooth', np.delete(np.arange(0, 10.01, 0.1), range(30, 33)), 0.0),   # 4 periods: no gap
-    ('smooth', np.arange(2.0, 8.0, 0.1), 4.1),           # before the first, after the last
-    ('smooth', np.delete(np.arange(-9, 20.01, 0.1), range(80, 100)), 1.0),  # reaches in
-])
-def test_time_in_gaps(hold, stamps, wanted):
-    t = np.array(stamps)
-    signal = Signal(t, np.zeros((len(t), 1)), hold)
-    assert gap_time(signal, 0.0, 10.0) == pytest.approx(wanted, abs=1e-9)
-
-
-def test_no_sample_is_all_gap():
-    for hold in ('zoh', 'smooth'):
-        signal = Signal(np.empty(0), np.empty((0, 1)), hold)
-        assert gap_time(signal, 1.0, 4.0) == 3.0
 
 
 def test_samples_are_left_alone():

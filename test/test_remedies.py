@@ -58,7 +58,7 @@ def findings() -> list[tuple[Remedy, str]]:
         found += rules._weaknesses(one)
     estimate = Estimate(status=Status.OK, settings=Settings(), model=TRUTH, verdict=good)
     verdicts = [rules.unusable_estimate(s, record, Settings()).verdict for s in (
-        Status.NO_EXCITATION, Status.NO_RESPONSE, Status.GAPS, Status.TOO_SHORT)]
+        Status.NO_EXCITATION, Status.NO_RESPONSE, Status.TOO_SHORT)]
     verdicts += [Estimate(status=s, settings=Settings()).verdict for s in Status
                  if s is not Status.OK]
     verdicts += [rules.unusable_estimate(Status.UNRELIABLE, record, Settings(),
@@ -80,7 +80,7 @@ def test_every_rule_is_looked_at():
                   'response to input a is at', 'not been tested', 'Nobody', 'minus one over',
                   'before input a', 'before input b',
                   'badly (its fit there', 'is unstable', 'order has changed', 'A pole has moved',
-                  'An earlier window', 'arithmetic', 'acts 0.1 s later', 'gaps', 'gobf failed'):
+                  'An earlier window', 'arithmetic', 'acts 0.1 s later', 'too few', 'gobf failed'):
         assert words in said, words
 
 
@@ -107,12 +107,12 @@ def test_every_remedy_has_a_command():
 
 
 def test_a_remedy_is_kept_in_files_and_may_be_missing_in_older_ones():
-    given = Estimate(status=Status.GAPS, settings=Settings())
+    given = Estimate(status=Status.TOO_SHORT, settings=Settings())
     text = to_json(given)
-    assert from_json(text).verdict.remedy is given.verdict.remedy is Remedy.PART
+    assert from_json(text).verdict.remedy is given.verdict.remedy is Remedy.LONGER
     document = json.loads(text)
     del document['verdict']['remedy']
-    assert from_json(json.dumps(document)).verdict.remedy is Remedy.PART
+    assert from_json(json.dumps(document)).verdict.remedy is Remedy.LONGER
 
 
 def sine() -> list:

@@ -316,10 +316,10 @@ def test_window_figure_shows_every_window_and_the_truth():
     assert len(panels['natural frequency [rad/s]'].curves[0].x) == 5
     assert len(panels['natural frequency [rad/s]'].levels) == 1
     assert len(panels['verdict'].spans) == 1            # neighbours of one kind together
-    gaps = estimate(None, status=Status.GAPS, fit=np.empty(0), start=5)
-    (strip, _, *rest) = window_figure(seen([gaps])).drawing.panels
+    short = estimate(None, status=Status.TOO_SHORT, fit=np.empty(0), start=5)
+    (strip, _, *rest) = window_figure(seen([short])).drawing.panels
     assert (strip.spans[0].text, rest) == ('REJECT', [])
-    strip = window_figure(seen([*estimates, gaps, gaps])).drawing.panels[0]
+    strip = window_figure(seen([*estimates, short, short])).drawing.panels[0]
     assert [s.text for s in strip.spans] == ['GOOD', 'REJECT']
     assert strip.spans[0].high == strip.spans[1].low
 
@@ -374,13 +374,13 @@ def test_truth_section_counts_deviations():
 
 
 def test_windows_are_told_with_what_became_of_them():
-    gaps = estimate(None, status=Status.GAPS, fit=np.empty(0), start=3.0)
+    short = estimate(None, status=Status.TOO_SHORT, fit=np.empty(0), start=3.0)
     results = [Result(Tracked(estimate(start=2.0)), np.array([91.0])),
-               Result(Tracked(gaps), np.array([math.nan]))]
+               Result(Tracked(short), np.array([math.nan]))]
     lines = to_text([window_section(results, 0)]).splitlines()
     assert lines[3].split() == ['1', '2.0', '7.0', 'GOOD', '2', '95.0', '91.0', '-1.50', '±',
                                 '3.00j']
-    assert lines[4].split() == ['2', '3.0', '8.0', 'REJECT', '-', '-', '-', 'none:', 'GAPS']
+    assert lines[4].split() == ['2', '3.0', '8.0', 'REJECT', '-', '-', '-', 'none:', 'TOO_SHORT']
     many = to_text([window_section([results[0]] * 300, 0)])
     assert '40 of 300 windows are shown' in many
     six = StateSpace(np.diag(-np.arange(1.0, 7.0)), np.ones((6, 1)), np.ones((1, 6)))
@@ -508,9 +508,9 @@ def test_work_without_an_end_is_one_line_once_it_has_taken_a_while(monkeypatch):
 
 
 def test_an_estimate_without_a_model_is_told_once():
-    given = estimate(None, status=Status.GAPS)
+    given = estimate(None, status=Status.TOO_SHORT)
     text = to_markdown('', [model_section(given, 'x'), remark_section(given, np.empty(0))])
-    assert text.count(Status.GAPS.value) == 1
+    assert text.count(Status.TOO_SHORT.value) == 1
 
 
 def test_bands_are_shaded_for_each_input():

@@ -33,7 +33,7 @@ def test_the_models_of_the_repository_validate(path):
 
 
 def test_an_estimate_without_a_model_validates():
-    empty = Estimate(status=Status.GAPS, settings=Settings())
+    empty = Estimate(status=Status.TOO_SHORT, settings=Settings())
     assert faults(json.loads(to_json(empty, {'any': ['thing', {'at': 'all'}]}))) == []
 
 

@@ -322,7 +322,7 @@ def test_parameters_that_a_file_does_not_know_yet_take_their_defaults():
 
 
 def series():
-    return [estimate(0, covariance=covariance()), estimate(1, status=Status.GAPS, model=None),
+    return [estimate(0, covariance=covariance()), estimate(1, status=Status.CHANGED, model=None),
             estimate(2, model=model(3, n=2), covariance=covariance(n=2),
                      pole_std=np.array([0.5, 0.25])),
             Estimate(status=Status.TOO_SHORT, settings=Settings())]
@@ -333,7 +333,7 @@ def test_npz_series_round_trip_and_arrays(tmp_path):
     save_series(path, series())
     assert all(same(a, b) for a, b in zip(load_series(path), series(), strict=True))
     with np.load(path, allow_pickle=False) as found:
-        assert found['status'].tolist() == ['OK', 'GAPS', 'OK', 'TOO_SHORT']
+        assert found['status'].tolist() == ['OK', 'CHANGED', 'OK', 'TOO_SHORT']
         assert found['order'].tolist() == [3, 0, 2, 0]
         assert found['start_ns'][0] == series()[0].start_ns
         assert np.array_equal(found['poles'][0], series()[0].model.poles)
@@ -352,7 +352,7 @@ def test_csv_series(tmp_path):
     save_series(path, series())
     with open(path, encoding='utf-8', newline='') as stream:
         rows = list(csv.DictReader(stream))
-    assert [row['status'] for row in rows] == ['OK', 'GAPS', 'OK', 'TOO_SHORT']
+    assert [row['status'] for row in rows] == ['OK', 'CHANGED', 'OK', 'TOO_SHORT']
     assert [row['verdict'] for row in rows] == ['WEAK', 'REJECT', 'WEAK', 'REJECT']
     assert [row['order'] for row in rows] == ['3', '', '2', '']
     assert int(rows[0]['start_ns']) == series()[0].start_ns
@@ -384,7 +384,7 @@ def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
     root[0, 1], root[0, -2] = 0.2, 0.01                 # of the first input: B and the dead time
     save_series(tmp_path / 'e.csv', [
         Estimate(model=settles, covariance=Covariance(root, 1, 2, 1), **known),
-        Estimate(model=moves, **known), Estimate(status=Status.GAPS, settings=Settings())])
+        Estimate(model=moves, **known), Estimate(status=Status.TOO_SHORT, settings=Settings())])
     with open(tmp_path / 'e.csv', encoding='utf-8', newline='') as stream:
         rows = list(csv.DictReader(stream))
     assert [row['delay_rudder [s]'] for row in rows] == ['0.25', '0.25', '']
@@ -397,7 +397,7 @@ def test_csv_has_dead_times_and_gains_as_far_as_they_are_known(tmp_path):
 
 def test_csv_names_outputs_even_with_commas(tmp_path):
     named = estimate(model=model(0, output_names=('roll, raw', 'p')))
-    save_series(tmp_path / 'e.csv', [Estimate(status=Status.GAPS, settings=Settings()), named])
+    save_series(tmp_path / 'e.csv', [Estimate(status=Status.CHANGED, settings=Settings()), named])
     with open(tmp_path / 'e.csv', encoding='utf-8', newline='') as stream:
         head = next(csv.reader(stream))
     assert head[-4:] == ['fit_roll, raw [%]', 'fit_p [%]', 'held_out_fit_roll, raw [%]',

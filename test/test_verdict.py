@@ -68,8 +68,8 @@ def test_without_a_model_the_verdict_is_reject(two_by_two):
     model = two_by_two.model
     good = Verdict(grade=Grade.GOOD, reason='x')
     assert Estimate(status=Status.OK, settings=Settings(), model=model, verdict=good).good
-    bare = Estimate(status=Status.GAPS, settings=Settings(), verdict=good)
-    assert (bare.verdict.grade, bare.verdict.reason) == (Grade.REJECT, Status.GAPS.value)
+    bare = Estimate(status=Status.TOO_SHORT, settings=Settings(), verdict=good)
+    assert (bare.verdict.grade, bare.verdict.reason) == (Grade.REJECT, Status.TOO_SHORT.value)
     assert Estimate(status=Status.OK, settings=Settings(), model=model).verdict is UNJUDGED
     assert UNJUDGED.grade is Grade.WEAK
     with pytest.raises(DataError, match='`verdict` is REJECT but `model` is given'):

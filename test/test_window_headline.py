@@ -17,11 +17,11 @@ from test_cross_check import first_order
 from test_page import Tags, data_of
 
 from ctsid_core.identify import identify
-from ctsid_core.judge.instants import after_start, by_clock
 from ctsid_core.model.estimate import Estimate, Status
 from ctsid_core.model.storage import load_estimate
 from ctsid_core.model.verdict import Grade, Verdict
 from ctsid_core.settings import Settings
+from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.record import Record, Signal
 from ctsid_ros.cli import main
 from ctsid_ros.replay.along import Windows, along
@@ -242,7 +242,7 @@ def test_instants_are_words_that_another_clock_can_read():
 
 
 @pytest.mark.parametrize(('statuses', 'said'), [
-    (('OK', 'OK'), 'GOOD'), (('OK', 'NO_EXCITATION'), 'GOOD'), (('OK', 'GAPS'), 'PARTLY'),
+    (('OK', 'OK'), 'GOOD'), (('OK', 'NO_EXCITATION'), 'GOOD'), (('OK', 'TOO_SHORT'), 'PARTLY'),
     (('OK', 'UNEXPLAINED'), 'PARTLY')])
 def test_the_word_for_a_bag_is_that_of_the_model_where_no_window_contradicts_it(statuses, said):
     found = [Estimate(status=Status[s], settings=Settings(), model=TRUTH if s == 'OK' else None,

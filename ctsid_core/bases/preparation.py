@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a record can be used: the interval, the channels that move, the gaps."""
+"""What of a record can be used: the interval, and the channels that move."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctsid_core.bases.quadrature import gap_time
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.estimate import Status
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.settings import Settings
+from ctsid_core.signals.gaps import FEWEST, missing
 from ctsid_core.signals.outliers import SURE_INPUT, Spikes, no_spikes, report, spikes
 from ctsid_core.signals.record import LARGEST, Record, Signal, channel_slices
 from ctsid_core.signals.spikes import SURE
 
 _CONSTANT = 1e-9        # a channel whose range is below this part of its size does not move
-FEWEST = 20             # samples of an output
-_GAP_SHARE = 0.3        # of the window that may lie in gaps
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class Usable:
     """A record with the channels that move, and where they belong among all channels."""
 
     record: Record                 # of the moving channels, from where their inputs are known
-    whole: Record                  # as it was given
+    whole: Record                  # as it was given, or a part between pauses
     u: tuple[int, ...]             # places of the moving inputs among all
     y: tuple[int, ...]
     # Taken off the samples so that large offsets do not cost digits; zero without trim. The trim
@@ -45,7 +43,7 @@ class Usable:
                 ('input', self.whole.input_names, self.u, self.record.inputs, self.corrupt_u),
                 ('output', self.whole.output_names, self.y, self.record.outputs, self.corrupt_y)):
             more, channels = report(kind, [all_names[j] for j in places], signals, found,
-                                    self.whole)
+                                    self.whole.recording)
             notes += more
             counts |= channels
             counts['corrupt_samples'] += sum(channels.values())
@@ -129,13 +127,10 @@ def usable(record: Record, settings: Settings,
         return Status.NO_RESPONSE
     if not inputs:
         return Status.NO_EXCITATION
-    for signal in (*inputs, *outputs):
-        share = _in_gaps(signal, shorter)
-        if share > _GAP_SHARE:
-            return Status.GAPS
-        if share > 0.0:
-            notes.append(f'{100 * share:.2g} % of the window lies in gaps of '
-                         f'{", ".join(signal.names) or "a signal"}: bridged by straight lines')
+    for signal in outputs:
+        if (share := missing(signal, shorter)) > 0.0:
+            notes.append(f'{100 * share:.2g} % of the window has no samples of '
+                         f'{", ".join(signal.names) or "an output"}')
     inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs),
                                   check)
     outputs, corrupt_y = _despiked(outputs, ('smooth', 'linear'), SURE,
@@ -147,8 +142,9 @@ def usable(record: Record, settings: Settings,
 
 
 def sparse(record: Record) -> list[str]:
-    """Return the outputs of which there are too few samples."""
-    return _names(record.outputs, [_few(s, record) for s in record.outputs], record.output_names)
+    """Return the inputs of which there is no sample, and outputs of which there are too few."""
+    return _names(record.inputs, [not len(s.time) for s in record.inputs], record.input_names) + \
+        _names(record.outputs, [_few(s, record) for s in record.outputs], record.output_names)
 
 
 def is_short(record: Record) -> bool:
@@ -160,36 +156,9 @@ def _few(signal: Signal, record: Record) -> bool:
     return len(signal.time[signal.rows(record.start, record.end)]) < FEWEST
 
 
-def broken(record: Record) -> list[str]:
-    """Return the channels of which too much lies in gaps."""
-    return [name for signals, names in ((record.inputs, record.input_names),
-                                        (record.outputs, record.output_names))
-            for name in _names(signals, [_in_gaps(s, record) > _GAP_SHARE for s in signals],
-                               names)]
-
-
-def longest_gap(record: Record) -> tuple[float, float]:
-    """Return when the longest gap of these channels begins and ends, after the start [s]."""
-    gaps = []
-    for s in (*record.inputs, *record.outputs):
-        if not _in_gaps(s, record) > _GAP_SHARE:
-            continue
-        held = s.hold == 'zoh' and len(s.time) > 0      # known from its first sample on
-        times = s.time[:1] if held else np.append(s.time, np.inf)
-        t = np.clip(np.append(-np.inf, times), record.start, record.end) - record.start
-        k = int(np.argmax(np.diff(t)))
-        gaps.append((float(t[k]), float(t[k + 1])))
-    return max(gaps, key=lambda gap: gap[1] - gap[0])
-
-
 def _names(signals: Sequence[Signal], chosen: Sequence[bool], names: Sequence[str]) -> list[str]:
     return [name for channels, one in zip(channel_slices(signals), chosen, strict=True) if one
             for name in names[channels]]
-
-
-def _in_gaps(signal: Signal, record: Record) -> float:
-    """Return the part of a record that lies in gaps of a signal."""
-    return gap_time(signal, record.start, record.end) / record.duration
 
 
 def corrupt_outputs(record: Record, settings: Settings) -> dict[int, Array]:

@@ -27,11 +27,10 @@ from scipy.interpolate import make_interp_spline
 
 from ctsid_core.bases.hermite_functions import integral_of_first, project
 from ctsid_core.linear.types import Array
+from ctsid_core.signals.gaps import GAP_PERIODS
 from ctsid_core.signals.record import Signal
 
 _UNIFORM = 1e-6        # stamps whose intervals agree to this fraction count as uniform
-_GAP_PERIODS = 5.0     # longer intervals, in median periods, are gaps: not splined over
-_PAUSES = 10           # so many of these are pauses between bursts, a part of the sampling
 _SPLINED = 8           # samples from which on there is a spline
 _DEGREES = (1, 3, 5)
 _PHASE = 0.6          # top frequency times interval [rad] up to which two points are enough
@@ -211,7 +210,7 @@ def smooth_values(t: Array, values: Array, at: Array, degree: int = 3) -> Array:
     """
     out = np.array([np.interp(at, t, row) for row in values]).reshape(len(values), len(at))
     step = np.diff(t)
-    gaps = np.flatnonzero(step > _GAP_PERIODS * np.median(step)) if len(step) else step.astype(int)
+    gaps = np.flatnonzero(step > GAP_PERIODS * np.median(step)) if len(step) else step.astype(int)
     bounds = np.concatenate(([0], gaps + 1, [len(t)]))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         here = slice(*np.searchsorted(at, (t[first], t[last - 1])))
@@ -219,30 +218,6 @@ def smooth_values(t: Array, values: Array, at: Array, degree: int = 3) -> Array:
             spline = make_interp_spline(t[first:last], values[:, first:last].T, k=degree)
             out[:, here] = spline(at[here]).T
     return out
-
-
-def gap_time(signal: Signal, start: float, end: float) -> float:
-    """
-    Return the time within [start, end] in which a signal is not known [s].
-
-    Intervals longer than a few periods count, and what lies before the first or after the last
-    sample; a held input is known from its first sample on. Where long intervals recur, samples
-    come in bursts, and it is intervals longer than a few usual pauses that count.
-    """
-    t = signal.time
-    if signal.hold == 'zoh' or len(t) < 3:
-        return max(min(float(t[0]), end) - start, 0.0) if len(t) else end - start
-    bounds = np.concatenate(([min(start, t[0])], t, [max(end, t[-1])]))
-    covered = np.diff(np.clip(bounds, start, end))
-    usual = _usual_interval(signal, start, end)
-    return float(covered[np.diff(bounds) > _GAP_PERIODS * usual].sum())
-
-
-def _usual_interval(signal: Signal, start: float, end: float) -> float:
-    """Return the period of a signal; if its samples come in bursts, the usual pause [s]."""
-    step = np.diff(signal.time[signal.rows(start, end)])
-    pauses = step[step > _GAP_PERIODS * np.median(step)] if len(step) >= _PAUSES else step[:0]
-    return float(np.median(pauses)) if len(pauses) >= _PAUSES else signal.period
 
 
 _PREPARE = {'zoh': _held, 'linear': _lines, 'smooth': _smooth}

@@ -21,6 +21,8 @@ from ctsid_core.bases.preparation import Usable, moving, usable
 from ctsid_core.errors import DataError
 from ctsid_core.model.estimate import Status
 from ctsid_core.settings import Settings
+from ctsid_core.signals.gaps import between_pauses, in_words
+from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.record import Record
 
 
@@ -37,13 +39,13 @@ class Joint:
     """What can be used of the records."""
 
     parts: tuple[Usable, ...]      # not empty; the same channels of each record
-    numbers: tuple[int, ...]       # which of the given records these are, counted from 1
+    numbers: tuple[int, ...]       # of which of the given records these are, counted from 1
     remarks: tuple[str, ...] = ()  # what the user should know beyond the notes of the parts
 
     @property
     def several(self) -> bool:
-        """Whether there are several."""
-        return len(self.parts) > 1
+        """Whether they are of several records."""
+        return len(set(self.numbers)) > 1
 
     @property
     def last(self) -> int:
@@ -63,7 +65,7 @@ class Joint:
 
     def numbered(self, notes: Sequence[Sequence[str]]) -> tuple[str, ...]:
         """Join the notes on each record; those on some records only get their numbers."""
-        common = set.intersection(*map(set, notes))
+        common = set.intersection(*map(set, notes)) if self.several else set().union(*notes)
         found = [note if note in common else f'record {number}: {note}'
                  for number, own in zip(self.numbers, notes, strict=True) for note in own]
         return tuple(dict.fromkeys(found))
@@ -81,7 +83,7 @@ class Joint:
                 check: Callable[[], None] = lambda: None) -> Projection:
         """Project the records on bases of their own, side by side; `check` is called often."""
         band = max(output_band(p.record) for p in self.parts) \
-            if self.several and not settings.nmax else 0.0
+            if len(self.parts) > 1 and not settings.nmax else 0.0
         sizes = [(settings.nmax, settings.parts or 1) if settings.nmax else
                  choose_nmax(p.record, band) for p in self.parts]
         return joined([project_record(p.record, settings.replace(parts=parts), nmax, check)
@@ -99,31 +101,43 @@ def join_records(records: Sequence[Record], settings: Settings,
     """
     Return what can be used of records of the same channels, or why nothing can.
 
-    A channel moves if it moves in any of them. A record that is too short, or full of gaps, is
-    left out and noted. `check` is called often. Raises `SettingsError` if `settings.delay` does
-    not fit the number of inputs.
+    A record is in parts where all its channels pause. A channel moves if it moves in any of them.
+    A record that is too short, or full of gaps, is left out and noted. `check` is called often.
+    Raises `SettingsError` if `settings.delay` does not fit the number of inputs.
     """
-    if len(records) == 1:
-        part = usable(records[0], settings, check=check)
-        return Unusable(part) if isinstance(part, Status) else Joint((part,), (1,))
-    moves = [moving(record, settings) for record in records]
+    divided = [between_pauses(record) for record in records]
+    given = [(number, part) for number, own in enumerate(divided, 1) for part in own]
+    remarks = [by_clock(note, 0.0, f'record {number}') if len(records) > 1 else note
+               for number, own in enumerate(divided, 1) if (note := in_words(own))]
+    moves = [moving(record, settings) for _, record in given]
     keep = tuple(tuple(sorted(set().union(*(own[i] for own in moves)))) for i in (0, 1))
-    parts, numbers, remarks, left = [], [], [], []
-    for number, (record, own) in enumerate(zip(records, moves, strict=True), 1):
+    parts, numbers, left = [], [], []
+    for (number, record), own in zip(given, moves, strict=True):
         part = usable(record, settings, (keep[0], keep[1]), check)
         if isinstance(part, Status):
             left.append(part)
-            remarks.append(f'record {number} was left out: {part.value}')
+            if len(given) > 1:
+                name = part_in_words(record, number if len(records) > 1 else 0)
+                remarks.append(f'{name} was left out: {part.value}')
             continue
         parts.append(part)
         numbers.append(number)
         remarks += [f'record {number}: {kind} {names[j]} does not move in it'
                     for i, (kind, names) in enumerate((('input', record.input_names),
                                                        ('output', record.output_names)))
-                    for j in keep[i] if j not in own[i]]
+                    for j in keep[i] if j not in own[i] and record.part_of is None]
     if not parts:
         return Unusable(left[0], tuple(remarks))
     return Joint(tuple(parts), tuple(numbers), tuple(remarks))
+
+
+def part_in_words(record: Record, number: int) -> str:
+    """Return which record this is, or what part of it; `number` is 0 if there is one only."""
+    if record.part_of is None:
+        return f'record {number}'
+    start = record.part_of.start
+    words = f'what was recorded {after_start(record.start - start, record.end - start)}'
+    return by_clock(words, 0.0, f'record {number}') if number else words
 
 
 def check_alike(records: Sequence[Record]) -> None:

@@ -215,8 +215,8 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
     def cost(more: Array) -> float:
         return slopes.beside(np.hstack((common, more))).cost
     divided = cost(rest * after)
-    return divided < np.inf and divided <= cost(curves_of(samples, slopes.fit)) and (
-        not change.share or divided <= cost(slopes.drift))
+    return divided < np.inf and divided <= min(
+        cost(curves_of(samples, slopes.fit)), cost(slopes.drift))
 
 
 def _numbers(samples: Samples, own: Own) -> int:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.preparation import Usable
-from ctsid_core.bases.records import Joint
+from ctsid_core.bases.records import Joint, part_in_words
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
@@ -16,7 +16,6 @@ from ctsid_core.judge.drift import Drift, drift_of, drift_of_inputs
 from ctsid_core.judge.evidence import Evidence
 from ctsid_core.judge.excitation import excitations, rivals_apart
 from ctsid_core.judge.feedback import distance_to_controller
-from ctsid_core.judge.instants import after_start
 from ctsid_core.judge.lead import WITHIN, lead_of_outputs
 from ctsid_core.judge.motion import motion_ahead
 from ctsid_core.judge.rules import change_note, judge, pole_uncertainty, tested
@@ -47,6 +46,7 @@ from ctsid_core.search.by_prediction import (
 from ctsid_core.search.held_out import HeldOut, held_out
 from ctsid_core.search.solution import Doubt, Solution
 from ctsid_core.search.tried import SEARCH
+from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
 
 
@@ -304,12 +304,11 @@ def _where(part: Joint, change: Change) -> str:
     """Return when the plant changed, in words."""
     if change.record < 0:
         return ''
+    own, number = part.parts[change.record].whole, part.numbers[change.record] * part.several
     if not change.share:
-        return f'in all of record {part.numbers[change.record]}'
-    own = part.parts[change.record].whole
-    at = _share(part, change) * own.duration
-    return 'about ' + (f'{at:.1f} s after the start of record {part.numbers[change.record]}'
-                       if part.several else after_start(at))
+        return f'in all of {part_in_words(own, number)}'
+    about = f'about {after_start(_share(part, change) * own.recording.duration)}'
+    return by_clock(about, 0.0, f'record {number}') if number else about
 
 
 def _worst(solution: Solution) -> str:
@@ -323,11 +322,13 @@ def _share(part: Joint, change: Change) -> float:
     """Return where the change lies, as a part of the whole record."""
     if change.record < 0:
         return float('nan')
-    if not change.share:
-        return 0.0
     own = part.parts[change.record]
+    recording = own.whole.recording
     at = own.record.start + change.share * own.record.duration
-    return float((at - own.whole.start) / own.whole.duration)
+    if not change.share:        # what is before its first pause is another plant until then
+        at = own.whole.start if own.whole.start > recording.start else own.whole.end
+        at = recording.start if own.whole is recording else at
+    return float((at - recording.start) / recording.duration)
 
 
 def _about(change: Change, part: Joint) -> dict[str, float]:
@@ -341,18 +342,21 @@ def _about(change: Change, part: Joint) -> dict[str, float]:
 
 
 def _shares(solution: Solution) -> tuple[RecordShare, ...]:
-    """Return trim, fit and weight of each record."""
+    """Return trim, fit and weight of each record; the trim is that after its last pause."""
     part, size, fit, shares = solution.part, solution.samples.size, solution.fit, []
-    level = np.exp(0.5 * np.log(fit.power).mean())
-    for r, usable in enumerate(part.parts):
-        whole, epoch = usable.whole, usable.whole.epoch_ns
+    level, numbers = np.exp(0.5 * np.log(fit.power).mean()), np.array(part.numbers)
+    for number in np.unique(numbers).tolist():
+        places = np.flatnonzero(numbers == number)
+        r, counts = int(places[-1]), np.maximum(solution.samples.counts[places], 1.0)
+        usable, power = part.parts[r], np.average(fit.power[places], axis=0, weights=counts)
+        whole, epoch = usable.whole.recording, usable.whole.epoch_ns
         own = matrices_of(fit.model, size, r) if solution.plant is None else \
             _with_trim(solution, r) if solution.predictor is not None else \
             in_record(solution.plant, fit, solution.samples, r)
         x_trim, y_trim = _whole_trim(usable, own)
-        weight = float(level / np.exp(0.5 * np.log(fit.power[r]).mean()))
+        weight = float(level / np.exp(0.5 * np.log(power).mean()))
         shares.append(RecordShare(
-            part.numbers[r], epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
+            number, epoch + round(whole.start * 1e9), epoch + round(whole.end * 1e9),
             x_trim, y_trim,
-            _spread_out(100.0 * (1.0 - np.sqrt(fit.power[r])), usable.y, whole.ny), weight))
+            _spread_out(100.0 * (1.0 - np.sqrt(power)), usable.y, whole.ny), weight))
     return tuple(shares)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Own, only, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Left, Own, recordings, slopes_of
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.residuals import independent
 from ctsid_core.likelihood.samples import Samples
@@ -49,11 +49,14 @@ def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Dr
     """Return the drift of the record where it costs most, if more than the `least` [%]."""
     if not np.max(fit.power) > (0.01 * least) ** 2:
         return Drift()
-    found = max((_of_record(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
-                 for k, record in enumerate(samples.records) if record.end > record.start),
+    each = recordings(samples)
+    found = max((_of_recording(own.thinned(SEARCHED), (fit.model, free), place, least)
+                 for place, own in each.items() if own.records),
                 key=lambda drift: drift.cost, default=Drift())
+    if found.record < 0:
+        return found
     # Of all motion the drift of a short record, the largest of many, is a small part.
-    share = np.sum(samples.counts[found.record]) / np.sum(samples.counts)
+    share = np.sum(each[found.record].counts) / np.sum(samples.counts)
     return found._replace(moved=found.cost * float(np.sqrt(share)))
 
 
@@ -96,19 +99,23 @@ def _of_input(name: str, poles: ComplexArray, b: ComplexArray, moved: ComplexArr
     return InputDrift(name, float(told[0]), float(told[1]))
 
 
-def _of_record(samples: Samples, own: Own, place: int, least: float) -> Drift:
+def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift:
     if samples.effort.over or not samples.counts.all():
         return Drift()
     slopes = slopes_of(samples, own)
     constant, drifting = slopes.beside(slopes.rows[:, :0]), slopes.beside(slopes.drift)
     if not drifting.cost < constant.cost:
         return Drift()
-    numbers = drifting.numbers - constant.numbers
-    n_eff = independent((tuple(e[:, np.newaxis] for e in drifting.errors),))
-    gain = float(n_eff @ np.log(constant.power / drifting.power))
-    by_chance = drifting.power * numbers / samples.ny / np.maximum(
-        n_eff - drifting.numbers / samples.ny, 1.0)
-    missed = np.maximum(constant.power - drifting.power - by_chance, 0.0) * slopes.fit.power[0]
+
+    def power(left: Left) -> Array:
+        return samples.mean(left.power.reshape(-1, samples.ny) * slopes.fit.power)
+    numbers, ny = drifting.numbers - constant.numbers, samples.ny
+    errors = [e[:, np.newaxis] for e in drifting.errors]
+    n_eff = independent(tuple(tuple(errors[k:k + ny]) for k in range(0, len(errors), ny)))
+    before, after = power(constant), power(drifting)
+    gain = float(n_eff @ np.log(before / after))
+    by_chance = after * numbers / ny / np.maximum(n_eff - drifting.numbers / ny, 1.0)
+    missed = np.maximum(before - after - by_chance, 0.0)
     if gain <= numbers * float(np.log(max(float(np.max(n_eff)), 2.0))) \
             or np.max(missed) <= (0.01 * least) ** 2 or samples.effort.over:
         return Drift()
@@ -116,5 +123,5 @@ def _of_record(samples: Samples, own: Own, place: int, least: float) -> Drift:
         return Drift()
     late = slopes.beside(slopes.drift[:, slopes.delays[~slopes.states]])
     most = int(np.argmax(missed))
-    return Drift(place, 100.0 * float(np.sqrt(missed[most])), bool(
-        (2.0 * late.power < constant.power + drifting.power)[most]))
+    return Drift(place, 100.0 * float(np.sqrt(missed[most])),
+                 bool((2.0 * power(late) < before + after)[most]))

@@ -22,7 +22,7 @@ def motion_within(samples: Samples, errors: Residuals) -> Array:
     """Return the rms of what a model moves around its mean in a tenth of a record, (ny,)."""
     squares = np.zeros(samples.ny)
     for record, own in zip(samples.records, errors, strict=True):
-        edges = np.linspace(record.start, record.end, PARTS + 1)[1:-1]
+        edges = np.linspace(*record.span, PARTS + 1)[1:-1]
         for s, e in zip(record.streams, own, strict=True):
             for y in np.split(s.y - e, np.searchsorted(s.times, edges)):
                 if len(y):

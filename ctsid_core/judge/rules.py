@@ -17,10 +17,9 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from ctsid_core.bases.preparation import FEWEST, broken, is_short, longest_gap, sparse
+from ctsid_core.bases.preparation import is_short, sparse
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.evidence import Evidence
-from ctsid_core.judge.instants import after_start
 from ctsid_core.linear.types import Array
 from ctsid_core.model.estimate import REMEDIES, Estimate, Status
 from ctsid_core.model.verdict import (
@@ -34,6 +33,8 @@ from ctsid_core.model.verdict import (
 from ctsid_core.search.held_out import HeldOut, allowed, unsure
 from ctsid_core.search.solution import ANY_DELAY, DISTURBED, GIVEN
 from ctsid_core.settings import Settings
+from ctsid_core.signals.gaps import FEWEST
+from ctsid_core.signals.instants import after_start
 from ctsid_core.signals.record import Record
 
 KNOWN = 0.12            # standard deviation of the response to an input, over the response
@@ -381,10 +382,6 @@ def _why_unusable(status: Status, record: Record, failed: str,
         remedy, reason = Remedy.SETTING, (
             f'The window is too short for a model of order {order}; set `order: 0`, or take a '
             'longer window.')
-    elif status is Status.GAPS and (names := broken(record)):
-        first, last = longest_gap(record)
-        reason = (f'Too much of the window lies in gaps of {", ".join(names)} (the longest '
-                  f'{after_start(first, last)}); choose a part without gaps.')
     return remedy, reason
 
 

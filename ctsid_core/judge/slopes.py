@@ -38,6 +38,7 @@ class Slopes(NamedTuple):
     error: Array            # (N,)
     states: Mask            # (k,): columns of initial states and trims
     shares: Array           # (N,): when, as a part of the record
+    phases: Array           # (N,): the same of its recording, with the parts between its pauses
     delays: Mask            # (k,): columns of dead times
     records: Array          # (N,): of which record
     counts: Array           # samples of each output of each record
@@ -50,8 +51,8 @@ class Slopes(NamedTuple):
 
     @property
     def drift(self) -> Array:
-        """The same of numbers that move in a straight line within each record."""
-        return self.rest * (self.shares - 0.5)[:, np.newaxis]
+        """The same of numbers that move in a straight line within each recording."""
+        return self.rest * (self.phases - 0.5)[:, np.newaxis]
 
     def beside(self, more: Array) -> Left:
         """Return what further columns leave, at most half as many as there are samples."""
@@ -72,6 +73,14 @@ def only(samples: Samples, place: int) -> Samples:
     return replace(samples, records=samples.records[place:place + 1])
 
 
+def recordings(samples: Samples) -> dict[int, Samples]:
+    """Return each recording, with all parts between its pauses, by the place of its last one."""
+    found = {r.recording: place for place, r in enumerate(samples.records)}
+    return {place: replace(samples, records=tuple(
+        r for r in samples.records if r.recording == number and r.end > r.start))
+        for number, place in found.items()}
+
+
 def slopes_of(samples: Samples, own: Own) -> Slopes:
     """Return what may change the simulation of each sample of these records."""
     model, free = own
@@ -79,12 +88,15 @@ def slopes_of(samples: Samples, own: Own) -> Slopes:
                          turned=False)
     fit = fit_states(samples, model, free, columns)
     rows, error, places = jacobian(samples, fit, free)
-    times = [[(s.times - r.start) / (r.end - r.start)
-              for s in r.streams for _ in range(s.y.shape[1])] for r in samples.records]
+    each = [(s.times, r) for r in samples.records for s in r.streams
+            for _ in range(s.y.shape[1])]
+    shares, phases = (np.concatenate([(times - start) / (end - start)
+                                      for times, r in each for start, end in [span(r)]])
+                      for span in (lambda r: (r.start, r.end), lambda r: r.span))
     number = np.arange(rows.shape[1]) - places.poles
     return Slopes(
-        fit, rows, error, places.of_states(samples.ny, len(times), free.trim),
-        np.concatenate([t for one in times for t in one]),
+        fit, rows, error, places.of_states(samples.ny, len(samples.records), free.trim),
+        shares, phases,
         (number >= 0) & (number < places.delays),
-        np.repeat(np.arange(len(times)), [sum(map(len, one)) for one in times]),
-        np.array([len(t) for one in times for t in one]), samples)
+        np.repeat(np.arange(len(samples.records)), samples.counts.sum(axis=1).astype(int)),
+        np.array([len(times) for times, _ in each]), samples)

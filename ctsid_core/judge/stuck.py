@@ -45,7 +45,7 @@ def stuck_outputs(solution: Solution, moving: StateSpace) -> tuple[Stuck, ...]:
             # Others hardly move at all, which is told otherwise.
             if run.output in part.y and (
                     run.noise_ends or _moved(solution, moving, place, run)):
-                start, end = run.times[[0, -1]] - part.whole.start
+                start, end = run.times[[0, -1]] - part.whole.recording.start
                 found.append(Stuck(run.output, float(start), float(end)))
     return tuple(found)
 

@@ -13,6 +13,7 @@ from ctsid_core.effort import Effort
 from ctsid_core.likelihood.kernel import Kernel, Layout, Shape, Timed, kernel_of
 from ctsid_core.linear.types import Array, Mask, Places
 from ctsid_core.model.modal import Drive
+from ctsid_core.signals.gaps import FEWEST
 from ctsid_core.signals.record import Record, Signal, channel_slices
 
 
@@ -48,6 +49,8 @@ class RecordSamples:
     end: float
     streams: tuple[Stream, ...]
     drives: tuple[Drive, ...]  # the inputs as polynomials
+    span: tuple[float, float]  # of the recording that it is all of, or a part of [s]
+    recording: int             # the number of that
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +118,13 @@ class Samples:
         """
         Return one of every k samples of each stream, such that about `most` are left of each.
 
-        The first one, or `scattered`: any of them. At regular instants a fast resonance may look
-        like a slow one, and what an input does as regularly is seen always or never.
+        And some more for each further record, that tell its states. The first one, or
+        `scattered`: any of them. At regular instants a fast resonance may look like a slow one,
+        and what an input does as regularly is seen always or never.
         """
         longest = [sum(len(s.times) for s in streams)
                    for streams in zip(*(r.streams for r in self.records), strict=True)]
+        most += FEWEST * (len(self.records) - 1)
         steps = [max(-(-total // most), 1) for total in longest]
         if max(steps) < 2:
             return self
@@ -157,7 +162,7 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
               for i in range(len(records[0].outputs))]
     size = np.concatenate([np.std(level, axis=0) for level in levels])
     size[~(size > 0.0)] = 1.0
-    found = []
+    found, recordings = [], []
     for record, bad in zip(records, corrupt, strict=True):
         known = max((float(s.time[0]) for s in record.inputs if len(s.time)), default=-np.inf)
         first = max(record.start, min(known + ahead, record.end))
@@ -169,6 +174,11 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
                 rows &= ~left_out
             streams.append(Stream(signal.time[rows], signal.values[rows] / size[channels],
                                   channels))
+        whole = record.recording
+        if whole not in recordings:
+            recordings.append(whole)
+        span = (first, record.end) if whole is record else (whole.start, whole.end)
         found.append(RecordSamples(record.inputs, first, record.end, tuple(streams),
-                                   tuple(Drive.of(s) for s in record.inputs)))
+                                   tuple(Drive.of(s) for s in record.inputs), span,
+                                   recordings.index(whole)))
     return Samples(tuple(found), records[0].nu, len(size), size, effort or Effort())

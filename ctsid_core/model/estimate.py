@@ -29,7 +29,6 @@ class Status(Enum):
                      'move.')
     NO_RESPONSE = ('An output does not move within the window, or is stuck; check that its sensor '
                    'works.')
-    GAPS = ('Too much of the window lies in gaps of the data; choose a part without gaps.')
     UNEXPLAINED = ('No linear model explains all outputs by the inputs; check that these '
                    'are the right signals.')
     UNRELIABLE = ('No finite model could be computed from the data; check the signals, their '
@@ -38,8 +37,7 @@ class Status(Enum):
                'both would be wrong; identify each side of the change by itself.')
 
 
-REMEDIES = {Status.TOO_SHORT: Remedy.LONGER, Status.GAPS: Remedy.PART,
-            Status.CHANGED: Remedy.SPLIT}     # of all others it is to look at the signals
+REMEDIES = {Status.TOO_SHORT: Remedy.LONGER, Status.CHANGED: Remedy.SPLIT}    # else the signals
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ Everything here compares at the outputs' own stamps; nothing is resampled.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from ctsid_core.model.predictor import Stream, filter_states, predictor_gain, sp
 from ctsid_core.model.simulation import free_response, input_polynomials, respond
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.whiteness import independence, whiteness
+from ctsid_core.signals.gaps import between_pauses
 from ctsid_core.signals.record import Record, channel_slices
 
 
@@ -110,6 +111,9 @@ def simulation(model: StateSpace, record: Record, *,
     bounded solution: the fit of an unstable model is right even where simulating onward from `x0`
     would lose all digits. For an unbiased test, take another record than for the identification.
 
+    After a pause of all channels state and offsets begin anew; results have those of the start and
+    of the end.
+
     Parameters
     ----------
     model : StateSpace
@@ -125,6 +129,27 @@ def simulation(model: StateSpace, record: Record, *,
     """
     if trim not in ('model', 'refit'):
         raise DataError(f'`trim` is {trim!r}; choose model or refit')
+    parts = [_simulation(model, part, trim) for part in between_pauses(record)]
+    times, y, y_hat = (np.concatenate([getattr(part, name) for part in parts])
+                       for name in ('times', 'y', 'y_hat'))
+    return Validation(times=times, y=y, y_hat=y_hat, x0=parts[0].x0, fit=fit(y, y_hat),
+                      vaf=vaf(y, y_hat), offset=parts[-1].offset)
+
+
+class _Simulated(NamedTuple):
+    times: Array
+    y: Array
+    y_hat: Array
+    x0: Array
+    offset: Array | float
+
+
+def _simulation(model: StateSpace, record: Record, trim: str) -> _Simulated:
+    """Simulate a record without pauses, or a part between them."""
+    if record.part_of is not None:      # what acted before it was not recorded
+        known = max((float(s.time[0]) + max(model.delay[channels]) for s, channels in zip(
+            record.inputs, channel_slices(record.inputs), strict=True)), default=record.start)
+        record = replace(record, start=min(max(record.start, known), record.end))
     times, y, _ = _samples(model, record)
     y_hat, x0 = _respond(model, record, times)
     offset: Array | float = 0.0
@@ -140,8 +165,7 @@ def simulation(model: StateSpace, record: Record, *,
             y_hat, x0 = y_hat + columns @ found, x0 + states @ found
         offset = found[-model.ny:] if trim == 'refit' else 0.0
         y_hat = np.where(np.isnan(y_hat), np.inf, y_hat)
-    return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
-                      offset=offset)
+    return _Simulated(times, y, y_hat, x0, offset)
 
 
 def _least_squares(columns: Array, wanted: Array, scale: Array) -> Array:

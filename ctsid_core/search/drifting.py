@@ -97,10 +97,11 @@ def _with_time(samples: Samples) -> Samples:
     """Return samples with more inputs: those that there are, times the time, and that."""
     records = []
     for r in samples.records:
-        middle, length = 0.5 * (r.start + r.end), (r.end - r.start) or 1.0
+        start, end = r.span
+        middle, length = 0.5 * (start + end), (end - start) or 1.0
         more = [replace(s, values=s.values * ((s.time - middle) / length)[:, np.newaxis])
                 for s in r.inputs]
-        more.append(Signal(r.start + np.array([0.0, length]), np.array([[-0.5], [0.5]]), 'linear'))
+        more.append(Signal(start + np.array([0.0, length]), np.array([[-0.5], [0.5]]), 'linear'))
         records.append(replace(r, inputs=(*r.inputs, *more),
                                drives=(*r.drives, *map(Drive.of, more))))
     return replace(samples, records=tuple(records), nu=2 * samples.nu + 1)

@@ -115,6 +115,8 @@ class Record:
     faults : tuple of str
         What whoever made it knows to be wrong with its samples, a sentence each, with the cure: a
         model of it is WEAK at most.
+    part_of : Record, optional
+        The record that it is a part of, between pauses of all its channels.
     """
 
     inputs: tuple[Signal, ...]
@@ -123,6 +125,7 @@ class Record:
     end: float
     epoch_ns: int = 0
     faults: tuple[str, ...] = ()
+    part_of: Record | None = None
 
     @classmethod
     def from_arrays(
@@ -176,6 +179,11 @@ class Record:
     def ny(self) -> int:
         """Number of output channels."""
         return sum(s.width for s in self.outputs)
+
+    @property
+    def recording(self) -> Record:
+        """The record with all its parts."""
+        return self.part_of or self
 
     @property
     def duration(self) -> float:

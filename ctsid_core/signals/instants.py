@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Instants in the reasons of verdicts.
+Instants in notes, and in the reasons of verdicts.
 
 They count from the start of the window, for that is all that a judge of one window knows; people
 read them by the clock of what the window was cut from.
