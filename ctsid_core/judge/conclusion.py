@@ -44,7 +44,7 @@ from ctsid_core.search.by_prediction import (
     in_record,
 )
 from ctsid_core.search.held_out import HeldOut, held_out
-from ctsid_core.search.solution import Doubt, Solution
+from ctsid_core.search.solution import Doubt, Solution, at_fastest
 from ctsid_core.search.tried import SEARCH
 from ctsid_core.signals.instants import after_start, by_clock
 from ctsid_core.signals.wrapped import jumps_in_words, wrapped_channels
@@ -238,6 +238,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
             driven(solution.samples, solution.fit, errors)),
         poles=model.poles, change=change, where=_where(part, change), worst=_worst(solution),
         numbers=numbers, by_prediction=solution.by_prediction, unproven=solution.unproven,
+        fastest=not solution.by_prediction and at_fastest(solution.fit, solution.free),
         doubt=solution.doubt, wrapped=_wrapped(part), distance_to_controller=away,
         lead=_lead(lead, last), apart=_spread_out(apart, last.u, whole.nu, 0.0),
         within=_within(solution), drift=drift,

@@ -242,7 +242,9 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             both[0].uncertainty, nan=np.inf), reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = f'move it independently of the other inputs ({_shared(one)})'
-            cure = alone if one.own < _UNCORRELATED else _more(one.uncertainty / KNOWN)
+            faster = 'a pole is as fast as any that is looked for: sample the outputs faster'
+            cure = alone if one.own < _UNCORRELATED else faster if e.fastest else \
+                _more(one.uncertainty / KNOWN)
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
                 f', for models of other orders that may be as right are {_percent(apart)} away '
                 'from it')

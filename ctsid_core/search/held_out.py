@@ -87,7 +87,7 @@ def held_out(samples: Samples, fit: Fit, free: Free, share: float,
 
     try:
         early, late = kept(samples), _parts(samples, share, True, count)
-        if np.min(early.counts) < 4 * fit.model.n + 4:
+        if np.min(early.counts.mean(axis=0)) < 4 * fit.model.n + 4:
             return _nothing(samples, 'too few samples would be left for the model')
         own = of(early)
         if own is None:

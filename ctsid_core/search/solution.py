@@ -26,6 +26,14 @@ Doubt = tuple[str, str]
 ANY_ORDER, ANY_DELAY = GIVEN = ('order: 0', 'delay: auto')
 
 
+NEARLY = 0.95         # of a bound: what is near it stands in for more
+
+
+def at_fastest(fit: Fit, free: Free) -> bool:
+    """Return whether a pole is about as fast as any that is looked for."""
+    return bool(np.max(np.abs(fit.model.poles), initial=0.0) >= NEARLY * free.fastest)
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A model of the moving channels, and how it was identified."""

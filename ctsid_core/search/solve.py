@@ -47,8 +47,10 @@ from ctsid_core.search.solution import (
     ANY_DELAY,
     ANY_ORDER,
     DISTURBED,
+    NEARLY,
     Doubt,
     Solution,
+    at_fastest,
     own_delays,
 )
 from ctsid_core.search.tried import (
@@ -70,7 +72,6 @@ from ctsid_core.search.tried import (
 from ctsid_core.settings import Settings, longest_sought, slowest_sought
 from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
-_NEARLY = 0.95        # of the longest dead time that is looked for: states may stand in for more
 _FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
                       # plant in open loop, and it may grow
@@ -354,10 +355,10 @@ def _smaller(samples: Samples, found: dict[int, Tried], best: Tried,
 
 def _at_bound(best: Tried, free: Free) -> tuple[str, ...]:
     """Return that a pole is about as fast as any that is looked for, in words."""
-    fast = float(np.max(np.abs(best.fit.model.poles), initial=0.0))
-    return () if fast < _NEARLY * free.fastest else (
-        f'the pole of {fast:.3g} rad/s is about the fastest that is looked for ({_FASTEST:g} of '
-        'the Nyquist frequency of the outputs) and stands for anything faster: it is a bound',)
+    return () if not at_fastest(best.fit, free) else (
+        f'the pole of {np.max(np.abs(best.fit.model.poles)):.3g} rad/s is about the fastest that '
+        f'is looked for ({_FASTEST:g} of the Nyquist frequency of the outputs) and stands for '
+        'anything faster: it is a bound',)
 
 
 def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
@@ -366,7 +367,7 @@ def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
                   f'{free.longest:.3g} s, and states may stand in for more', 'delay')
                  for name, late, delay in zip(
                      _names(part), free.delays, best.fit.model.delay, strict=True)
-                 if late and delay > _NEARLY * free.longest), None)
+                 if late and delay > NEARLY * free.longest), None)
 
 
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
