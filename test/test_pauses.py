@@ -60,7 +60,7 @@ def test_what_moved_in_a_pause_is_no_error_of_the_model(pauses, seed):
     assert not found.records
     when = 'from 4.0 to 6.0 s after the start' if pauses == ((4.0, 6.0),) else \
         'in 2 pauses, the longest from 3.0 to 3.6 s' if len(pauses) == 2 else 'from 0.5 to 8.0 s'
-    assert [when in note for note in found.notes if 'samples are missing' in note] == [True]
+    assert [when in note for note in found.notes if 'nothing to be used' in note] == [True]
 
 
 def test_a_pause_is_where_every_channel_misses_samples():
@@ -135,9 +135,8 @@ def test_a_change_in_a_pause_is_told_with_its_time():
     command = np.sign(given[1])
     found = identify(recorded(given[0], command, *given[2:], (5.0, 6.0)))
     assert found.status is Status.CHANGED
-    assert 'One model does not hold in all of what was recorded from' in found.verdict.reason
-    assert found.statistics['change_share'] * 12.0 in (pytest.approx(5.0, abs=0.05),
-                                                       pytest.approx(6.0, abs=0.05))
+    assert 'The plant changed about' in found.verdict.reason
+    assert 4.9 < found.statistics['change_share'] * 12.0 < 6.1
 
 
 def test_records_with_pauses_are_counted_as_they_were_given():
@@ -147,8 +146,8 @@ def test_records_with_pauses_are_counted_as_they_were_given():
     assert [share.number for share in found.records] == [1, 2]
     assert [(s.end_ns - s.start_ns) * 1e-9 for s in found.records] == pytest.approx([12, 12], 0.01)
     assert np.min([share.fit for share in found.records]) > 96.0
-    assert any(n.startswith('samples are missing from 4.0 to 6.0 s after the start of record '
-                            '1') for n in found.notes)
+    assert any(n.startswith('there is nothing to be used from 4.0 to 6.0 s after the start of '
+                            'record 1') for n in found.notes)
 
 
 @pytest.mark.parametrize('delay', [0.0, 0.3])

@@ -127,8 +127,8 @@ def usable(record: Record, settings: Settings,
         return Status.NO_RESPONSE
     if not inputs:
         return Status.NO_EXCITATION
-    for signal in outputs:
-        if (share := missing(signal, shorter)) > 0.0:
+    for signal in record.recording.outputs:
+        if (share := missing(signal, record.recording)) > 0.0:
             notes.append(f'{100 * share:.2g} % of the window has no samples of '
                          f'{", ".join(signal.names) or "an output"}')
     inputs, corrupt_u = _despiked(inputs, ('smooth',), SURE_INPUT, (None,) * len(inputs),
@@ -153,7 +153,8 @@ def is_short(record: Record) -> bool:
 
 
 def _few(signal: Signal, record: Record) -> bool:
-    return len(signal.time[signal.rows(record.start, record.end)]) < FEWEST
+    return len(signal.time[signal.rows(record.start, record.end)]) < (
+        FEWEST if record.part_of is None else 1)
 
 
 def _names(signals: Sequence[Signal], chosen: Sequence[bool], names: Sequence[str]) -> list[str]:

@@ -18,16 +18,17 @@ in those of simulations; how much it matters is what the plant, simulated, misse
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Own, only, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Own, in_records, only, places, slopes_of
 from ctsid_core.likelihood.output_error import (
     Fit,
     Fitted,
     Free,
+    Residuals,
     climb_roughly,
     fit_at,
     fit_states,
@@ -85,20 +86,19 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
     # Of a record shorter than a dead time nothing is left.
-    places = [k for k, record in enumerate(samples.records) if record.end > record.start]
-    whole = fit.model, free
+    each, whole = places(samples), (fit.model, free)
     # What is, as a whole, of another plant than the others are is not divided.
     others = (_explained(samples, whole, _divided(samples, whole, whole, place, 0.0))
-              for place in places if len(places) > 1)
+              for place in each if len(each) > 1)
     other = max((Change(), *others), key=lambda change: change.cost)
     if other.cost > 0.0:
         return other
     if predictor is not None:
         return max(Change(), *(_as_predicted(samples, whole, place, predictor)
-                               for place in places),
+                               for place in each),
                    key=lambda change: (change.cost, change.gain))
     return max(Change(), *(_explained(samples, one, _divisions(samples, one, whole, place))
-                           for place in places for one in (whole, *smaller)),
+                           for place in each for one in (whole, *smaller)),
                key=lambda change: change.cost)
 
 
@@ -106,7 +106,7 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, free = predictor
     one, whole = only(joint, place), (fit.model, free)
-    if len(joint.records) > 1:
+    if len(places(joint)) > 1:
         # What disturbs a record is its own, and so is its predictor.
         with suppress(np.linalg.LinAlgError):
             start = fit_at(one, fit.model.poles, fit.model.delay, free)
@@ -152,16 +152,17 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     samples before an instant says all of that side, and Q'Q of the others all of the other one.
     """
     samples = samples.thinned(SEARCHED)
-    record, fewest = samples.records[0], _FEWEST * (3 * own[0].n + 2)
+    fewest, counts = _FEWEST * (3 * own[0].n + 2), samples.counts.sum(axis=0)
     slopes = slopes_of(samples, own)
-    states, shares, each = slopes.states, slopes.shares, float(np.min(slopes.counts))
+    states, shares, each = slopes.states, slopes.shares, float(np.min(counts))
     rival = slopes.fit if own is whole else fit_states(samples, *whole)
     errors = np.split(slopes.error[:, np.newaxis], np.cumsum(slopes.counts)[:-1])
-    noise = white_part((tuple(errors),)) ** 2
-    most = each * min(float(np.sum(rival.power / slopes.fit.power)),
+    noise = white_part(in_records(errors, samples)) ** 2
+    most = each * min(float(np.sum(samples.mean(rival.power / slopes.fit.power))),
                       samples.ny - (1.0 - _LEFT) * float(np.max(1.0 - noise)))
     # As many samples count of each output as there are of the one that has fewest.
-    weight = np.repeat(np.sqrt(each / slopes.counts), slopes.counts.astype(int))
+    weight = np.repeat(np.tile(np.sqrt(each / counts), len(samples.records)),
+                       slopes.counts.astype(int))
     rows, error = slopes.rows * weight[:, np.newaxis], slopes.error * weight
     order = np.argsort(shares, kind='stable')
     if len(rows) <= rows.shape[1]:              # samples enough for one model only
@@ -177,8 +178,9 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     basis = np.column_stack((basis, rest / max(told[-1], 1e-300)))
     parts = np.split(basis, np.searchsorted(shares[order], _INSTANTS, side='right'))
     sums = np.cumsum([part.T @ part for part in parts], axis=0)
-    least = np.argmin([len(s.times) for s in record.streams])
-    span = (record.streams[least].times - record.start) / (record.end - record.start)
+    start, end = samples.records[0].span
+    span = (min((np.concatenate([s.times for s in same]) for same in zip(
+        *(r.streams for r in samples.records), strict=True)), key=len) - start) / (end - start)
     early = np.searchsorted(span, _INSTANTS, side='right')
     promise, left = np.zeros(len(_INSTANTS)), np.zeros(len(_INSTANTS))
     for side, count in ((sums[:-1], early), (sums[-1] - sums[:-1], len(span) - early)):
@@ -192,7 +194,7 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         # Be it of all outputs, or of one whose errors are one of ny shares of the sum.
         gain = samples.ny * count * np.log(own_states / all_of_it)
         promise += np.where(count >= fewest, gain, 0.0)
-    price = _numbers(samples, own) * float(np.log(np.max(samples.counts)))
+    price = _numbers(samples, own) * float(np.log(np.max(counts)))
     return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:]
             if promise[k] > price and left[k] < _FURTHER * most]
 
@@ -210,13 +212,21 @@ def _best(samples: Samples, own: Own, change: Change) -> bool:
     states = slopes.rows[:, slopes.states]
     common = states * after if change.share else states[:, :0]
     if not change.share:
-        after = (slopes.records == change.record)[:, np.newaxis]
+        of = np.array([r.recording for r in samples.records])
+        after = (of[slopes.records] == of[change.record])[:, np.newaxis]
 
     def cost(more: Array) -> float:
         return slopes.beside(np.hstack((common, more))).cost
     divided = cost(rest * after)
-    return divided < np.inf and divided <= min(
-        cost(curves_of(samples, slopes.fit)), cost(slopes.drift))
+    return divided < np.inf and divided <= cost(curves_of(samples, slopes.fit)) and (
+        not change.share or divided <= cost(slopes.drift))
+
+
+def _side(samples: Samples, start: float, end: float) -> Samples:
+    """Return what there is of a recording from one time to another, thinned."""
+    side = samples.between([(start, end)] * len(samples.records))
+    return replace(side, records=tuple(r for r in side.records if any(
+        len(s.times) for s in r.streams))).thinned(SEARCHED // 2)
 
 
 def _numbers(samples: Samples, own: Own) -> int:
@@ -231,20 +241,21 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     """
     Return what two models of a model's order miss, if they are likelier than the whole's.
 
-    Of a record that begins with the division, one of its own, beside that of all.
+    Of a record that begins with the division, one of its own, beside that of all. Of a recording
+    with pauses a side has the parts before the division, or those after it.
     """
     if samples.effort.over:
         return Change()
-    alone, samples = len(samples.records) == 1, only(samples, place)
-    record, (model, free) = samples.records[0], own
-    at = record.start + share * (record.end - record.start)
-    one: list[tuple[Array, ...]] = []
-    two: list[tuple[Array, ...]] = []
-    larger: list[tuple[Array, ...]] = []
-    sides = ((record.start, at), (at, record.end)) if share else ((at, record.end),)
-    for start, end in sides:
-        side = samples.between([(start, end)]).thinned(SEARCHED // 2)
-        if np.min(side.counts) < _FEWEST * (3 * model.n + 2):
+    alone, samples, (model, free) = len(places(samples)) == 1, only(samples, place), own
+    first, last = samples.records[0].span
+    at = first + share * (last - first)
+    one: list[Residuals] = []
+    two: list[Residuals] = []
+    larger: list[Residuals] = []
+    sides = [_side(samples, start, end) for start, end in (
+        ((first, at), (at, last)) if share else ((at, last),))]
+    for side in sides:
+        if not side.records or np.min(side.counts.sum(axis=0)) < _FEWEST * (3 * model.n + 2):
             return Change()
         try:
             same = fit_states(side, model, free)
@@ -254,16 +265,18 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
                                   steps=_STEPS)
         except np.linalg.LinAlgError:
             return Change()
-        one += residuals(side, same)
-        larger += one[-1:] if whole is own else residuals(side, fit_states(side, *whole))
-        two += residuals(side, min(same, other, key=lambda fit: fit.cost))
-    parts = np.array([share, 1.0 - share] if share else [1.0])
-    before, after, rival = (np.array([mean_square((side,)) for side in both])
+        one.append(residuals(side, same))
+        larger.append(one[-1] if whole is own else residuals(side, fit_states(side, *whole)))
+        two.append(residuals(side, min(same, other, key=lambda fit: fit.cost)))
+    known = np.array([sum(min(r.end, at) - r.start for r in samples.records if r.start < at),
+                      sum(r.end - max(r.start, at) for r in samples.records if r.end > at)])
+    parts = known[-len(sides):] / np.sum(known[-len(sides):])
+    before, after, rival = (np.array([mean_square(side) for side in both])
                             for both in (one, two, larger))
-    power, rest = parts @ rival, parts @ after
-    n_eff = independent(tuple(two))
+    power, rest, of_one, of_two = parts @ rival, parts @ after, sum(one, ()), sum(two, ())
+    n_eff = independent(of_two)
     count, of_whole = (_numbers(samples, m) for m in (own, whole))
-    fitted = len(sides) * (count + model.n + samples.ny) / samples.ny
+    fitted = (len(sides) * count + len(of_two) * (model.n + samples.ny)) / samples.ny
     # Numbers that two models are fitted with are no evidence for them; against them all is.
     telling = np.where(rest < power, np.maximum(n_eff - fitted, 0.0), n_eff)
     # The model of all stays the other records'.
@@ -272,11 +285,11 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     if gain <= 0.0 and not certain:
         return Change()
     where = int(np.argmax(parts @ before - rest))
-    sizes = np.array([[len(e) for e in side for _ in range(e.shape[1])] for side in two])
+    sizes = np.array([side.counts.sum(axis=0) for side in sides])
     # No more is left than is known to be: less the deviation of a mean square.
-    chance = np.sqrt(2.0 / sizes.sum(axis=0)) * mean_square(tuple(two))
-    left = max(float((coloured_power(tuple(two)) - chance)[where]), 0.0) / max(
-        float(coloured_power(tuple(one))[where]), 1e-300)
+    chance = np.sqrt(2.0 / sizes.sum(axis=0)) * mean_square(of_two)
+    left = max(float((coloured_power(of_two) - chance)[where]), 0.0) / max(
+        float(coloured_power(of_one)[where]), 1e-300)
     # Of noise alone two models miss less, too: by what their numbers are fitted to it.
     by_chance = after * sizes / np.maximum(sizes - fitted / len(sides), 1.0)
     missed = 100.0 * np.sqrt(np.maximum(before - by_chance, 0.0))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctsid_core.bases.preparation import Usable
-from ctsid_core.bases.records import Joint, part_in_words
+from ctsid_core.bases.records import Joint
 from ctsid_core.effort import Effort
 from ctsid_core.judge.changed import NOTED, Change, most_likely_change
 from ctsid_core.judge.curve import curve_gains
@@ -305,11 +305,11 @@ def _where(part: Joint, change: Change) -> str:
     """Return when the plant changed, in words."""
     if change.record < 0:
         return ''
-    own, number = part.parts[change.record].whole, part.numbers[change.record] * part.several
+    whole, name = part.parts[change.record].whole, f'record {part.numbers[change.record]}'
     if not change.share:
-        return f'in all of {part_in_words(own, number)}'
-    about = f'about {after_start(_share(part, change) * own.recording.duration)}'
-    return by_clock(about, 0.0, f'record {number}') if number else about
+        return f'in all of {name}'
+    about = f'about {after_start(_share(part, change) * whole.recording.duration)}'
+    return by_clock(about, 0.0, name) if part.several else about
 
 
 def _worst(solution: Solution) -> str:
@@ -323,13 +323,13 @@ def _share(part: Joint, change: Change) -> float:
     """Return where the change lies, as a part of the whole record."""
     if change.record < 0:
         return float('nan')
+    if not change.share:
+        return 0.0
     own = part.parts[change.record]
-    recording = own.whole.recording
-    at = own.record.start + change.share * own.record.duration
-    if not change.share:        # what is before its first pause is another plant until then
-        at = own.whole.start if own.whole.start > recording.start else own.whole.end
-        at = recording.start if own.whole is recording else at
-    return float((at - recording.start) / recording.duration)
+    whole = own.whole.recording
+    record = own.record if own.whole is whole else whole
+    at = record.start + change.share * record.duration
+    return float((at - whole.start) / whole.duration)
 
 
 def _about(change: Change, part: Joint) -> dict[str, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Left, Own, recordings, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Left, Own, in_records, only, places, slopes_of
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.residuals import independent
 from ctsid_core.likelihood.samples import Samples
@@ -49,14 +49,12 @@ def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Dr
     """Return the drift of the record where it costs most, if more than the `least` [%]."""
     if not np.max(fit.power) > (0.01 * least) ** 2:
         return Drift()
-    each = recordings(samples)
-    found = max((_of_recording(own.thinned(SEARCHED), (fit.model, free), place, least)
-                 for place, own in each.items() if own.records),
-                key=lambda drift: drift.cost, default=Drift())
+    found = max((_of_recording(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
+                 for k in places(samples)), key=lambda drift: drift.cost, default=Drift())
     if found.record < 0:
         return found
     # Of all motion the drift of a short record, the largest of many, is a small part.
-    share = np.sum(each[found.record].counts) / np.sum(samples.counts)
+    share = np.sum(only(samples, found.record).counts) / np.sum(samples.counts)
     return found._replace(moved=found.cost * float(np.sqrt(share)))
 
 
@@ -111,7 +109,7 @@ def _of_recording(samples: Samples, own: Own, place: int, least: float) -> Drift
         return samples.mean(left.power.reshape(-1, samples.ny) * slopes.fit.power)
     numbers, ny = drifting.numbers - constant.numbers, samples.ny
     errors = [e[:, np.newaxis] for e in drifting.errors]
-    n_eff = independent(tuple(tuple(errors[k:k + ny]) for k in range(0, len(errors), ny)))
+    n_eff = independent(in_records(errors, samples))
     before, after = power(constant), power(drifting)
     gain = float(n_eff @ np.log(before / after))
     by_chance = after * numbers / ny / np.maximum(n_eff - drifting.numbers / ny, 1.0)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from ctsid_core.judge.curve import MOST
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.mode_columns import columns_of
-from ctsid_core.likelihood.output_error import Fit, Free, fit_states, jacobian
+from ctsid_core.likelihood.output_error import Fit, Free, Residuals, fit_states, jacobian
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.least_squares import basis_of
 from ctsid_core.linear.types import Array, Mask
@@ -37,8 +38,7 @@ class Slopes(NamedTuple):
     rows: Array             # (N, k)
     error: Array            # (N,)
     states: Mask            # (k,): columns of initial states and trims
-    shares: Array           # (N,): when, as a part of the record
-    phases: Array           # (N,): the same of its recording, with the parts between its pauses
+    shares: Array           # (N,): when, as a part of the recording
     delays: Mask            # (k,): columns of dead times
     records: Array          # (N,): of which record
     counts: Array           # samples of each output of each record
@@ -52,7 +52,7 @@ class Slopes(NamedTuple):
     @property
     def drift(self) -> Array:
         """The same of numbers that move in a straight line within each recording."""
-        return self.rest * (self.phases - 0.5)[:, np.newaxis]
+        return self.rest * (self.shares - 0.5)[:, np.newaxis]
 
     def beside(self, more: Array) -> Left:
         """Return what further columns leave, at most half as many as there are samples."""
@@ -68,17 +68,22 @@ class Slopes(NamedTuple):
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 
 
+def places(samples: Samples) -> list[int]:
+    """Return a place of each recording among all records: of its last part between pauses."""
+    return list({r.recording: k for k, r in enumerate(samples.records)
+                 if r.end > r.start}.values())
+
+
 def only(samples: Samples, place: int) -> Samples:
-    """Return one record: its states are fitted anew."""
-    return replace(samples, records=samples.records[place:place + 1])
-
-
-def recordings(samples: Samples) -> dict[int, Samples]:
-    """Return each recording, with all parts between its pauses, by the place of its last one."""
-    found = {r.recording: place for place, r in enumerate(samples.records)}
-    return {place: replace(samples, records=tuple(
+    """Return one recording, with all parts between its pauses: their states are fitted anew."""
+    number = samples.records[place].recording
+    return replace(samples, records=tuple(
         r for r in samples.records if r.recording == number and r.end > r.start))
-        for number, place in found.items()}
+
+
+def in_records(errors: Sequence[Array], samples: Samples) -> Residuals:
+    """Return errors of each output of each record, one after another, (N, 1), as residuals."""
+    return tuple(tuple(errors[k:k + samples.ny]) for k in range(0, len(errors), samples.ny))
 
 
 def slopes_of(samples: Samples, own: Own) -> Slopes:
@@ -88,15 +93,12 @@ def slopes_of(samples: Samples, own: Own) -> Slopes:
                          turned=False)
     fit = fit_states(samples, model, free, columns)
     rows, error, places = jacobian(samples, fit, free)
-    each = [(s.times, r) for r in samples.records for s in r.streams
-            for _ in range(s.y.shape[1])]
-    shares, phases = (np.concatenate([(times - start) / (end - start)
-                                      for times, r in each for start, end in [span(r)]])
-                      for span in (lambda r: (r.start, r.end), lambda r: r.span))
+    shares = [(s.times - start) / (end - start) for r in samples.records
+              for start, end in [r.span] for s in r.streams for _ in range(s.y.shape[1])]
     number = np.arange(rows.shape[1]) - places.poles
     return Slopes(
         fit, rows, error, places.of_states(samples.ny, len(samples.records), free.trim),
-        shares, phases,
+        np.concatenate(shares),
         (number >= 0) & (number < places.delays),
         np.repeat(np.arange(len(samples.records)), samples.counts.sum(axis=1).astype(int)),
-        np.array([len(times) for times, _ in each]), samples)
+        np.array([len(times) for times in shares]), samples)

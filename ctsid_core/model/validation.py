@@ -111,8 +111,8 @@ def simulation(model: StateSpace, record: Record, *,
     bounded solution: the fit of an unstable model is right even where simulating onward from `x0`
     would lose all digits. For an unbiased test, take another record than for the identification.
 
-    After a pause of all channels state and offsets begin anew; results have those of the start and
-    of the end.
+    After a pause of all channels, or of a measured input, state and offsets begin anew; results
+    have the state at the start, and the offsets of the part with most samples.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def simulation(model: StateSpace, record: Record, *,
     times, y, y_hat = (np.concatenate([getattr(part, name) for part in parts])
                        for name in ('times', 'y', 'y_hat'))
     return Validation(times=times, y=y, y_hat=y_hat, x0=parts[0].x0, fit=fit(y, y_hat),
-                      vaf=vaf(y, y_hat), offset=parts[-1].offset)
+                      vaf=vaf(y, y_hat), offset=max(parts, key=lambda p: len(p.times)).offset)
 
 
 class _Simulated(NamedTuple):

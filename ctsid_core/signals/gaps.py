@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctsid_core.errors import DataError
-from ctsid_core.linear.types import Array
+from ctsid_core.linear.types import Array, Mask
 from ctsid_core.signals.instants import after_start
-from ctsid_core.signals.record import Record, Signal, common_interval
+from ctsid_core.signals.record import Record, Signal
 
 GAP_PERIODS = 5.0       # longer intervals, in usual ones, are gaps: not splined over
 _USUAL = 0.9            # of the intervals of a signal are no longer than the usual one: pauses
                         # between bursts, and intervals at random, are part of the sampling
-_MOST = 50              # pauses of a record, the longest: each costs states and offsets anew
+_LONG = 0.01            # of a record: shorter pauses are bridged, for each costs states and
+                        # offsets anew
 FEWEST = 20             # samples of an output in what can be used
 
 
@@ -37,17 +37,18 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     """
     signals = (*record.inputs, *record.outputs)
     stamps = np.unique(np.concatenate([s.time for s in signals]))
-    known = max(float(s.time[0]) for s in signals if len(s.time)) if len(stamps) else 0.0
+    known = max((float(s.time[0]) for s in signals if len(s.time)), default=0.0)
     pauses = _silent(stamps[stamps >= min(known, record.start)], signals, record)
     for s in record.inputs:
         if s.hold != 'zoh':
             pauses += _silent(np.union1d(s.time, record.end), (s,), record)
+    pauses = [(a, b) for a, b in pauses if b - a > _LONG * record.duration]
     parts, first = [], -np.inf
-    for last, following in (*sorted(sorted(pauses, key=_backwards)[:_MOST]), (np.inf, np.inf)):
-        if last > first and (part := _part(record, first, last)) is not None:
-            parts.append(part)
+    for last, following in (*sorted(pauses), (np.inf, np.inf)):
+        if last > max(first, record.start) and first < record.end:
+            parts.append(_part(record, first, last))
         first = max(first, following)
-    long = [part for part in parts if np.min(_samples(part)) >= FEWEST]
+    long = [part for part in parts if np.max(_samples(part)) >= FEWEST]
     kept, seen = (sum(float(np.sum(_samples(part))) for part in some) for some in (long, parts))
     return tuple(long) if pauses and kept > 0.5 * seen else (record,)
 
@@ -65,16 +66,18 @@ def _silent(stamps: Array, signals: Sequence[Signal], record: Record
     """Return where all of these signals miss samples, of which these are the stamps."""
     before = np.arange(np.searchsorted(stamps[:-1], record.end))
     for s in signals:
-        step = np.diff(s.time)
-        usual = float(np.quantile(step, _USUAL)) if len(step) else np.inf
-        k = np.searchsorted(s.time, stamps[before], side='right')
-        own = np.diff(s.time, prepend=-np.inf, append=np.inf)[k]
-        before = before[own > GAP_PERIODS * usual]
+        before = before[_misses(s, stamps[before], record)]
     return list(zip(stamps[before].tolist(), stamps[before + 1].tolist(), strict=True))
 
 
-def _backwards(pause: tuple[float, float]) -> float:
-    return pause[0] - pause[1]
+def _misses(signal: Signal, after: Array, record: Record) -> Mask:
+    """Return whether a signal misses samples after some of these stamps."""
+    t = signal.time
+    if not len(t):
+        return np.ones(len(after), dtype=bool)
+    usual = float(np.quantile(np.diff(t), _USUAL)) if len(t) > 1 else np.inf
+    own = np.diff(t, prepend=min(t[0], record.start), append=max(t[-1], record.end))
+    return np.asarray(own[np.searchsorted(t, after, side='right')] > GAP_PERIODS * usual)
 
 
 def in_words(parts: Sequence[Record]) -> str:
@@ -86,25 +89,30 @@ def in_words(parts: Sequence[Record]) -> str:
     if parts[0] is whole or not pauses:
         return ''
     when = after_start(*max(pauses, key=lambda pause: pause[1] - pause[0]))
-    return (f'samples are missing {when}' if len(pauses) == 1 else
-            f'samples are missing in {len(pauses)} pauses, the longest {when}'
-            ) + ': what moved there is not known, and states and offsets begin anew after it'
+    return ('there is nothing to be used '
+            + (when if len(pauses) == 1 else f'in {len(pauses)} pauses, the longest {when}')
+            + ': samples are missing, and states and offsets begin anew after it')
 
 
-def _part(record: Record, first: float, last: float) -> Record | None:
-    """Return what a record has from one stamp to another, or None if that is nothing."""
-    if last <= record.start or first >= record.end:
-        return None
-    inputs, outputs = (tuple(replace(s, time=s.time[rows], values=s.values[rows])
-                             for s in signals for rows in [s.rows(first, last)])
-                       for signals in (record.inputs, record.outputs))
-    try:
-        start, end = common_interval((*inputs, *outputs))
-    except DataError:
-        return None
-    part = replace(record, inputs=inputs, outputs=outputs, start=max(start, record.start),
-                   end=min(end, record.end), part_of=record)
-    return part if part.duration > 0.0 else None
+def _part(record: Record, first: float, last: float) -> Record:
+    """
+    Return what is from the end of a pause to the start of the next one.
+
+    An input that missed no samples in a pause is known through it, and is kept from before.
+    """
+    inputs = tuple(_known(s, first, last, record) for s in record.inputs)
+    outputs = tuple(replace(s, time=s.time[rows], values=s.values[rows])
+                    for s in record.outputs for rows in [s.rows(first, last)])
+    return replace(record, inputs=inputs, outputs=outputs, start=max(first, record.start),
+                   end=min(last, record.end), part_of=record)
+
+
+def _known(signal: Signal, first: float, last: float, record: Record) -> Signal:
+    """Return an input without what is beyond gaps of its own at both ends."""
+    from_there, to_there = _misses(signal, np.array([np.nextafter(first, -np.inf), last]), record)
+    t = signal.time
+    rows = (t >= first if from_there else t > -np.inf) & (t <= last if to_there else t < np.inf)
+    return replace(signal, time=t[rows], values=signal.values[rows])
 
 
 def _samples(record: Record) -> Array:
