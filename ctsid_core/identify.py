@@ -67,7 +67,8 @@ def identify(record: Record | Sequence[Record], settings: Settings | None = None
 
     Of several records: the trim and the noise of the model are those of the record that ends last
     (of several, the last given), those of all are in `Estimate.records`. The order does not matter
-    otherwise. What is held out are parts of every record.
+    otherwise. What is held out are parts of every record. A record with pauses is in parts, each
+    with a trim of its own: the model's is that after the last one.
 
     References
     ----------

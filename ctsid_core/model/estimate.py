@@ -106,7 +106,7 @@ class Estimate:
     orders : tuple of OrderTried
         The orders among which was chosen, lowest first; empty if the order was given.
     notes : tuple of str
-        What else the user should know (gaps, constant channels, removed inputs).
+        What else the user should know (pauses, constant channels, removed inputs).
     start_ns, end_ns : int
         The window, absolute [ns]; of several records the first start and the last end.
     statistics : dict of str to float

@@ -116,7 +116,7 @@ class Record:
         What whoever made it knows to be wrong with its samples, a sentence each, with the cure: a
         model of it is WEAK at most.
     part_of : Record, optional
-        The record that it is a part of, between pauses of all its channels.
+        The record that it is a part of, between its pauses.
     """
 
     inputs: tuple[Signal, ...]
