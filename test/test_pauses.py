@@ -139,6 +139,60 @@ def test_a_change_in_a_pause_is_told_with_its_time():
     assert 4.9 < found.statistics['change_share'] * 12.0 < 6.1
 
 
+@pytest.mark.parametrize(('seed', 'pauses'), [
+    (9, ((3.0, 3.3), (8.0, 8.3))), (2, ((2.0, 2.2), (6.3, 6.5), (9.0, 9.2)))])
+def test_a_change_between_pauses_is_told_with_its_time(seed, pauses):
+    """Beside parts all of another plant; their own states imitated it, and it was GOOD."""
+    given = moved(seed, gain=lambda t: 1.0 if t < 6.0 else 1.6)
+    found = identify(recorded(given[0], np.sign(given[1]), *given[2:], *pauses))
+    assert found.status is Status.CHANGED
+    assert found.statistics['change_share'] * 12.0 == pytest.approx(6.0, abs=0.5)
+
+
+def test_what_is_known_through_a_pause_of_another_channel_is_kept():
+    """A command that was sent before it, and outputs of any rate, do not end a part."""
+    t_u, u, t_y, y = moved(15)
+    known = (t_u < 6.0) | (t_u > 6.4)
+    measured = Signal(t_u[known], u[known], 'linear')
+    other = Signal(np.array([0.0, 1.0, 2.0, 3.0]), np.array([[0.0], [1.0], [0.0], [1.0]]), 'zoh')
+    seldom = Signal(np.arange(0.0, 4.0), np.zeros((4, 1)), 'smooth')
+    given = Record((measured, other), (Signal(t_y, y), seldom), 0.0, 11.9)
+    first, second = between_pauses(given)
+    assert (first.start, second.end) == (0.0, 11.9)
+    assert (first.end, second.start) == (pytest.approx(6.0, abs=0.021),
+                                         pytest.approx(6.4, abs=0.021))
+    assert second.inputs[1].values[-1] == 1.0
+    assert second.inputs[0].time[0] >= 6.4
+
+
+@pytest.mark.parametrize('end', [10.0, 10.02])
+def test_the_last_sample_of_a_measured_input_is_no_pause(end):
+    t_u, u, t_y, y = moved(16)
+    seen = t_u < 10.0
+    given = Record((Signal(t_u[seen], u[seen], 'smooth'),), (Signal(t_y, y),), 0.0, end)
+    assert between_pauses(given) == (given,)
+
+
+def test_short_pauses_of_a_slow_plant_are_bridged():
+    """States and offsets anew after each would cost more than what it moves in them."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, 100.0, 0.01)
+    u = np.cumsum(rng.standard_normal((len(t), 1)), axis=0) / 100.0
+    y = noisy(rng, held_response(plant([[-0.1]], [[0.1]], [[1.0]]), t, u, t), 34.0)
+    gaps = rng.uniform(1.0, 99.0, 40)
+    known = ~np.any([(a < t) & (t < a + 0.08) for a in gaps], axis=0)
+    found = identify(Record.from_arrays(t[known], u[known], t[known], y[known], input_hold='zoh'))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert found.model.poles.real == pytest.approx([-0.1], rel=0.01)
+
+
+def test_the_offset_of_a_part_without_samples_is_not_told():
+    given = moved(17, delay=1.5)
+    record = recorded(*given, (11.0, 11.5))
+    model = replace(identify(recorded(*given)).model, delay=(1.5,))
+    model = replace(model, y_trim=model.y_trim - 7.0)
+    assert simulation(model, record, trim='refit').offset == pytest.approx(7.0, abs=0.1)
+
+
 def test_records_with_pauses_are_counted_as_they_were_given():
     one, other = recorded(*moved(10), (4.0, 6.0)), recorded(*moved(11))
     found = identify([one, other])

@@ -102,7 +102,8 @@ def join_records(records: Sequence[Record], settings: Settings,
     Return what can be used of records of the same channels, or why nothing can.
 
     A record is in parts where it pauses. A channel moves if it moves in any of them. A record that
-    is too short is left out and noted. `check` is called often. Raises `SettingsError` if `settings.delay` does not fit the number of inputs.
+    is too short is left out and noted. `check` is called often. Raises `SettingsError` if
+    `settings.delay` does not fit the number of inputs.
     """
     divided = [between_pauses(record) for record in records]
     given = [(number, part) for number, own in enumerate(divided, 1) for part in own]

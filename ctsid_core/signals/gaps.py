@@ -76,7 +76,9 @@ def _misses(signal: Signal, after: Array, record: Record) -> Mask:
     if not len(t):
         return np.ones(len(after), dtype=bool)
     usual = float(np.quantile(np.diff(t), _USUAL)) if len(t) > 1 else np.inf
-    own = np.diff(t, prepend=min(t[0], record.start), append=max(t[-1], record.end))
+    # What was sent last is held.
+    end = t[-1] if signal.hold == 'zoh' else max(t[-1], record.end)
+    own = np.diff(t, prepend=min(t[0], record.start), append=end)
     return np.asarray(own[np.searchsorted(t, after, side='right')] > GAP_PERIODS * usual)
 
 
