@@ -1129,7 +1129,7 @@ def test_interrupted_replay_keeps_what_was_found(shared, tmp_path):
 def test_interrupted_before_anything_was_found(shared, tmp_path):
     process = subprocess.Popen(
         [sys.executable, '-c', 'import signal, sys; from ctsid_ros.replay import replay; '
-         'replay.play = lambda *_: signal.raise_signal(signal.SIGINT) or iter(()); '
+         'replay.play = lambda *_, **__: signal.raise_signal(signal.SIGINT) or iter(()); '
          'from ctsid_ros.cli import main; sys.exit(main(sys.argv[1:]))', 'replay',
          shared / 'bag', '--params', shared / 'params.yaml', '--out', tmp_path / 'res'],
         env=environment(), cwd=tmp_path, text=True, stdout=subprocess.PIPE,
