@@ -52,11 +52,14 @@ def off(found) -> float:
 @pytest.mark.parametrize('seed', [1, *slow(2, 3, 4)])
 @pytest.mark.parametrize('pauses', [((4.0, 6.0),), ((3.0, 3.6), (8.0, 8.4)), ((0.5, 8.0),)])
 def test_what_moved_in_a_pause_is_no_error_of_the_model(pauses, seed):
-    found = identify(recorded(*moved(seed), *pauses))
+    given = moved(seed)
+    record = recorded(*given, *pauses)
+    noise = 10.0 ** -1.5 * np.std(given[3]) / np.std(record.outputs[0].values)
+    found = identify(record)
     assert found.verdict.grade is Grade.GOOD, found.verdict.reason
     assert found.model.n == 2
     assert off(found) < 0.03
-    assert np.min(found.fit) > 96.0
+    assert found.fit[0] > 100.0 * (1.0 - noise) - 0.5
     assert not found.records
     when = 'from 4.0 to 6.0 s after the start' if pauses == ((4.0, 6.0),) else \
         'in 2 pauses, the longest from 3.0 to 3.6 s' if len(pauses) == 2 else 'from 0.5 to 8.0 s'
