@@ -17,6 +17,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Signal, Status, identify
+from ctsid_core.judge.motion import motion_within
+from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model.validation import simulation
 from ctsid_core.sequence.tracking import Tracker
 from ctsid_core.signals.gaps import between_pauses
@@ -107,6 +109,59 @@ def test_samples_that_come_in_bursts_are_no_parts():
     t = np.concatenate([k + np.arange(8) * 0.01 for k in np.arange(0.0, 6.0, 0.8)])
     bursts = Record.from_arrays(t, np.sin(t), t, np.cos(t))
     assert between_pauses(bursts) == (bursts,)
+
+
+def test_where_most_samples_are_in_short_parts_all_are_used():
+    t = np.concatenate([k + np.arange(15 if k else 30) * 0.01 for k in np.arange(0.0, 12.0)])
+    bursts = Record.from_arrays(t, np.sin(t), t, np.cos(t))
+    assert between_pauses(bursts) == (bursts,)
+
+
+def test_an_output_may_be_seldom_in_a_part():
+    """Nine and ten samples of it: all parts are used."""
+    t_u, u, t_y, y = moved(18)
+    given = recorded(t_u, u, t_y, y, (4.0, 7.0))
+    slow_one = np.arange(0.0, 12.0, 0.5)
+    slow_one = slow_one[(slow_one <= 4.0) | (slow_one >= 7.0)]
+    seldom = Signal(slow_one, np.interp(slow_one, t_y, y[:, 0])[:, np.newaxis], 'smooth', ('q',))
+    both = replace(given, outputs=(*given.outputs, seldom))
+    found = identify(both)
+    assert len(between_pauses(both)) == 2
+    assert not any('left out' in note for note in found.notes)
+    assert found.status is Status.OK
+
+
+def test_motion_is_within_a_tenth_of_the_recording():
+    t = np.arange(0.0, 20.0, 0.01)
+    known = (t < 9.9) | (t > 10.3)
+    whole = Record.from_arrays(t, np.sin(0.5 * t), t, np.sin(0.5 * t))
+    parts = between_pauses(Record.from_arrays(
+        t[known], np.sin(0.5 * t[known]), t[known], np.sin(0.5 * t[known])))
+    assert len(parts) == 2
+    of_all, of_parts = (motion_within(samples, [tuple(
+        np.zeros_like(s.y) for s in r.streams) for r in samples.records]) for samples in (
+            samples_of([whole], [[None]]), samples_of(parts, [[None]] * 2)))
+    assert of_parts == pytest.approx(of_all, rel=0.05)
+
+
+def test_a_short_part_does_not_keep_a_model_from_its_test():
+    """What is held out of it leaves too few samples, but of all parts there are many."""
+    rng = np.random.default_rng(32)
+    at = rng.uniform(0.5, 18.0, 4)
+    t_u, t_y = np.arange(-1.0, 20.0, 0.02), np.arange(0.0, 20.0, 0.01)
+    u = np.repeat(rng.choice((-1.0, 1.0), len(t_u)), 12)[:len(t_u), np.newaxis]
+    y = noisy(rng, held_response(PLANT, t_u + 0.3, u, t_y), 35.0)
+    found = identify(recorded(t_u, u, t_y, y, *((a, a + 0.6) for a in at)))
+    assert found.verdict.grade is Grade.GOOD, found.verdict.reason
+    assert np.isfinite(found.held_out_fit).all()
+
+
+def test_notes_on_parts_of_one_record_have_no_number():
+    t_u, u, t_y, y = moved(19)
+    y[200] += 5.0
+    found = identify(recorded(t_u, u, t_y, y, (4.0, 6.0)))
+    assert any('corrupt' in note for note in found.notes)
+    assert not any(note.startswith('record ') for note in found.notes)
 
 
 def test_parts_too_short_are_left_out():
@@ -200,7 +255,12 @@ def test_the_offset_of_a_part_without_samples_is_not_told():
 
 
 def test_records_with_pauses_are_counted_as_they_were_given():
-    one, other = recorded(*moved(10), (4.0, 6.0)), recorded(*moved(11))
+    t_u, u, t_y, y = moved(10)
+    early = (t_y < 4.0)[:, np.newaxis]
+    noise = 0.1 * np.random.default_rng(0).standard_normal(y.shape)
+    one, other = recorded(t_u, u, t_y, y, (4.0, 6.0)), recorded(*moved(11))
+    loud = identify([recorded(t_u, u, t_y, y + early * noise, (4.0, 6.0)), other])
+    assert loud.records[0].fit[0] < 92.0             # of both parts, not of the last one
     found = identify([one, other])
     assert found.verdict.grade is Grade.GOOD
     assert [share.number for share in found.records] == [1, 2]
@@ -219,6 +279,8 @@ def test_a_simulation_begins_anew_after_a_pause(delay):
         assert found.fit[0] > 96.0
         assert np.all(np.diff(found.times) > 0.0)
         assert found.y_hat.shape == found.y.shape == (len(found.times), 1)
+        # Not before a delayed input is known again.
+        assert not np.any((4.0 < found.times) & (found.times < 6.0 + delay - 1e-9))
 
 
 def test_a_model_is_tested_on_new_data_beyond_a_pause():

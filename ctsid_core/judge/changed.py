@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Own, in_records, only, places, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Own, in_records, only, recordings, slopes_of
 from ctsid_core.likelihood.output_error import (
     Fit,
     Fitted,
@@ -86,7 +86,7 @@ def most_likely_change(samples: Samples, fit: Fit, free: Free,
     if np.max(fit.power) < (0.01 * NOTED) ** 2 * _EDGE:        # all of it may be of a short side
         return Change()
     # Of a record shorter than a dead time nothing is left.
-    each, whole = places(samples), (fit.model, free)
+    each, whole = recordings(samples), (fit.model, free)
     # What is, as a whole, of another plant than the others are is not divided.
     others = (_explained(samples, whole, _divided(samples, whole, whole, place, 0.0))
               for place in each if len(each) > 1)
@@ -106,7 +106,7 @@ def _as_predicted(samples: Samples, plant: Own, place: int, predictor: Fitted) -
     """Return what two models explain where predictions say that the plant changes."""
     joint, fit, free = predictor
     one, whole = only(joint, place), (fit.model, free)
-    if len(places(joint)) > 1:
+    if len(recordings(joint)) > 1:
         # What disturbs a record is its own, and so is its predictor.
         with suppress(np.linalg.LinAlgError):
             start = fit_at(one, fit.model.poles, fit.model.delay, free)
@@ -246,14 +246,14 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
     """
     if samples.effort.over:
         return Change()
-    alone, samples, (model, free) = len(places(samples)) == 1, only(samples, place), own
+    alone, samples, (model, free) = len(recordings(samples)) == 1, only(samples, place), own
     first, last = samples.records[0].span
     at = first + share * (last - first)
     one: list[Residuals] = []
     two: list[Residuals] = []
     larger: list[Residuals] = []
-    sides = [_side(samples, start, end) for start, end in (
-        ((first, at), (at, last)) if share else ((at, last),))]
+    bounds = ((first, at), (at, last)) if share else ((at, last),)
+    sides = [_side(samples, start, end) for start, end in bounds]
     for side in sides:
         if not side.records or np.min(side.counts.sum(axis=0)) < _FEWEST * (3 * model.n + 2):
             return Change()
@@ -268,9 +268,9 @@ def _divided(samples: Samples, own: Own, whole: Own, place: int, share: float,
         one.append(residuals(side, same))
         larger.append(one[-1] if whole is own else residuals(side, fit_states(side, *whole)))
         two.append(residuals(side, min(same, other, key=lambda fit: fit.cost)))
-    known = np.array([sum(min(r.end, at) - r.start for r in samples.records if r.start < at),
-                      sum(r.end - max(r.start, at) for r in samples.records if r.end > at)])
-    parts = known[-len(sides):] / np.sum(known[-len(sides):])
+    known = np.array([sum(max(min(r.end, end) - max(r.start, start), 0.0)
+                          for r in samples.records) for start, end in bounds])
+    parts = known / np.sum(known)
     before, after, rival = (np.array([mean_square(side) for side in both])
                             for both in (one, two, larger))
     power, rest, of_one, of_two = parts @ rival, parts @ after, sum(one, ()), sum(two, ())

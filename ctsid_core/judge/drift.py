@@ -17,7 +17,7 @@ import numpy as np
 
 from ctsid_core.judge.changed import NOTED
 from ctsid_core.judge.curve import curves_of
-from ctsid_core.judge.slopes import SEARCHED, Left, Own, in_records, only, places, slopes_of
+from ctsid_core.judge.slopes import SEARCHED, Left, Own, in_records, only, recordings, slopes_of
 from ctsid_core.likelihood.output_error import Fit, Fitted, Free
 from ctsid_core.likelihood.residuals import independent
 from ctsid_core.likelihood.samples import Samples
@@ -50,7 +50,7 @@ def drift_of(samples: Samples, fit: Fit, free: Free, least: float = NOTED) -> Dr
     if not np.max(fit.power) > (0.01 * least) ** 2:
         return Drift()
     found = max((_of_recording(only(samples, k).thinned(SEARCHED), (fit.model, free), k, least)
-                 for k in places(samples)), key=lambda drift: drift.cost, default=Drift())
+                 for k in recordings(samples)), key=lambda drift: drift.cost, default=Drift())
     if found.record < 0:
         return found
     # Of all motion the drift of a short record, the largest of many, is a small part.

@@ -68,7 +68,7 @@ class Slopes(NamedTuple):
         return Left(errors, power, numbers, float(self.counts @ np.log(power)) + numbers)
 
 
-def places(samples: Samples) -> list[int]:
+def recordings(samples: Samples) -> list[int]:
     """Return a place of each recording among all records: of its last part between pauses."""
     return list({r.recording: k for k, r in enumerate(samples.records)
                  if r.end > r.start}.values())

@@ -118,7 +118,7 @@ class Samples:
         """
         Return one of every k samples of each stream, such that about `most` are left of each.
 
-        And some more for each further record, that tell its states. The first one, or
+        And some more for each further record, for its states are more numbers. The first one, or
         `scattered`: any of them. At regular instants a fast resonance may look like a slow one,
         and what an input does as regularly is seen always or never.
         """

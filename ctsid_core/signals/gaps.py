@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -36,21 +37,24 @@ def between_pauses(record: Record) -> tuple[Record, ...]:
     out, but where most samples are in such parts the record is returned as it is.
     """
     signals = (*record.inputs, *record.outputs)
-    stamps = np.unique(np.concatenate([s.time for s in signals]))
-    known = max((float(s.time[0]) for s in signals if len(s.time)), default=0.0)
-    pauses = _silent(stamps[stamps >= min(known, record.start)], signals, record)
+    pauses = _silent(np.unique(np.concatenate([s.time for s in signals])), signals, record)
     for s in record.inputs:
         if s.hold != 'zoh':
             pauses += _silent(np.union1d(s.time, record.end), (s,), record)
     pauses = [(a, b) for a, b in pauses if b - a > _LONG * record.duration]
+    if not pauses:
+        return (record,)
     parts, first = [], -np.inf
     for last, following in (*sorted(pauses), (np.inf, np.inf)):
         if last > max(first, record.start) and first < record.end:
             parts.append(_part(record, first, last))
         first = max(first, following)
-    long = [part for part in parts if np.max(_samples(part)) >= FEWEST]
-    kept, seen = (sum(float(np.sum(_samples(part))) for part in some) for some in (long, parts))
-    return tuple(long) if pauses and kept > 0.5 * seen else (record,)
+    counts = [[len(s.time[s.rows(part.start, part.end)]) for s in part.outputs]
+              for part in parts]
+    kept = [max(own) >= FEWEST for own in counts]
+    if sum(map(sum, compress(counts, kept))) > 0.5 * sum(map(sum, counts)):
+        return tuple(compress(parts, kept))
+    return (record,)
 
 
 def missing(signal: Signal, record: Record) -> float:
@@ -88,7 +92,7 @@ def in_words(parts: Sequence[Record]) -> str:
     known = [whole.start, *(t for part in parts for t in (part.start, part.end)), whole.end]
     pauses = [(a - whole.start, b - whole.start)
               for a, b in zip(known[::2], known[1::2], strict=True) if b > a]
-    if parts[0] is whole or not pauses:
+    if not pauses:
         return ''
     when = after_start(*max(pauses, key=lambda pause: pause[1] - pause[0]))
     return ('there is nothing to be used '
@@ -115,9 +119,3 @@ def _known(signal: Signal, first: float, last: float, record: Record) -> Signal:
     t = signal.time
     rows = (t >= first if from_there else t > -np.inf) & (t <= last if to_there else t < np.inf)
     return replace(signal, time=t[rows], values=signal.values[rows])
-
-
-def _samples(record: Record) -> Array:
-    """Return the number of samples of each output signal."""
-    return np.array([float(len(s.time[s.rows(record.start, record.end)]))
-                     for s in record.outputs])
