@@ -806,3 +806,4 @@ def test_a_resonance_beside_the_nyquist_frequency_needs_faster_samples():
     assert found.verdict.grade is Grade.WEAK
     assert found.verdict.reason.endswith(
         '; a pole is as fast as any that is looked for: sample the outputs faster.')
+    assert found.verdict.remedy is Remedy.SIGNALS       # moving more is no way out

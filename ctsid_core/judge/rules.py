@@ -242,13 +242,13 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             both[0].uncertainty, nan=np.inf), reverse=True):
         if not one.uncertainty <= KNOWN:
             alone = f'move it independently of the other inputs ({_shared(one)})'
-            faster = 'a pole is as fast as any that is looked for: sample the outputs faster'
-            cure = alone if one.own < _UNCORRELATED else faster if e.fastest else \
-                _more(one.uncertainty / KNOWN)
+            remedy, cure = (Remedy.EXCITE, alone) if one.own < _UNCORRELATED else (
+                Remedy.SIGNALS, 'a pole is as fast as any that is looked for: sample the outputs '
+                'faster') if e.fastest else (Remedy.EXCITE, _more(one.uncertainty / KNOWN))
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
                 f', for models of other orders that may be as right are {_percent(apart)} away '
                 'from it')
-            yield Remedy.EXCITE, (
+            yield remedy, (
                 f'The response to input {one.name}{_within(e)} has a standard deviation of '
                 f'{_percent(one.uncertainty)}{otherwise}; {cure}.')
     for i in _largest_first(e.numbers.coloured_error, DISTURBED):
