@@ -54,7 +54,6 @@ from ctsid_core.search.tried import (
 SEARCHED = 1000       # samples of a stream that the search looks at
 _RATIO = 0.6          # of neighbouring dead times on the grid
 _DELAYS = 10          # on it
-_EACH = 2             # starts of each kind that climb to orders 1 and 2; to others one
 _PASSES = 4           # in which b and c of a start are found, one after the other
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
@@ -258,29 +257,28 @@ def _delays(free: Free, known: Array) -> list[Array]:
 def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
              subspace: SubspacePoles, free: Free, known: Array, near: Sequence[Array],
              needed: float) -> Fit | None:
-    """Return the best model of one order."""
-    starts = sorted(_starts(n, found, grid, subspace, free, known, near), key=lambda s: s[0])
-    kinds: dict[str, int] = {}
-    each = _EACH if n < 3 else 1
-    fits: list[tuple[str, Fit]] = []
-    for _, kind, poles, delay in starts:
-        kinds[kind] = kinds.get(kind, 0) + 1
-        if kinds[kind] > each:
+    """Return the best model of one order: of those that the best start of each kind leads to."""
+    starts: dict[str, Fit] = {}
+    for _, kind, poles, delay in sorted(
+            _starts(n, found, grid, subspace, free, known, near), key=lambda s: s[0]):
+        if kind in starts:
             continue
-        if fits and samples.effort.beyond(SEARCH):
+        if starts and samples.effort.beyond(SEARCH):
             break
-        try:
-            fits.append((kind, fit_at(samples, poles, delay, free)))
-        except np.linalg.LinAlgError:
-            continue
+        with suppress(np.linalg.LinAlgError):
+            starts[kind] = fit_at(samples, poles, delay, free)
+    ranked = list[Fit]()
     for model, pole in _of_more_ranks(n, found, samples.rank):
         with suppress(np.linalg.LinAlgError):
-            fits.append(('rank', fit_at(samples, np.append(model.poles, pole), model.delay, free)))
+            ranked.append(fit_at(samples, np.append(model.poles, pole), model.delay, free))
+
+    def cost(fit: Fit) -> float:
+        return fit.cost
 
     def akaike(fit: Fit) -> float:
         return fit.cost + AKAIKE * parameters(samples, fit, free)
     reached: list[Fit] = []
-    for start in _different(fits, each):
+    for start in sorted((*starts.values(), *sorted(ranked, key=cost)[:1]), key=cost):
         best = min(map(akaike, reached), default=np.inf)
         reached.append(_climbed(samples, start, free, needed, best))
         if samples.effort.beyond(SEARCH):
@@ -309,13 +307,6 @@ def _climbed(samples: Samples, start: Fit, free: Free, needed: float, best: floa
     return start if apart is None else climb_on(apart)
 
 
-def _different(fits: list[tuple[str, Fit]], each: int) -> list[Fit]:
-    """Return the best starts of each kind, the best of all first."""
-    ranked = sorted(fits, key=lambda kind_fit: kind_fit[1].cost)
-    kinds = [kind for kind, _ in ranked]
-    return [fit for i, (kind, fit) in enumerate(ranked) if kinds[:i].count(kind) < each]
-
-
 def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspacePoles,
             free: Free, known: Array,
             near: Sequence[Array]) -> Iterator[tuple[float, str, ComplexArray, Array]]:
@@ -328,9 +319,10 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             model = found[before].fit.model
             options = [('', model.poles, model.delay)]
             if np.any(model.delay != known):
-                options.append(('', model.poles, np.where(free.delays, 0.5 * model.delay, known)))
-                if before == 1:             # its dead time may stand for a lag
-                    options.append(('not late, ', model.poles, known))
+                lag = before == 1               # its dead time may stand for one
+                options.append(('half as late, ' * lag, model.poles,
+                                np.where(free.delays, 0.5 * model.delay, known)))
+                options += [('not late, ', model.poles, known)] * lag
         else:
             continue
         errors = found[before].errors if before else grid.resonances.outputs
