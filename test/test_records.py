@@ -497,7 +497,7 @@ def test_what_is_known_is_asked_in_many_records_as_far_as_in_one():
     assert not found.good
 
 
-@pytest.mark.parametrize('seed', [0, 4, 9])
+@pytest.mark.parametrize('seed', [0, 4, 10])
 def test_noise_of_many_short_records_is_no_drift(seed):
     """The largest of 30 by chance: 27 to 35 % of the motion of its record, 5 to 6 % of all."""
     rng, t, records = np.random.default_rng(seed), 0.1 * np.arange(40), []

@@ -10,6 +10,7 @@ import numpy as np
 from plants import held_response, noisy, plant
 import pytest
 from scipy.linalg import block_diag, expm
+from scipy.signal import lfilter
 
 from ctsid_core import Grade, Record, Settings, Signal, Status, identify
 from ctsid_core.judge import changed, conclusion, rules
@@ -18,7 +19,7 @@ from ctsid_core.judge.feedback import distance_to_controller
 from ctsid_core.judge.slopes import SEARCHED, slopes_of
 from ctsid_core.likelihood.modal_model import ModalModel
 from ctsid_core.likelihood.output_error import Free, climb, fit_at
-from ctsid_core.likelihood.residuals import coloured_power, white_part
+from ctsid_core.likelihood.residuals import coloured_power, independent, white_part
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.model import validation
 from ctsid_core.search.solve import free_of
@@ -72,10 +73,10 @@ def test_an_order_that_is_given_may_be_that_of_a_plant_that_is_disturbed():
     assert simulated(found.model, given.test)[0] > 90.0                 # 81 % by output error
 
 
-@pytest.mark.parametrize(('family', 'seed', 'number', 'counted', 'order', 'rivals'), [
-    ('backlash', 22, 4, 3, 4, {4}), ('gain-drift', 16, 3, 1, 2, {3})])
+@pytest.mark.parametrize(('family', 'seed', 'number', 'counted', 'order'), [
+    ('backlash', 22, 4, 3, 4), ('gain-drift', 16, 3, 1, 2)])
 def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed, number, counted,
-                                                                    order, rivals):
+                                                                    order):
     """A state is not bought for a disturbance, nor missed for a plant's curve that is coloured."""
     given = experiment(family, seed, number)
     found, other = identify(given.record), identify(given.record, Settings(order=counted))
@@ -85,7 +86,50 @@ def test_the_colour_of_the_errors_chooses_among_neighbouring_orders(family, seed
     chosen, = (c for c in found.choices if c.name == 'order')
     assert 'because neighbouring errors are alike' in chosen.why
     # What the colour refused might not be right instead, however many samples seem independent.
-    assert {rival.model.n for rival in found.covariance.rivals} == rivals
+    assert counted not in {rival.model.n for rival in found.covariance.rivals}
+
+
+def vibrating(seed, share=0.0):
+    """
+    Return a roll rate, dy/dt = 15 u - 5 y, moved by 3-2-1-1 for 10 s.
+
+    A vibration has this share of its motion, and a frequency that wanders around 24 Hz.
+    """
+    rng, h = np.random.default_rng(seed), 0.01
+    t = h * np.arange(1000)
+    moves = np.repeat([0.0, 1.0, -1.0, 1.0, -1.0, 0.0], [10, 30, 20, 10, 10, 20])
+    u = moves[np.arange(1000) // 4 % 100] * rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.2)
+    y = held_response(plant([[-5.0]], [[15.0]], [[1.0]]), t, u[:, np.newaxis], t)[:, 0]
+    wandering = 0.06 * np.sin(0.5 * np.pi * t + rng.uniform(0.0, 6.0)) \
+        + 0.002 * np.cumsum(rng.standard_normal(1000))
+    vibration = np.sqrt(2.0) * np.sin(h * np.cumsum(150.0 * np.exp(wandering)))
+    noise = share * vibration + (share > 0.0) * 0.05 * rng.standard_normal(1000)
+    return Record.from_arrays(t, u, t, y + np.std(y) * noise, input_hold='zoh')
+
+
+@pytest.mark.parametrize(('seed', 'share'), [
+    (4, 0.15), (10, 0.3), (19, 0.3), *slow(*((s, share) for s in range(20, 40)
+                                             for share in (0.15, 0.3)))])
+def test_a_vibration_buys_no_states(seed, share):
+    """Its autocorrelation soon changes its sign: up to nine states, 86 % and WEAK for it."""
+    found = identify(vibrating(seed, share))
+    assert found.verdict.grade is Grade.GOOD
+    assert found.model.n <= 5
+    assert simulated(found.model, vibrating(seed + 100))[0] > 97.0
+
+
+def test_errors_of_a_narrow_band_are_few_independent_samples():
+    """
+    Of white noise all are, of a pole rho (1 - rho) / (1 + rho) of them.
+
+    Of a pair with rho_k = 0.99^k cos k half of 1 + 2 sum rho_k^2 is 25; estimates of rho_k add to
+    it. Their sum changes its sign after two samples, as if every other one were independent.
+    """
+    rng, count = np.random.default_rng(0), 4000
+    pair = 0.99 * np.exp(1j * np.array([1.0, -1.0]))
+    for poles, least, most in (([], 0.99, 1.0), ([0.9], 0.04, 0.07), (pair, 0.015, 0.045)):
+        x = lfilter([1.0], np.poly(poles).real, rng.standard_normal(count))
+        assert least * count < independent(((x[:, np.newaxis],),))[0] <= most * count
 
 
 def test_what_is_left_of_an_output_that_is_all_explained_buys_no_state():

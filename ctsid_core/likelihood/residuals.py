@@ -49,7 +49,9 @@ def independent(errors: Residuals) -> Array:
     """
     Return the number of independent samples among the errors of each output, (ny,).
 
-    N / (1 + 2 sum_k rho_k), the autocorrelation summed over lags until it is small.
+    The least of N / (1 + 2 sum_k rho_k), the autocorrelation summed over lags until it is small,
+    and N / (1/2 + sum_k rho_k^2), up to half the record: of errors of a narrow band, a vibration
+    or waves, the autocorrelation soon changes its sign, and its sum is small, but it lasts.
     """
     return np.array([sum(map(len, parts)) / _correlation(parts) for parts in by_output(errors)])
 
@@ -89,7 +91,7 @@ def autoregression(error: Array) -> tuple[float, Array]:
 
 
 def _correlation(parts: list[Array]) -> float:
-    """Return 1 + 2 sum_k rho_k of a sequence in parts."""
+    """Return for how many samples of a sequence in parts there is one that is independent."""
     longest = max(len(e) for e in parts)
     total = np.zeros(longest)
     for e in parts:
@@ -101,8 +103,8 @@ def _correlation(parts: list[Array]) -> float:
         return 1.0
     rho = total[1:] / total[0]
     below = np.flatnonzero(rho < _SMALL)
-    end = int(below[0]) if len(below) else len(rho)
-    return float(1.0 + 2.0 * rho[:end].sum())
+    end, half = int(below[0]) if len(below) else len(rho), rho[:len(rho) // 2]
+    return float(max(1.0 + 2.0 * rho[:end].sum(), 0.5 + half @ half))
 
 
 def white_part(errors: Residuals) -> Array:
