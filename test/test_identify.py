@@ -246,9 +246,11 @@ def test_trim_is_estimated_not_averaged_away():
     assert simulation(found.model, moved.between(8.0, 20.0)).fit.min() > 99.9
     naive = identify(moved.between(0.0, 6.0), Settings(trim=False, order=2))
     assert np.abs(match(either(naive).poles, p.poles) - p.poles).max() > 0.05
-    # A mode that takes the trim's place is no mode of the plant.
-    other = identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=2))
-    assert not other.good
+    # A mode that takes the trim's place seems to grow.
+    other = identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=1))
+    assert other.rejected_model.poles.real.max() > 0.1
+    assert not other.ok
+    assert not identify(moved.between(0.0, 6.0), Settings(trim=False, max_order=2)).good
 
 
 @pytest.mark.slow

@@ -274,11 +274,13 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
 
     def cost(fit: Fit) -> float:
         return fit.cost
+    if ranked:
+        starts['rank'] = min(ranked, key=cost)
 
     def akaike(fit: Fit) -> float:
         return fit.cost + AKAIKE * parameters(samples, fit, free)
     reached: list[Fit] = []
-    for start in sorted((*starts.values(), *sorted(ranked, key=cost)[:1]), key=cost):
+    for start in sorted(starts.values(), key=cost):
         best = min(map(akaike, reached), default=np.inf)
         reached.append(_climbed(samples, start, free, needed, best))
         if samples.effort.beyond(SEARCH):
@@ -319,10 +321,10 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             model = found[before].fit.model
             options = [('', model.poles, model.delay)]
             if np.any(model.delay != known):
-                lag = before == 1               # its dead time may stand for one
-                options.append(('half as late, ' * lag, model.poles,
-                                np.where(free.delays, 0.5 * model.delay, known)))
-                options += [('not late, ', model.poles, known)] * lag
+                half = np.where(free.delays, 0.5 * model.delay, known)
+                options += [('', model.poles, half)] if before > 1 else [
+                    ('half as late, ', model.poles, half),      # it may stand for a lag
+                    ('not late, ', model.poles, known)]
         else:
             continue
         errors = found[before].errors if before else grid.resonances.outputs
