@@ -6,7 +6,7 @@ import numpy as np
 from plants import held, match, plant
 import pytest
 
-from ctsid_core import Record, Settings, identify
+from ctsid_core import Record, Settings, Signal, StateSpace, identify
 from ctsid_core.likelihood.output_error import Free, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.pole_grid import PoleGrid
@@ -57,10 +57,10 @@ def test_errors_point_at_a_resonance_of_any_frequency(damping):
     records = [held(np.random.default_rng(seed), p, 50.0, 100.0, delay=0.3, snr=0,
                     duration=seconds) for seed, seconds in ((0, 60.0), (1, 30.0))]
     few = samples_of(records, [[None]] * 2).thinned(1500)
-    resonances = PoleGrid(few, feedthrough=False, trim=True, longest=1.0, fastest=250.0,
-                          finest=0.01).resonances
+    correlations = PoleGrid(few, feedthrough=False, trim=True, longest=1.0, fastest=250.0,
+                            finest=0.01).correlations
     for delay in (0.0, 0.3):
-        found = resonances.best(resonances.outputs, np.full(2, delay))
+        found = correlations.resonance(correlations.outputs, np.full(2, delay))
         assert abs(found.imag - pole.imag) < max(-pole.real, 2.0 * np.pi / 60.0)
         assert max(-pole.real, 1.0 / 60.0) / 3.0 < -found.real < 3.0 * max(-pole.real, 1.0 / 60.0)
 
@@ -70,11 +70,59 @@ def test_a_dead_time_of_periods_is_no_part_of_a_resonance_s_decay():
     size, damping, late = 38.0, 0.08, 1.2
     p = plant([[0.0, size], [-size, -2.0 * damping * size]], [[0.0], [9.0]], [[1.0, 0.2]])
     record = held(np.random.default_rng(2), p, 50.0, 100.0, delay=late, snr=20, duration=60.0)
-    resonances = PoleGrid(samples_of([record], [[None]]), feedthrough=False, trim=True,
-                          longest=2.0, fastest=250.0, finest=0.01).resonances
-    found = resonances.best(resonances.outputs, np.array([late]))
+    correlations = PoleGrid(samples_of([record], [[None]]), feedthrough=False, trim=True,
+                            longest=2.0, fastest=250.0, finest=0.01).correlations
+    found = correlations.resonance(correlations.outputs, np.array([late]))
     assert abs(found.imag - size) < damping * size
     assert damping * size / 3.0 < -found.real < 3.0 * damping * size     # rates are 4 apart
+
+
+def lagging(pole: complex, late: tuple[float, ...], seed: int, seconds: float = 60.0) -> Record:
+    """Return a record of one mode that each input moves later, 50 samples a second."""
+    rng, size, gains = np.random.default_rng(seed), abs(pole), np.array([[9.0, -5.0]])
+    A = [[0.0, size], [-size, 2.0 * pole.real]] if pole.imag else [[pole.real]]
+    B = np.vstack([np.zeros((len(A) - 1, len(late))), gains[:, :len(late)]])
+    t = np.arange(-5.0, seconds, 0.02)
+    u = Signal(t, np.repeat(rng.standard_normal((len(t) // 5 + 1, len(late))), 5, 0)[:len(t)],
+               'zoh')
+    t_y = t[t >= 0.0][:-1] + 0.01
+    y = StateSpace(A, B, np.ones((1, len(A))), delay=late).simulate([u], t_y)
+    y = y + 0.1 * y.std() * rng.standard_normal(y.shape)
+    return Record((u,), (Signal(t_y, y),), 0.0, t[-1])
+
+
+@pytest.mark.parametrize('pole', [-3.0 + 0j, complex(-3.0, 20.0), complex(-15.0, 15.0)])
+def test_inputs_and_outputs_correlate_most_at_the_dead_times(pole):
+    """Of each input its own, nearer than what is left of them within an interval of the input."""
+    grid = PoleGrid(samples_of([lagging(pole, (0.7, 1.9), 0), lagging(pole, (0.7, 1.9), 1, 30.0)],
+                               [[None]] * 2).thinned(1000, scattered=True),
+                    feedthrough=False, trim=True, longest=4.0, fastest=150.0, finest=0.02)
+    found = grid.dead_times(pole.imag == 0.0)
+    assert found[0] == pytest.approx((0.7, 1.9), abs=0.05)
+
+
+def test_what_a_pole_explains_by_correlation_is_what_a_fit_explains():
+    """Squares over those of the outputs, of the response of one pair that begins later."""
+    record = lagging(complex(-3.0, 20.0), (1.2,), 3)
+    samples = samples_of([record], [[None]])
+    correlations = PoleGrid(samples, feedthrough=False, trim=True, longest=2.0, fastest=150.0,
+                            finest=0.02).correlations
+    one = correlations.explained(np.array([complex(-2.5, 18.0)]))[0]
+    for late in (0.3, 1.2, 1.6):
+        free = Free(False, True, (False,), 2.0, -1e-6, 150.0)
+        fit = fit_at(samples, np.array([complex(-2.5, 18.0)]), np.array([late]), free)
+        exact = 1.0 - samples.mean(fit.power)[0] / np.var(samples.records[0].streams[0].y)
+        # The power of a response is that of all inputs, those of 2 s before the record, too.
+        assert 62.0 / 60.0 * one[round(late / 0.02)] == pytest.approx(exact, abs=0.02)
+
+
+@pytest.mark.parametrize(('late', 'pole'), [(1.9, complex(-19.0, 45.0)), (1.4, -40.0 + 0j),
+                                            *slow((3.3, complex(-5.0, 30.0)))])
+def test_a_dead_time_of_many_time_constants_is_found(late, pole):
+    """What is a time constant beside it explains nothing: a grid of ten passed it by."""
+    found = identify(lagging(pole, (late,), 4, 20.0))
+    assert found.good
+    assert found.model.delay == pytest.approx([late], abs=0.01)
 
 
 @pytest.mark.parametrize('budget', [0.0, 1.0])

@@ -3,9 +3,10 @@
 The search for order, poles and dead times, from order 1 upwards, on the raw samples.
 
 A model of order n starts from those of order n - 1 and n - 2 with the real pole, or the pair, that
-promises most (`pole_grid.py`), at dead times kept, halved, zero or on a grid; with the resonance
-that the errors of order n - 2 point at; and from the poles of HD-PBSID. Each finds what others do
-not. The most promising ones of different kinds climb to the maximum of the likelihood.
+promises most (`pole_grid.py`), at dead times kept, halved, zero or, of the first poles, where
+inputs and outputs correlate most; with the resonance that the errors of order n - 2 point at; and
+from the poles of HD-PBSID. Each finds what others do not. The most promising ones of different
+kinds climb to the maximum of the likelihood.
 """
 
 from __future__ import annotations
@@ -52,8 +53,6 @@ from ctsid_core.search.tried import (
 )
 
 SEARCHED = 1000       # samples of a stream that the search looks at
-_RATIO = 0.6          # of neighbouring dead times on the grid
-_DELAYS = 10          # on it
 _PASSES = 4           # in which b and c of a start are found, one after the other
 _FEWEST_SAMPLES = 300  # of a stream, that are always looked at
 _LATER = 20           # evaluations of all samples that have to be after the search,
@@ -75,7 +74,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
     Before them the samples they are of: as many as the budget suffices for.
 
     `subspace` returns the poles of HD-PBSID's models for an order and dead times; `known_delay`,
-    (nu,) [s], is 0 where dead times are free; `near` are dead times to begin with, beside a grid.
+    (nu,) [s], is 0 where dead times are free; `near` are further dead times to begin with.
     """
     thin = samples.thinned(SEARCHED, scattered=True)
     grid = PoleGrid(thin, feedthrough=free.feedthrough, trim=free.trim,
@@ -248,12 +247,6 @@ def _rival(found: dict[int, Tried], samples: Samples, free: Free, n: int) -> flo
         if n > best.model.n else np.inf
 
 
-def _delays(free: Free, known: Array) -> list[Array]:
-    """Return the dead times of a first look."""
-    return [known, *(np.where(free.delays, free.longest * _RATIO ** k, known)
-                     for k in range(_DELAYS) if any(free.delays))]
-
-
 def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
              subspace: SubspacePoles, free: Free, known: Array, near: Sequence[Array],
              needed: float) -> Fit | None:
@@ -316,7 +309,9 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
     none = np.empty(0, dtype=complex)
     for before, real in ((n - 1, True), (n - 2, False)):
         if before == 0:
-            options = [('', none, d) for d in (*_delays(free, known), *near)]
+            late = (np.where(free.delays, np.minimum(d, free.longest), known)
+                    for d in grid.dead_times(real)) if any(free.delays) else ()
+            options = [('', none, d) for d in (known, *late, *near)]
         elif before in found:
             model = found[before].fit.model
             options = [('', model.poles, model.delay)]
@@ -327,8 +322,8 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
                     ('not late, ', model.poles, known)]
         else:
             continue
-        errors = found[before].errors if before else grid.resonances.outputs
-        narrow = [] if real else [grid.resonances.best(errors, options[0][2])]
+        errors = found[before].errors if before else grid.correlations.outputs
+        narrow = [] if real else [grid.correlations.resonance(errors, options[0][2])]
         for kind, poles, delay in options:
             kind += 'real' if real else 'pair'
             score, pole = grid.best(poles, delay, real)

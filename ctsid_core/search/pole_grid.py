@@ -4,8 +4,8 @@ Which mode would explain most of what a model leaves: a grid of poles, ranked, a
 
 For ranking alone: the responses of all poles of the grid are computed once, on a uniform grid of
 time by averages of the inputs over its cells, and read at the outputs' stamps less a dead time by
-straight lines, so that a grid of dead times costs little. Resonances are narrower than what a grid
-is apart, and the correlation of errors with inputs points at them.
+straight lines. Resonances and dead times are narrower than what a grid is apart, and the
+correlation of errors with inputs points at them.
 
 References
 ----------
@@ -32,6 +32,7 @@ _PAIRS = 12           # natural frequencies of pairs at each damping
 _DAMPING = (0.1, 0.4, 0.8)
 _RANKED = 300         # samples of a stream that the grid is ranked on
 _CELLS = 4000         # of time, at most
+_PEAKS = 3            # dead times of each input that are looked at, for each kind of pole
 _RATES = 6            # decay rates of resonances, damped no more than pairs of the grid
 _LINES = 64000        # cells of time for them, at most
 _RIDGE = 1e-9         # of the inner products of candidates' columns: less is rounding
@@ -50,13 +51,14 @@ class PoleGrid:
     def __init__(self, samples: Samples, *, feedthrough: bool, trim: bool, longest: float,
                  fastest: float, finest: float) -> None:
         self._feedthrough, self._trim = feedthrough, trim
-        self.resonances = Resonances(samples, longest, fastest, finest)
+        self.correlations = Correlations(samples, longest, fastest, finest)
         self.samples = samples = samples.thinned(_RANKED)
         slow = 1.0 / samples.length
         sizes = np.geomspace(2.0 * np.pi * slow, fastest, _PAIRS)
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
+        self._late: dict[bool, list[Array]] = {}
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
         self._beside: dict[tuple[bytes, bytes], list[list[tuple[Array, Array]]]] = {}
         cells = _cells_of(samples, longest, finest, _CELLS)
@@ -77,6 +79,13 @@ class PoleGrid:
             place = int(np.argmin(score))
             self._best[key] = float(score[place]), complex(self._shapes[real][0].poles[place])
         return self._best[key]
+
+    def dead_times(self, real: bool) -> list[Array]:
+        """Return dead times (nu,) [s] with which poles of the grid explain most, best first."""
+        if real not in self._late:
+            poles = self._shapes[real][0].poles[::2]        # one twice as fast is much the same
+            self._late[real] = self.correlations.dead_times(poles.astype(complex))
+        return self._late[real]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""
@@ -125,34 +134,34 @@ def _explained(own: Array, basis: Array, left: Array) -> Array:
     return np.asarray(np.sum(pull * np.linalg.solve(gram, pull), axis=1))
 
 
-class Resonances:
+class Correlations:
     """
-    At which frequency a resonance would explain most of the errors of a model.
+    What the correlation of errors with inputs tells of the poles and dead times that are missing.
 
-    A resonance that decays with the rate r [rad/s] is seen no further than about r from its
-    frequency. The inner product of errors e with the response z of a pole p to an input u is
+    The inner product of errors e with the response z of a pole p to an input u, d later, is
 
-        sum_t e(t) z(t) = sum_lag exp(p lag) sum_t e(t) u(t - lag),
+        sum_t e(t) z(t - d) = sum_lag exp(p lag) c(d + lag),    c(lag) = sum_t e(t) u(t - lag):
 
-    for one decay rate and all frequencies a Fourier transform of a correlation that decays; the
-    same of an input with itself is the power of z. A few rates do: the response of a resonance
-    that decays twice as fast correlates by 94 %.
+    for one decay rate and all frequencies of poles a Fourier transform of a correlation that
+    decays; for one pole and all dead times a correlation of c with the pole's decay. The same of
+    an input with itself is the power of z.
     """
 
     def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
-        self._samples = samples
+        self._samples, self._longest = samples, longest
         self._cells = _cells_of(samples, longest, finest, _LINES)
-        step, lags = self._cells[0].step, max(c.count for c in self._cells)
+        self._step, lags = self._cells[0].step, max(c.count for c in self._cells)
         self._size = next_fast_len(2 * lags, real=True)
-        omega = 2.0 * np.pi / step * np.fft.rfftfreq(self._size)
-        self._omega = omega[omega <= fastest]
+        self._lines = 2.0 * np.pi / self._step * np.fft.rfftfreq(self._size)
+        self._omega = self._lines[self._lines <= fastest]
         self._rates = np.geomspace(1.0 / samples.length, _DAMPING[0] * fastest, _RATES)
-        self._decays = np.exp(-self._rates[:, np.newaxis] * step * np.arange(lags))
+        self._lags = self._step * np.arange(lags)
+        self._decays = np.exp(-self._rates[:, np.newaxis] * self._lags)
         self._inputs = [np.fft.rfft(c.means - c.means.mean(axis=1, keepdims=True), self._size)
                         for c in self._cells]
-        own = self._lagged(np.sum([np.abs(u) ** 2 for u in self._inputs], axis=0))
+        own = self._own = self._lagged(np.sum([np.abs(u) ** 2 for u in self._inputs], axis=0))
         power = 2.0 * self._at(self._decays[:, np.newaxis] * own).real - own[:, :1]
-        power /= -np.expm1(-2.0 * self._rates * step)[:, np.newaxis, np.newaxis]
+        power /= -np.expm1(-2.0 * self._rates * self._step)[:, np.newaxis, np.newaxis]
         self._power = np.maximum(power, _RIDGE * power.max(axis=-1, keepdims=True)) + 1e-300
 
     @property
@@ -161,40 +170,85 @@ class Resonances:
         return tuple(tuple(s.y - s.y.mean(axis=0) for s in r.streams)
                      for r in self._samples.records)
 
-    def best(self, errors: Residuals, delay: Array) -> complex:
+    def resonance(self, errors: Residuals, delay: Array) -> complex:
         """
         Return the pole [rad/s], one of a pair, that errors at the samples correlate with most.
 
         Beside given dead times (nu,) [s], which hardly matter, and as if inputs were independent.
+        One that decays with the rate r [rad/s] is seen no further than about r from its frequency;
+        a few rates do, for the response of one that decays twice as fast correlates by 94 %.
         """
-        samples, size = self._samples, self._size
-        samples.effort.spend(_PER_LINE * size * samples.ny * samples.nu * _RATES)
-        lines = 2.0 * np.pi / self._cells[0].step * np.fft.rfftfreq(size)
-        late = np.exp(1j * lines * delay[:, np.newaxis])
-        both = np.zeros((samples.ny, *late.shape), dtype=complex)
-        squares = np.zeros((samples.ny, 1))
-        for cells, u, own in zip(self._cells, self._inputs, errors, strict=True):
-            for stream, e in zip(cells.record.streams, own, strict=True):
-                place = cells.places(stream.times)[0]
-                spectra = np.array([np.fft.rfft(np.bincount(place, x, size)) for x in e.T])
-                both[stream.channels] += spectra[:, np.newaxis] * (u.conj() * late)
-                squares[stream.channels, 0] += np.sum(e ** 2, axis=0)
-        lagged, found = self._lagged(both), []
+        self._samples.effort.spend(
+            _PER_LINE * self._size * self._samples.ny * self._samples.nu * _RATES)
+        (lagged, squares), found = self._correlated(errors, delay), []
         for rate, decay, power in zip(self._rates, self._decays, self._power, strict=True):
             shares = np.sum(np.abs(self._at(decay * lagged)) ** 2 / power, axis=1)
-            gain = np.sum(shares / np.maximum(squares, 1e-300), axis=0)
+            gain = np.sum(shares / squares, axis=0)
             gain[self._omega * _DAMPING[0] < rate] = 0.0
             k = int(np.argmax(gain))
             found.append((float(gain[k]), complex(-rate, max(self._omega[k], rate))))
         return max(found, key=lambda one: one[0])[1]
 
+    def dead_times(self, poles: ComplexArray) -> list[Array]:
+        """
+        Return dead times (nu,) [s] with which one of the poles explains most, best first.
+
+        Those of each input are the maxima over all dead times, as if it were the only one.
+        """
+        late = [self._lags[_highest(own)[:_PEAKS]] for own in self.explained(poles)]
+        return [np.array([own[min(k, len(own) - 1)] for own in late]) for k in range(_PEAKS)]
+
+    def explained(self, poles: ComplexArray) -> Array:
+        """Return the share of the outputs that one of the poles explains, (nu, dead times)."""
+        samples = self._samples
+        samples.effort.spend(_PER_LINE * self._size * (samples.ny * samples.nu + 1) * len(poles))
+        lagged, squares = self._correlated(self.outputs, np.zeros(samples.nu))
+        spectra = np.fft.rfft(lagged, self._size)
+        found = np.zeros((samples.nu, int(np.sum(self._lags <= self._longest))))
+        for p in poles.tolist():
+            decay = np.exp(p * self._lags)
+            sums = 2.0 * self._own @ decay - self._own[:, 0]
+            power = np.maximum(sums.real / -np.expm1(2.0 * p.real * self._step), 1e-300)
+            pull = self._lagged(spectra * np.fft.rfft(decay.real, self._size).conj())
+            shares = pull ** 2 / power[:, np.newaxis]
+            if p.imag > 0.0:                # of its real and imaginary part, which are not alike
+                pull = pull + 1j * self._lagged(
+                    spectra * np.fft.rfft(decay.imag, self._size).conj())
+                turned = (sums / -np.expm1(2.0 * p * self._step) / power)[:, np.newaxis]
+                apart = np.maximum(1.0 - np.abs(turned) ** 2, _RIDGE)
+                shares = 2.0 * (np.abs(pull) ** 2 - (turned.conj() * pull ** 2).real) \
+                    / power[:, np.newaxis] / apart
+            shares = np.sum(shares / squares[:, np.newaxis], axis=0)
+            np.maximum(found, shares[:, :found.shape[1]], out=found)
+        return found
+
+    def _correlated(self, errors: Residuals, delay: Array) -> tuple[Array, Array]:
+        """Return c of each output and input, (ny, nu, lags), and squares of errors, (ny, 1)."""
+        late = np.exp(1j * self._lines * delay[:, np.newaxis])
+        both = np.zeros((self._samples.ny, *late.shape), dtype=complex)
+        squares = np.zeros((self._samples.ny, 1))
+        for cells, u, own in zip(self._cells, self._inputs, errors, strict=True):
+            for stream, e in zip(cells.record.streams, own, strict=True):
+                place = cells.places(stream.times)[0]
+                spectra = np.array([np.fft.rfft(np.bincount(place, x, self._size)) for x in e.T])
+                both[stream.channels] += spectra[:, np.newaxis] * (u.conj() * late)
+                squares[stream.channels, 0] += np.sum(e ** 2, axis=0)
+        return self._lagged(both), np.maximum(squares, 1e-300)
+
     def _lagged(self, spectra: Array | ComplexArray) -> Array:
         """Return correlations at lags of 0, 1, .. cells."""
-        return np.asarray(np.fft.irfft(spectra, self._size)[..., :self._decays.shape[1]], float)
+        return np.asarray(np.fft.irfft(spectra, self._size)[..., :len(self._lags)], float)
 
     def _at(self, lagged: Array) -> ComplexArray:
         """Return the transforms of sequences at the frequencies that are looked at."""
         return np.fft.rfft(lagged, self._size)[..., :len(self._omega)]
+
+
+def _highest(values: Array) -> NDArray[np.intp]:
+    """Return the places of maxima, the highest first."""
+    rises = np.diff(values, prepend=-np.inf, append=-np.inf) > 0.0
+    at = np.flatnonzero(rises[:-1] & ~rises[1:])
+    return at[np.argsort(-values[at], kind='stable')]
 
 
 def _cells_of(samples: Samples, longest: float, finest: float, most: int) -> list[_Cells]:

@@ -23,7 +23,6 @@ from ctsid_core.likelihood.output_error import (
     fit_states,
 )
 from ctsid_core.likelihood.pole_steps import bounded
-from ctsid_core.likelihood.residuals import coloured_costs
 from ctsid_core.likelihood.samples import Samples, samples_of
 from ctsid_core.likelihood.state_space import matrices_of, modal_of
 from ctsid_core.linear.types import Array, ComplexArray, Mask, Matrices
@@ -72,7 +71,7 @@ from ctsid_core.search.tried import (
 from ctsid_core.settings import Settings, longest_sought, slowest_sought
 from ctsid_core.subspace.hd_pbsid import Subspaces, Tuning, realise
 
-_FASTEST = 0.8        # of the outputs' Nyquist frequency: the fastest pole
+_FASTEST = 0.95       # of the outputs' Nyquist frequency: the fastest pole
 _FAILS = 0.5          # error that is not noise, over the motion, with which no simulation tells a
                       # plant in open loop, and it may grow
 _GROWS = 1.0          # times e within the record: less does not tell a plant that grows
@@ -127,7 +126,7 @@ def _solve(part: Joint, settings: Settings, effort: Effort) -> Solution | None:
     samples, found = _where_known(seen, samples, found, free, settings)
     counted = settings.order or choose(found)
     order = settings.order or _neighbour(found, counted)
-    others = [(_advantage(found[order], one, order != counted), one)
+    others = [(_advantage(found[order], one), one)
               for n, one in found.items() if n != order and not imitates(one, found[order])]
     notes = _left_out(found, order, settings, effort)
     best, fewer = found[order], choose(found) if settings.order else order
@@ -309,17 +308,19 @@ def _in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
 
     Unless `each` says what a parameter costs.
     """
-    costs = np.where(matters, coloured_costs(one.errors), 0.0)
-    return float(costs.sum()) + (each or price(one.samples)) * one.parameters
+    return float(one.coloured[matters].sum()) + (each or price(one.samples)) * one.parameters
 
 
-def _advantage(one: Tried, other: Tried, coloured: bool) -> float:
-    """Return by how much Akaike's criterion prefers the other one; with errors `coloured`, too."""
-    found = advantage(one, other)
-    if not coloured:
-        return found
+def _advantage(one: Tried, other: Tried) -> float:
+    """
+    Return by how much Akaike's criterion prefers the other one, by independent samples.
+
+    With errors of any colour, if that is less: few samples are independent of what missing states
+    leave, and a model without them would seem as right as one that leaves but noise.
+    """
     matters = np.maximum(one.power, other.power) > LEAST ** 2
-    return min(found, _in_colour(one, matters, AKAIKE) - _in_colour(other, matters, AKAIKE))
+    return min(advantage(one, other),
+               _in_colour(one, matters, AKAIKE) - _in_colour(other, matters, AKAIKE))
 
 
 def _with(others: list[Other], before: Tried, after: Tried) -> list[Other]:

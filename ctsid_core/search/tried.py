@@ -27,7 +27,12 @@ import numpy as np
 
 from ctsid_core.likelihood.mode_columns import ROUNDING
 from ctsid_core.likelihood.output_error import STEPS, Fit, Free, Residuals, climb, fit_at
-from ctsid_core.likelihood.residuals import coloured_power, independent, residuals
+from ctsid_core.likelihood.residuals import (
+    coloured_costs,
+    coloured_power,
+    independent,
+    residuals,
+)
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.linear.types import Array
 
@@ -63,6 +68,11 @@ class Tried:
     def independent(self) -> Array:
         """Number of independent samples among the errors of each output, (ny,)."""
         return independent(self.errors)
+
+    @cached_property
+    def coloured(self) -> Array:
+        """-2 log likelihood of the errors of each output in any colour, (ny,)."""
+        return coloured_costs(self.errors)
 
     @property
     def unexplained(self) -> float:
