@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where searches begin: poles ranked on a few samples, and orders that HD-PBSID points to."""
 
+from dataclasses import replace
+
 from marks import slow
 import numpy as np
 from plants import held, match, plant
@@ -97,23 +99,39 @@ def test_inputs_and_outputs_correlate_most_at_the_dead_times(pole):
     grid = PoleGrid(samples_of([lagging(pole, (0.7, 1.9), 0), lagging(pole, (0.7, 1.9), 1, 30.0)],
                                [[None]] * 2).thinned(1000, scattered=True),
                     feedthrough=False, trim=True, longest=4.0, fastest=150.0, finest=0.02)
-    found = grid.dead_times(pole.imag == 0.0)
-    assert found[0] == pytest.approx((0.7, 1.9), abs=0.05)
+    assert grid.dead_times(pole.imag == 0.0) == pytest.approx((0.7, 1.9), abs=0.05)
 
 
-def test_what_a_pole_explains_by_correlation_is_what_a_fit_explains():
-    """Squares over those of the outputs, of the response of one pair that begins later."""
-    record = lagging(complex(-3.0, 20.0), (1.2,), 3)
+@pytest.mark.parametrize('size', [1.0, 1e-6])
+def test_what_a_pole_explains_by_correlation_is_what_a_fit_explains(size):
+    """Squares over those of the outputs, of a pair that begins later, whatever the units."""
+    record, pole = lagging(complex(-3.0, 20.0), (1.2,), 3), complex(-2.5, 18.0)
+    record = replace(record, inputs=(replace(record.inputs[0], values=size
+                                             * record.inputs[0].values),))
     samples = samples_of([record], [[None]])
     correlations = PoleGrid(samples, feedthrough=False, trim=True, longest=2.0, fastest=150.0,
                             finest=0.02).correlations
-    one = correlations.explained(np.array([complex(-2.5, 18.0)]))[0]
+    one = correlations.explained(np.array([pole]))[0]
+    assert len(one) in (100, 101)               # up to the longest that is looked for
     for late in (0.3, 1.2, 1.6):
         free = Free(False, True, (False,), 2.0, -1e-6, 150.0)
-        fit = fit_at(samples, np.array([complex(-2.5, 18.0)]), np.array([late]), free)
+        fit = fit_at(samples, np.array([pole]), np.array([late]), free)
         exact = 1.0 - samples.mean(fit.power)[0] / np.var(samples.records[0].streams[0].y)
         # The power of a response is that of all inputs, those of 2 s before the record, too.
         assert 62.0 / 60.0 * one[round(late / 0.02)] == pytest.approx(exact, abs=0.02)
+    both = correlations.explained(np.array([pole, -3.0]))[0]
+    assert both == pytest.approx(np.maximum(one, correlations.explained(np.array([-3.0 + 0j]))[0]))
+
+
+def test_an_output_that_rests_hides_no_dead_time():
+    """Noise, and then what a pole moves: all outputs count alike."""
+    record = lagging(-3.0 + 0j, (0.7,), 5)
+    y = record.outputs[0]
+    noise = np.random.default_rng(6).standard_normal(y.values.shape)
+    both = replace(record, outputs=(replace(y, values=np.hstack((noise, y.values))),))
+    grid = PoleGrid(samples_of([both], [[None]]), feedthrough=False, trim=True, longest=4.0,
+                    fastest=150.0, finest=0.02)
+    assert grid.dead_times(True) == pytest.approx([0.7], abs=0.05)
 
 
 @pytest.mark.parametrize(('late', 'pole'), [(1.9, complex(-19.0, 45.0)), (1.4, -40.0 + 0j),

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Which mode would explain most of what a model leaves: a grid of poles, ranked, and resonances.
+What would explain most of what a model leaves: poles of a grid, resonances, and dead times.
 
 For ranking alone: the responses of all poles of the grid are computed once, on a uniform grid of
 time by averages of the inputs over its cells, and read at the outputs' stamps less a dead time by
@@ -32,12 +32,11 @@ _PAIRS = 12           # natural frequencies of pairs at each damping
 _DAMPING = (0.1, 0.4, 0.8)
 _RANKED = 300         # samples of a stream that the grid is ranked on
 _CELLS = 4000         # of time, at most
-_PEAKS = 3            # dead times of each input that are looked at, for each kind of pole
 _RATES = 6            # decay rates of resonances, damped no more than pairs of the grid
-_LINES = 64000        # cells of time for them, at most
+_LINES = 64000        # cells of time for correlations, at most
 _RIDGE = 1e-9         # of the inner products of candidates' columns: less is rounding
 _PER_CELL = 150.0     # work: of each pole, input and cell of time
-_PER_LINE = 60.0      # work: of each line, decay rate, input and output
+_PER_LINE = 60.0      # work: of each line, decay rate or part of a pole, input and output
 _LOOK, _PER_COLUMN = 5e5, 40.0          # work: of any look, and for each column and sample
 
 
@@ -58,7 +57,7 @@ class PoleGrid:
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
-        self._late: dict[bool, list[Array]] = {}
+        self._late: dict[bool, Array] = {}
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
         self._beside: dict[tuple[bytes, bytes], list[list[tuple[Array, Array]]]] = {}
         cells = _cells_of(samples, longest, finest, _CELLS)
@@ -80,11 +79,12 @@ class PoleGrid:
             self._best[key] = float(score[place]), complex(self._shapes[real][0].poles[place])
         return self._best[key]
 
-    def dead_times(self, real: bool) -> list[Array]:
-        """Return dead times (nu,) [s] with which poles of the grid explain most, best first."""
+    def dead_times(self, real: bool) -> Array:
+        """Return the dead times (nu,) [s] with which a pole explains most, each input's own."""
         if real not in self._late:
-            poles = self._shapes[real][0].poles[::2]        # one twice as fast is much the same
-            self._late[real] = self.correlations.dead_times(poles.astype(complex))
+            # Every other one of the grid: dead times ask less of a pole than a start does.
+            self._late[real] = self.correlations.dead_times(
+                self.poles[(self.poles.imag == 0.0) == real][::2])
         return self._late[real]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
@@ -143,8 +143,14 @@ class Correlations:
         sum_t e(t) z(t - d) = sum_lag exp(p lag) c(d + lag),    c(lag) = sum_t e(t) u(t - lag):
 
     for one decay rate and all frequencies of poles a Fourier transform of a correlation that
-    decays; for one pole and all dead times a correlation of c with the pole's decay. The same of
-    an input with itself is the power of z.
+    decays; for one pole and all dead times a correlation of c with the pole's decay. The same sum
+    S of an input with itself, r(lag), is the power of z, and the sum of its squares:
+
+        P = sum |z|^2 = (2 Re S - r(0)) / (1 - exp(2 Re p h)),
+        Q = sum z^2 = (2 S - r(0)) / (1 - exp(2 p h)),        h the distance of lags.
+
+    With g = sum e z a pair explains 2 (P |g|^2 - Re(conj(Q) g^2)) / (P^2 - |Q|^2), about
+    2 |g|^2 / P if it is hardly damped, a real pole g^2 / P.
     """
 
     def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
@@ -189,37 +195,41 @@ class Correlations:
             found.append((float(gain[k]), complex(-rate, max(self._omega[k], rate))))
         return max(found, key=lambda one: one[0])[1]
 
-    def dead_times(self, poles: ComplexArray) -> list[Array]:
-        """
-        Return dead times (nu,) [s] with which one of the poles explains most, best first.
-
-        Those of each input are the maxima over all dead times, as if it were the only one.
-        """
-        late = [self._lags[_highest(own)[:_PEAKS]] for own in self.explained(poles)]
-        return [np.array([own[min(k, len(own) - 1)] for own in late]) for k in range(_PEAKS)]
+    def dead_times(self, poles: ComplexArray) -> Array:
+        """Return the dead times (nu,) [s] with which one of stable poles explains most."""
+        return np.asarray(self._lags[np.argmax(self.explained(poles), axis=1)])
 
     def explained(self, poles: ComplexArray) -> Array:
-        """Return the share of the outputs that one of the poles explains, (nu, dead times)."""
+        """
+        Return how much one of the poles explains, (nu, dead times).
+
+        Squares over those of each output, summed, as if there were a sample in every cell, and
+        inputs were independent. Trim, free responses and the end of the record are left out.
+        """
         samples = self._samples
-        samples.effort.spend(_PER_LINE * self._size * (samples.ny * samples.nu + 1) * len(poles))
+        parts = len(poles) + int(np.count_nonzero(poles.imag > 0.0))
+        samples.effort.spend(_PER_LINE * self._size * (samples.ny * samples.nu + 1) * parts)
         lagged, squares = self._correlated(self.outputs, np.zeros(samples.nu))
         spectra = np.fft.rfft(lagged, self._size)
         found = np.zeros((samples.nu, int(np.sum(self._lags <= self._longest))))
+
+        def pulled(decay: Array) -> Array:
+            late = self._lagged(spectra * np.fft.rfft(decay, self._size).conj())
+            return late[..., :found.shape[1]]
+
         for p in poles.tolist():
             decay = np.exp(p * self._lags)
             sums = 2.0 * self._own @ decay - self._own[:, 0]
-            power = np.maximum(sums.real / -np.expm1(2.0 * p.real * self._step), 1e-300)
-            pull = self._lagged(spectra * np.fft.rfft(decay.real, self._size).conj())
-            shares = pull ** 2 / power[:, np.newaxis]
-            if p.imag > 0.0:                # of its real and imaginary part, which are not alike
-                pull = pull + 1j * self._lagged(
-                    spectra * np.fft.rfft(decay.imag, self._size).conj())
-                turned = (sums / -np.expm1(2.0 * p * self._step) / power)[:, np.newaxis]
-                apart = np.maximum(1.0 - np.abs(turned) ** 2, _RIDGE)
-                shares = 2.0 * (np.abs(pull) ** 2 - (turned.conj() * pull ** 2).real) \
-                    / power[:, np.newaxis] / apart
-            shares = np.sum(shares / squares[:, np.newaxis], axis=0)
-            np.maximum(found, shares[:, :found.shape[1]], out=found)
+            power = np.maximum(sums.real / -np.expm1(2.0 * p.real * self._step),
+                               1e-300)[:, np.newaxis]
+            pull = pulled(decay.real)
+            shares = pull ** 2 / power
+            if p.imag > 0.0:
+                pull = pull + 1j * pulled(decay.imag)
+                turned = (sums / -np.expm1(2.0 * p * self._step))[:, np.newaxis] / power
+                shares = 2.0 * (np.abs(pull) ** 2 - (turned.conj() * pull ** 2).real) / power \
+                    / np.maximum(1.0 - np.abs(turned) ** 2, _RIDGE)
+            np.maximum(found, np.sum(shares / squares[:, np.newaxis], axis=0), out=found)
         return found
 
     def _correlated(self, errors: Residuals, delay: Array) -> tuple[Array, Array]:
@@ -242,13 +252,6 @@ class Correlations:
     def _at(self, lagged: Array) -> ComplexArray:
         """Return the transforms of sequences at the frequencies that are looked at."""
         return np.fft.rfft(lagged, self._size)[..., :len(self._omega)]
-
-
-def _highest(values: Array) -> NDArray[np.intp]:
-    """Return the places of maxima, the highest first."""
-    rises = np.diff(values, prepend=-np.inf, append=-np.inf) > 0.0
-    at = np.flatnonzero(rises[:-1] & ~rises[1:])
-    return at[np.argsort(-values[at], kind='stable')]
 
 
 def _cells_of(samples: Samples, longest: float, finest: float, most: int) -> list[_Cells]:

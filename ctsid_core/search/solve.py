@@ -313,10 +313,11 @@ def _in_colour(one: Tried, matters: Mask, each: float = 0.0) -> float:
 
 def _advantage(one: Tried, other: Tried) -> float:
     """
-    Return by how much Akaike's criterion prefers the other one, by independent samples.
+    Return by how much Akaike's criterion prefers the other one.
 
-    With errors of any colour, if that is less: few samples are independent of what missing states
-    leave, and a model without them would seem as right as one that leaves but noise.
+    The less of what independent samples and errors of any colour say: few samples are independent
+    of what missing states leave, and a model without them would seem as right as one that leaves
+    nothing but noise.
     """
     matters = np.maximum(one.power, other.power) > LEAST ** 2
     return min(advantage(one, other),
