@@ -9,8 +9,9 @@ from plants import held, match, plant
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
-from ctsid_core.likelihood.output_error import Free, fit_at
+from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import samples_of
+from ctsid_core.search.by_order import shifted
 from ctsid_core.search.pole_grid import PoleGrid
 
 # A slow and a fast pair, 3 inputs, 2 outputs; inputs are held for 0.4 s, which the fast one sees.
@@ -141,6 +142,23 @@ def test_a_dead_time_of_many_time_constants_is_found(late, pole):
     found = identify(lagging(pole, (late,), 4, 20.0))
     assert found.good
     assert found.model.delay == pytest.approx([late], abs=0.01)
+
+
+@pytest.mark.parametrize('late', [0.83, 1.23])
+def test_a_climb_that_ends_steps_beside_a_dead_time_goes_on(late):
+    """An input held for 0.1 s, a resonance that answers at once after 1.03 s: maxima beside it."""
+    rng, poles = np.random.default_rng(2), np.array([complex(-1.0, 9.7)])
+    t_u, t = np.arange(-5.0, 20.0, 0.1), np.arange(0.007, 20.0, 0.02)
+    u = Signal(t_u, rng.choice((-1.0, 1.0), (len(t_u), 1)), 'zoh')
+    y = StateSpace([[0.0, 9.75], [-9.75, -2.0]], [[0.0], [9.0]], [[0.3, 0.6]],
+                   delay=(1.03,)).simulate([u], t)
+    y += 0.01 * y.std() * rng.standard_normal(y.shape)
+    samples = samples_of([Record((u,), (Signal(t, y),), 0.0, 20.0)], [[None]])
+    free = Free(False, True, (True,), 5.0, -1e-6, 100.0)
+    ended = climb_roughly(samples, fit_at(samples, poles, np.array([late]), free), free)
+    assert abs(ended.model.delay[0] - 1.03) > 0.1
+    assert shifted(samples, ended, free).model.delay == pytest.approx([1.03], abs=0.002)
+    assert shifted(samples, ended, replace(free, delays=(False,))) is ended
 
 
 @pytest.mark.parametrize('budget', [0.0, 1.0])

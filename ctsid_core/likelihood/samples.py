@@ -110,6 +110,12 @@ class Samples:
         return min(s.period for r in self.records for s in r.streams)
 
     @cached_property
+    def held(self) -> Array:
+        """Median interval of each input in the first record [s], (nu,); 0 if it is not held."""
+        return np.array([s.period if s.hold == 'zoh' and s.period < np.inf else 0.0
+                         for s in self.records[0].inputs for _ in range(s.width)])
+
+    @cached_property
     def length(self) -> float:
         """Length of the longest record [s]."""
         return max(r.end - r.start for r in self.records)

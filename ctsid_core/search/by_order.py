@@ -278,7 +278,29 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         reached.append(_climbed(samples, start, free, needed, best))
         if samples.effort.beyond(SEARCH):
             break
-    return min(reached, key=akaike, default=None)
+    likeliest = min(reached, key=akaike, default=None)
+    return None if likeliest is None else shifted(samples, likeliest, free)
+
+
+def shifted(samples: Samples, fit: Fit, free: Free) -> Fit:
+    """
+    Return the same, or where dead times lead that are less or more by an interval of the input.
+
+    What is held moves a plant in steps, and where all of them come one too late a climb may end.
+    """
+    while not samples.effort.beyond(SEARCH):
+        others = [fit]
+        for j in np.flatnonzero(free.delays & (samples.held > 0.0)).tolist():
+            for step in (-samples.held[j], samples.held[j]):
+                delay = fit.model.delay.copy()
+                delay[j] = min(max(delay[j] + step, 0.0), free.longest)
+                with suppress(np.linalg.LinAlgError):
+                    others.append(fit_at(samples, fit.model.poles, delay, free, fit, slopes=False))
+        best = min(others, key=lambda other: other.cost)
+        if best.cost > fit.cost - ROUGHLY:
+            break
+        fit = climb_roughly(samples, best, free)
+    return fit
 
 
 def _of_more_ranks(n: int, found: dict[int, Tried],
@@ -317,9 +339,9 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
             options = [('', model.poles, model.delay)]
             if np.any(model.delay != known):
                 half = np.where(free.delays, 0.5 * model.delay, known)
-                options += [('', model.poles, half)] if before > 1 else [
-                    ('half as late, ', model.poles, half),      # it may stand for a lag
-                    ('not late, ', model.poles, known)]
+                # It may stand for a lag: of one state each of these is a kind of its own.
+                options += [(kind * (before == 1), model.poles, delay) for kind, delay in (
+                    ('half as late, ', half), ('not late, ', known))]
         else:
             continue
         errors = found[before].errors if before else grid.correlations.outputs
