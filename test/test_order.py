@@ -47,8 +47,9 @@ def test_the_order_of_clean_plants(n, nu, ny):
 
 
 @pytest.mark.parametrize(('nu', 'n', 'seeds'), [
-    (2, 8, (51, 53, 55)), (1, 8, (52, 55)), (1, 7, (71,)), *slow(
-        (2, 8, range(60, 80)), (1, 7, range(60, 80)))])
+    (2, 8, (51, 53, 55)), (1, 8, (52, 55)), (1, 7, (71,)), *slow((1, 7, range(60, 80))),
+    pytest.param(2, 8, range(60, 80), marks=[pytest.mark.slow, pytest.mark.xfail(
+        reason='of 17 in 20: of what one or two states miss few samples are independent')])])
 def test_plants_of_many_resonances_are_found(nu, n, seeds):
     """
     Each explains but a part, so that two states more hardly help, and few samples are independent.
@@ -241,10 +242,7 @@ def arm(rng, duration: float, rate: float) -> tuple[Plant, Record]:
 
 
 @pytest.mark.parametrize(('feedthrough', 'seed'), [
-    (False, 1), (True, 2), *slow(*((d, s) for d in (False, True) for s in range(3, 8))),
-    *(pytest.param(d, 8, marks=[pytest.mark.slow, pytest.mark.xfail(
-        reason='a ninth state, at the bound: the eight had not climbed to their maximum')])
-        for d in (False, True))])
+    (False, 1), (True, 2), *slow(*((d, s) for d in (False, True) for s in range(3, 9)))])
 def test_resonances_in_a_long_record_are_all_found(feedthrough, seed):
     """Each is narrower than grids of poles and subspaces of long records see."""
     p, record = arm(np.random.default_rng(seed), 60.0, 250.0)
