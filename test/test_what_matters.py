@@ -432,7 +432,7 @@ def test_two_small_models_are_no_change_of_a_plant_that_many_states_explain():
         reason='CHANGED: two simulations leave 0.098 of what one leaves, 0.1 is allowed')),
     *slow(('second-input', 3, 3, 96.0))])
 def test_what_disturbs_a_plant_for_long_is_told_by_its_own_past(family, seed, number, least):
-    """Output error alone simulates a second experiment to 85, 78, 67 and 95 %."""
+    """Output error alone simulates a second experiment to 85, 95, 78 and 67 %."""
     given = experiment(family, seed, number)
     found = identify(given.record)
     assert any(c.name == 'domain' and c.value == 'disturbed' for c in found.choices)

@@ -111,9 +111,9 @@ class Samples:
 
     @cached_property
     def held(self) -> Array:
-        """Median interval of each input in the first record [s], (nu,); 0 if it is not held."""
-        return np.array([s.period if s.hold == 'zoh' and s.period < np.inf else 0.0
-                         for s in self.records[0].inputs for _ in range(s.width)])
+        """How long the values of each input are held in the first record [s], (nu,)."""
+        inputs = self.records[0].inputs
+        return np.repeat([s.held for s in inputs], [s.width for s in inputs])
 
     @cached_property
     def length(self) -> float:

@@ -288,14 +288,14 @@ def shifted(samples: Samples, fit: Fit, free: Free) -> Fit:
 
     What is held moves a plant in steps, and where all of them come one too late a climb may end.
     """
+    steps = np.diag(samples.held)[free.delays & (samples.held > 0.0)]       # of one input each
     while not samples.effort.beyond(SEARCH):
         others = [fit]
-        for j in np.flatnonzero(free.delays & (samples.held > 0.0)).tolist():
-            for step in (-samples.held[j], samples.held[j]):
-                delay = fit.model.delay.copy()
-                delay[j] = min(max(delay[j] + step, 0.0), free.longest)
-                with suppress(np.linalg.LinAlgError):
-                    others.append(fit_at(samples, fit.model.poles, delay, free, fit, slopes=False))
+        for step in (*-steps, *steps):
+            old = fit.model.delay
+            delay = np.where(step, np.clip(old + step, 0.0, free.longest), old)
+            with suppress(np.linalg.LinAlgError):
+                others.append(fit_at(samples, fit.model.poles, delay, free, fit, slopes=False))
         best = min(others, key=lambda other: other.cost)
         if best.cost > fit.cost - ROUGHLY:
             break

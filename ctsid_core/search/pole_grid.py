@@ -14,6 +14,8 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
@@ -209,8 +211,7 @@ class Correlations:
         samples = self._samples
         parts = len(poles) + int(np.count_nonzero(poles.imag > 0.0))
         samples.effort.spend(_PER_LINE * self._size * (samples.ny * samples.nu + 1) * parts)
-        lagged, squares = self._correlated(self.outputs, np.zeros(samples.nu))
-        spectra = np.fft.rfft(lagged, self._size)
+        spectra, squares = self._of_outputs
         found = np.zeros((samples.nu, int(np.sum(self._lags <= self._longest))))
 
         def pulled(decay: Array) -> Array:
@@ -231,6 +232,12 @@ class Correlations:
                     / np.maximum(1.0 - np.abs(turned) ** 2, _RIDGE)
             np.maximum(found, np.sum(shares / squares[:, np.newaxis], axis=0), out=found)
         return found
+
+    @cached_property
+    def _of_outputs(self) -> tuple[ComplexArray, Array]:
+        """The spectra of c of outputs and inputs, (ny, nu, lines), and squares, (ny, 1)."""
+        lagged, squares = self._correlated(self.outputs, np.zeros(self._samples.nu))
+        return np.fft.rfft(lagged, self._size), squares
 
     def _correlated(self, errors: Residuals, delay: Array) -> tuple[Array, Array]:
         """Return c of each output and input, (ny, nu, lags), and squares of errors, (ny, 1)."""

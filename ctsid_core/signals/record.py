@@ -77,6 +77,11 @@ class Signal:
         """Median interval between stamps [s]; infinite for fewer than two samples."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
 
+    @property
+    def held(self) -> float:
+        """How long a value is held [s]: the period; 0 if it is not held, or the only one."""
+        return self.period if self.hold == 'zoh' and len(self.time) > 1 else 0.0
+
     def rows(self, start: float, end: float) -> slice:
         """Return the places of the samples in [start, end]."""
         return slice(int(np.searchsorted(self.time, start, side='left')),
@@ -244,8 +249,7 @@ def common_interval(signals: Sequence[Signal]) -> tuple[float, float]:
     for signal in signals:
         if len(signal.time) == 0:
             raise DataError(f'{_label(signal)} has no sample')
-        held = signal.period if signal.hold == 'zoh' and len(signal.time) > 1 else 0.0
-        spans.append((signal.time[0], signal.time[-1] + held))
+        spans.append((signal.time[0], signal.time[-1] + signal.held))
     start, end = max(s for s, _ in spans), min(e for _, e in spans)
     if not start < end:
         listed = '; '.join(f'{_label(signal)}: [{s:g}, {e:g}] s'
