@@ -144,13 +144,13 @@ def test_a_dead_time_of_many_time_constants_is_found(late, pole):
     assert found.model.delay == pytest.approx([late], abs=0.01)
 
 
-@pytest.mark.parametrize('late', [0.83, 1.23])
-def test_a_climb_that_ends_steps_beside_a_dead_time_goes_on(late):
+@pytest.mark.parametrize(('late', 'at_once'), [(0.83, 0.6), (1.23, 0.6), (1.23, -0.6)])
+def test_a_climb_that_ends_steps_beside_a_dead_time_goes_on(late, at_once):
     """An input held for 0.1 s, a resonance that answers at once after 1.03 s: maxima beside it."""
     rng, poles = np.random.default_rng(2), np.array([complex(-1.0, 9.7)])
     t_u, t = np.arange(-5.0, 20.0, 0.1), np.arange(0.007, 20.0, 0.02)
     u = Signal(t_u, rng.choice((-1.0, 1.0), (len(t_u), 1)), 'zoh')
-    y = StateSpace([[0.0, 9.75], [-9.75, -2.0]], [[0.0], [9.0]], [[0.3, 0.6]],
+    y = StateSpace([[0.0, 9.75], [-9.75, -2.0]], [[0.0], [9.0]], [[0.3, at_once]],
                    delay=(1.03,)).simulate([u], t)
     y += 0.01 * y.std() * rng.standard_normal(y.shape)
     samples = samples_of([Record((u,), (Signal(t, y),), 0.0, 20.0)], [[None]])
