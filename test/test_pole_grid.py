@@ -5,14 +5,14 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import held, match, plant
+from plants import held, match, noisy, plant
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import samples_of
 from ctsid_core.search.by_order import shifted
-from ctsid_core.search.pole_grid import PoleGrid
+from ctsid_core.search.pole_grid import Correlations, PoleGrid
 
 # A slow and a fast pair, 3 inputs, 2 outputs; inputs are held for 0.4 s, which the fast one sees.
 A = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, -1.5, 0.0, 0.0],
@@ -103,25 +103,28 @@ def test_inputs_and_outputs_correlate_most_at_the_dead_times(pole):
     assert grid.dead_times(pole.imag == 0.0) == pytest.approx((0.7, 1.9), abs=0.05)
 
 
+@pytest.mark.parametrize('poles', [[complex(-2.5, 18.0)], [-15.0 + 0j],
+                                   [-60.0 + 0j, complex(-2.5, 18.0)]])
 @pytest.mark.parametrize('size', [1.0, 1e-6])
-def test_what_a_pole_explains_by_correlation_is_what_a_fit_explains(size):
+def test_what_poles_explain_by_correlation_is_what_a_fit_explains(poles, size):
     """Squares over those of the outputs, of a pair that begins later, whatever the units."""
-    record, pole = lagging(complex(-3.0, 20.0), (1.2,), 3), complex(-2.5, 18.0)
+    record, poles = lagging(complex(-3.0, 20.0), (1.2,), 3), np.array(poles)
     record = replace(record, inputs=(replace(record.inputs[0], values=size
                                              * record.inputs[0].values),))
     samples = samples_of([record], [[None]])
     correlations = PoleGrid(samples, feedthrough=False, trim=True, longest=2.0, fastest=150.0,
                             finest=0.02).correlations
-    one = correlations.explained(np.array([pole]))[0]
-    assert len(one) in (100, 101)               # up to the longest that is looked for
+    every, *each = explained = correlations.explained(0, poles)
+    assert len(every) in (100, 101)             # up to the longest that is looked for
+    for pole, one in zip(poles, each, strict=True):
+        assert one == pytest.approx(correlations.explained(0, np.array([pole]))[0])
     for late in (0.3, 1.2, 1.6):
         free = Free(False, True, (False,), 2.0, -1e-6, 150.0)
-        fit = fit_at(samples, np.array([pole]), np.array([late]), free)
+        fit = fit_at(samples, poles, np.array([late]), free)
         exact = 1.0 - samples.mean(fit.power)[0] / np.var(samples.records[0].streams[0].y)
         # The power of a response is that of all inputs, those of 2 s before the record, too.
-        assert 62.0 / 60.0 * one[round(late / 0.02)] == pytest.approx(exact, abs=0.02)
-    both = correlations.explained(np.array([pole, -3.0]))[0]
-    assert both == pytest.approx(np.maximum(one, correlations.explained(np.array([-3.0 + 0j]))[0]))
+        assert 62.0 / 60.0 * every[round(late / 0.02)] == pytest.approx(exact, abs=0.02)
+    assert correlations.dead_time(explained) == pytest.approx(1.2, abs=0.05)
 
 
 def test_an_output_that_rests_hides_no_dead_time():
@@ -157,8 +160,35 @@ def test_a_climb_that_ends_steps_beside_a_dead_time_goes_on(late, at_once):
     free = Free(False, True, (True,), 5.0, -1e-6, 100.0)
     ended = climb_roughly(samples, fit_at(samples, poles, np.array([late]), free), free)
     assert abs(ended.model.delay[0] - 1.03) > 0.1
-    assert shifted(samples, ended, free).model.delay == pytest.approx([1.03], abs=0.002)
-    assert shifted(samples, ended, replace(free, delays=(False,))) is ended
+    correlations = Correlations(samples, 5.0, 100.0, 0.02)
+    assert shifted(samples, ended, free, correlations).model.delay == pytest.approx(
+        [1.03], abs=0.002)
+    assert shifted(samples, ended, replace(free, delays=(False,)), correlations) is ended
+
+
+def sines_and_steps(seed: int) -> tuple[Record, tuple[float, float]]:
+    """Two inputs, each late by its own: quick steps, and slow sines."""
+    rng = np.random.default_rng(seed)
+    A = np.array([[0.0, 25.0, 0.0, 0.0], [-25.0, -36.0, 0.0, 0.0], [0.0, 0.0, -70.0, 0.0],
+                  [0.0, 0.0, 0.0, -0.7]])
+    late = (0.34, float(rng.uniform(0.05, 1.0)))
+    t_u, t_y = np.arange(-5.0, 20.0, 0.01), np.arange(0.003, 20.0, 0.01)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 25)
+    sines = np.sin(0.1 * np.pi * np.outer(t_u, np.arange(1, 26)) + phases).sum(axis=1)
+    steps = np.repeat(rng.choice((-1.0, 1.0), 251), 10)[:len(t_u)]
+    u = Signal(t_u, np.column_stack((steps, sines / np.sqrt(12.5))), 'zoh')
+    B = np.array([[0.0], [25.0 - 36.0], [-70.0], [-0.7]]) * rng.standard_normal((4, 2))
+    y = StateSpace(A, B, rng.standard_normal((2, 4)), delay=late).simulate([u], t_y)
+    return Record((u,), (Signal(t_y, noisy(rng, y, 30.0)),), 0.0, 20.0), late
+
+
+@pytest.mark.parametrize('seed', [59, *slow(*range(8))])
+def test_each_input_has_its_own_dead_time_whichever_explains_more(seed):
+    """Of the one that explains less order 1 saw a false one, which no later order left."""
+    record, late = sines_and_steps(seed)
+    found = identify(record)
+    assert found.good
+    assert found.model.delay == pytest.approx(late, abs=0.02)
 
 
 @pytest.mark.parametrize('budget', [0.0, 1.0])

@@ -265,6 +265,19 @@ def test_an_input_that_hardly_moves_is_named(seed):
     assert verdict.reason.startswith('The response to input u2 has a standard deviation ')
 
 
+def test_an_input_that_no_output_follows_is_to_be_left_out():
+    p = random_plant(np.random.default_rng(3), 2, 2, 1)
+    p.B[:, 1] = 0.0
+    record = held(np.random.default_rng(0), p, 20.0, 100.0, snr=30, duration=30.0)
+    verdict = judged(record)
+    assert verdict.grade is Grade.WEAK
+    assert verdict.reason.startswith('The response to input u2 ')
+    assert 'leave it out of `inputs` if no output has to follow it' in verdict.reason
+    (both,) = record.inputs
+    one = replace(both, values=both.values[:, :1], names=both.names[:1], units=both.units[:1])
+    assert judged(replace(record, inputs=(one,))).grade is Grade.GOOD
+
+
 @pytest.mark.parametrize('seed', [0, *slow(1, 2)])
 def test_one_sine_is_never_good(seed):
     def sine(rng, t):

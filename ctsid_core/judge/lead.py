@@ -50,12 +50,12 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
     with suppress(np.linalg.LinAlgError):
         start = fit_at(early, model.poles, delay, known)
         for poles, direct in _with_fewer(model.poles, free.feedthrough):
-            leading = replace(known, feedthrough=direct, delays=tuple(asked.tolist()))
+            leading = replace(known, feedthrough=direct, delays=sought)
             one = fit_at(early, poles, delay, leading)
             rival = start.cost + price(early) * (
                 parameters(early, start, known) - parameters(early, one, leading))
             one = climb_roughly(early, one, leading, rival)
-            if one.cost > rival or not (one.model.delay < delay).any():
+            if one.cost > rival or not (one.model.delay < delay)[asked].any():
                 continue
             led = tried(early, one, leading)
             nothing = replace(led, power=np.ones(samples.ny), parameters=0)
@@ -67,7 +67,7 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
             # hides a zero of the plant, with fewer numbers it explains as much.
             alone = _climbed(early, one.model.poles, delay, replace(known, feedthrough=direct))
             if one.cost < own.fit.cost and beats(led, own) and beats(led, alone):
-                found = np.maximum(delay - one.model.delay, 0.0)
+                found = np.where(asked, np.maximum(delay - one.model.delay, 0.0), 0.0)
     return found
 
 

@@ -6,7 +6,8 @@ A model of order n starts from those of order n - 1 and n - 2 with the real pole
 promises most (`pole_grid.py`), at dead times kept, halved, zero or, of the first poles, where
 inputs and outputs correlate most; with the resonance that the errors of order n - 2 point at; and
 from the poles of HD-PBSID. Each finds what others do not. The most promising ones of different
-kinds climb to the maximum of the likelihood.
+kinds climb to the maximum of the likelihood, and the likeliest of these goes on where other dead
+times of one input lead.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from functools import cache
 import numpy as np
 
 from ctsid_core.likelihood.modal_model import ModalModel
-from ctsid_core.likelihood.mode_columns import evaluation_work
+from ctsid_core.likelihood.mode_columns import columns_of, evaluation_work
 from ctsid_core.likelihood.noise_gain import gain_work
 from ctsid_core.likelihood.output_error import (
     ROUGHLY,
@@ -29,6 +30,7 @@ from ctsid_core.likelihood.output_error import (
     Free,
     Guess,
     climb_roughly,
+    errors_of,
     fit_at,
 )
 from ctsid_core.likelihood.parting import parted
@@ -37,7 +39,7 @@ from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
 from ctsid_core.search.drifting import drifting
-from ctsid_core.search.pole_grid import PoleGrid
+from ctsid_core.search.pole_grid import Correlations, PoleGrid
 from ctsid_core.search.tried import (
     AKAIKE,
     ENOUGH,
@@ -101,7 +103,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                        np.inf if order or not found else _rival(found, thin, free, n))
         if fit is None:
             continue
-        found[n] = tried(thin, fit, free, n == far)
+        found[n] = tried(thin, fit, free)
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
@@ -135,8 +137,7 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
                 fit = fit_at(samples, poles, whole.model.delay, free, near, slopes=False)
                 n = fit.model.n
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
-                    found[n] = tried(samples, climb_roughly(samples, fit, free), free,
-                                     found[n].pointed)
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free)
 
 
 def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
@@ -164,7 +165,7 @@ def _fewer(fit: Fit) -> Iterator[tuple[ComplexArray, Guess | None]]:
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
     """Return the order nearest to the best that was not looked at, within `MORE`; 0: none."""
     return min((n for n in orders if n not in looked and abs(n - best) <= MORE),
-               key=lambda n: abs(n - best), default=0)
+               key=lambda n: (abs(n - best), -n), default=0)
 
 
 def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, free: Free,
@@ -192,7 +193,7 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
     while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
         max_order -= 1
     if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
-            tried(samples, most, free, True), parameters=best.parameters + (MORE + 1) * (
+            tried(samples, most, free), parameters=best.parameters + (MORE + 1) * (
                 samples.nu + samples.ny + len(samples.records))), best)):
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
@@ -279,21 +280,23 @@ def _best_of(n: int, found: dict[int, Tried], samples: Samples, grid: PoleGrid,
         if samples.effort.beyond(SEARCH):
             break
     likeliest = min(reached, key=akaike, default=None)
-    return None if likeliest is None else shifted(samples, likeliest, free)
+    return None if likeliest is None else shifted(samples, likeliest, free, grid.correlations)
 
 
-def shifted(samples: Samples, fit: Fit, free: Free) -> Fit:
+def shifted(samples: Samples, fit: Fit, free: Free, correlations: Correlations) -> Fit:
     """
-    Return the same, or where dead times lead that are less or more by an interval of the input.
+    Return the same, or where dead times of one input lead with which its modes explain more.
 
-    What is held moves a plant in steps, and where all of them come one too late a climb may end.
+    A climb ends at the nearest maximum: where all steps of an input that is held come one too
+    late, or where the dead time of one that explains little began.
     """
-    steps = np.diag(samples.held)[free.delays & (samples.held > 0.0)]       # of one input each
+    late = [*_by_correlation(samples, fit.model, free, correlations)]
     while not samples.effort.beyond(SEARCH):
-        others = [fit]
-        for step in (*-steps, *steps):
-            old = fit.model.delay
-            delay = np.where(step, np.clip(old + step, 0.0, free.longest), old)
+        others, old = [fit], fit.model.delay
+        steps = ((j, old[j] + step) for j in np.flatnonzero(free.delays & (samples.held > 0.0))
+                 for step in (-samples.held[j], samples.held[j]))
+        for j, one in (*steps, *late):
+            delay = np.where(np.arange(samples.nu) == j, np.clip(one, 0.0, free.longest), old)
             with suppress(np.linalg.LinAlgError):
                 others.append(fit_at(samples, fit.model.poles, delay, free, fit, slopes=False))
         best = min(others, key=lambda other: other.cost)
@@ -301,6 +304,24 @@ def shifted(samples: Samples, fit: Fit, free: Free) -> Fit:
             break
         fit = climb_roughly(samples, best, free)
     return fit
+
+
+def _by_correlation(samples: Samples, model: ModalModel, free: Free,
+                    correlations: Correlations) -> Iterator[tuple[int, float]]:
+    """Yield inputs, and other dead times [s] that explain most of what the other inputs leave."""
+    if not any(free.delays):
+        return
+    poles = bounded(np.unique(model.poles), -1.0 / samples.length, np.inf)
+    columns = columns_of(samples, model.poles, model.delay, direct=bool(model.D.any()),
+                         turned=False, slopes=False)
+    for j in np.flatnonzero(free.delays).tolist():
+        others = np.arange(samples.nu) != j
+        rest = replace(model, b=model.b * others, D=model.D * others)
+        explained = correlations.explained(j, poles, errors_of(samples, rest, columns))
+        # By all modes together, and by the one that explains most.
+        for one in {correlations.dead_time(some) for some in (explained[:1], explained[1:])}:
+            if abs(one - model.delay[j]) > correlations.step:
+                yield j, one
 
 
 def _of_more_ranks(n: int, found: dict[int, Tried],

@@ -14,6 +14,7 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -85,8 +86,10 @@ class PoleGrid:
         """Return the dead times (nu,) [s] with which a pole explains most, each input's own."""
         if real not in self._late:
             # Every other one of the grid: dead times ask less of a pole than a start does.
-            self._late[real] = self.correlations.dead_times(
-                self.poles[(self.poles.imag == 0.0) == real][::2])
+            poles = self.poles[(self.poles.imag == 0.0) == real][::2, np.newaxis]
+            self._late[real] = np.array([self.correlations.dead_time(np.array(
+                [self.correlations.explained(j, p)[0] for p in poles]))
+                for j in range(self.samples.nu)])
         return self._late[real]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
@@ -151,25 +154,27 @@ class Correlations:
         P = sum |z|^2 = (2 Re S - r(0)) / (1 - exp(2 Re p h)),
         Q = sum z^2 = (2 S - r(0)) / (1 - exp(2 p h)),        h the distance of lags.
 
-    With g = sum e z a pair explains 2 (P |g|^2 - Re(conj(Q) g^2)) / (P^2 - |Q|^2), about
-    2 |g|^2 / P if it is hardly damped, a real pole g^2 / P.
+    With g = sum e z a pair that is hardly damped explains about 2 |g|^2 / P. Of several poles, a
+    and b, sums of products z_a z_b have S_a + S_b in place of 2 S, and a + b of 2 p: with them G,
+    of real and imaginary parts, and their g all together explain g' G^-1 g.
     """
 
     def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
-        self._samples, self._longest = samples, longest
+        self._samples = samples
         self._cells = _cells_of(samples, longest, finest, _LINES)
-        self._step, lags = self._cells[0].step, max(c.count for c in self._cells)
+        self.step, lags = self._cells[0].step, max(c.count for c in self._cells)
         self._size = next_fast_len(2 * lags, real=True)
-        self._lines = 2.0 * np.pi / self._step * np.fft.rfftfreq(self._size)
+        self._lines = 2.0 * np.pi / self.step * np.fft.rfftfreq(self._size)
         self._omega = self._lines[self._lines <= fastest]
         self._rates = np.geomspace(1.0 / samples.length, _DAMPING[0] * fastest, _RATES)
-        self._lags = self._step * np.arange(lags)
+        self._lags = self.step * np.arange(lags)
+        self._dead_times = int(np.sum(self._lags <= longest))
         self._decays = np.exp(-self._rates[:, np.newaxis] * self._lags)
         self._inputs = [np.fft.rfft(c.means - c.means.mean(axis=1, keepdims=True), self._size)
                         for c in self._cells]
         own = self._own = self._lagged(np.sum([np.abs(u) ** 2 for u in self._inputs], axis=0))
         power = 2.0 * self._at(self._decays[:, np.newaxis] * own).real - own[:, :1]
-        power /= -np.expm1(-2.0 * self._rates * self._step)[:, np.newaxis, np.newaxis]
+        power /= -np.expm1(-2.0 * self._rates * self.step)[:, np.newaxis, np.newaxis]
         self._power = np.maximum(power, _RIDGE * power.max(axis=-1, keepdims=True)) + 1e-300
 
     @property
@@ -188,7 +193,8 @@ class Correlations:
         """
         self._samples.effort.spend(
             _PER_LINE * self._size * self._samples.ny * self._samples.nu * _RATES)
-        (lagged, squares), found = self._correlated(errors, delay), []
+        late, found = np.exp(1j * self._lines * delay[:, np.newaxis]), []
+        lagged, squares = self._correlated(errors, [u.conj() * late for u in self._inputs])
         for rate, decay, power in zip(self._rates, self._decays, self._power, strict=True):
             shares = np.sum(np.abs(self._at(decay * lagged)) ** 2 / power, axis=1)
             gain = np.sum(shares / squares, axis=0)
@@ -197,58 +203,63 @@ class Correlations:
             found.append((float(gain[k]), complex(-rate, max(self._omega[k], rate))))
         return max(found, key=lambda one: one[0])[1]
 
-    def dead_times(self, poles: ComplexArray) -> Array:
-        """Return the dead times (nu,) [s] with which one of stable poles explains most."""
-        return np.asarray(self._lags[np.argmax(self.explained(poles), axis=1)])
+    def dead_time(self, explained: Array) -> float:
+        """Return the dead time [s] at which one of some models, (m, dead times), explains most."""
+        return float(self._lags[np.argmax(np.max(explained, axis=0))])
 
-    def explained(self, poles: ComplexArray) -> Array:
+    def explained(self, j: int, poles: ComplexArray, errors: Residuals | None = None) -> Array:
         """
-        Return how much one of the poles explains, (nu, dead times).
+        Return what stable poles, one of each pair, and the input j explain of errors, or outputs.
 
-        Squares over those of each output, summed, as if there were a sample in every cell, and
-        inputs were independent. Trim, free responses and the end of the record are left out.
+        All together, and each by itself: (1 + m, dead times). Squares over those of each output,
+        summed, as if there were a sample in every cell, and inputs were independent. Trim, free
+        responses and the end of the record are left out.
         """
-        samples = self._samples
-        parts = len(poles) + int(np.count_nonzero(poles.imag > 0.0))
-        samples.effort.spend(_PER_LINE * self._size * (samples.ny * samples.nu + 1) * parts)
-        spectra, squares = self._of_outputs
-        found = np.zeros((samples.nu, int(np.sum(self._lags <= self._longest))))
-
-        def pulled(decay: Array) -> Array:
-            late = self._lagged(spectra * np.fft.rfft(decay, self._size).conj())
-            return late[..., :found.shape[1]]
-
-        for p in poles.tolist():
-            decay = np.exp(p * self._lags)
-            sums = 2.0 * self._own @ decay - self._own[:, 0]
-            power = np.maximum(sums.real / -np.expm1(2.0 * p.real * self._step),
-                               1e-300)[:, np.newaxis]
-            pull = pulled(decay.real)
-            shares = pull ** 2 / power
-            if p.imag > 0.0:
-                pull = pull + 1j * pulled(decay.imag)
-                turned = (sums / -np.expm1(2.0 * p * self._step))[:, np.newaxis] / power
-                shares = 2.0 * (np.abs(pull) ** 2 - (turned.conj() * pull ** 2).real) / power \
-                    / np.maximum(1.0 - np.abs(turned) ** 2, _RIDGE)
-            np.maximum(found, np.sum(shares / squares[:, np.newaxis], axis=0), out=found)
-        return found
+        lagged, squares = self._of_outputs if errors is None else self._correlated(
+            errors, [u[j].conj() for u in self._inputs])
+        rows = np.vstack((lagged[:, j] if errors is None else lagged, self._own[j]))[:, ::-1]
+        pairs = poles.imag > 0.0
+        pole = np.concatenate((np.arange(len(poles)), np.flatnonzero(pairs)))    # of each part
+        self._samples.effort.spend(
+            _PER_LINE * (self._size * len(lagged) + rows.size * len(pole)))
+        factor = np.exp(self.step * (poles if np.any(pairs) else poles.real))
+        # From the last lag to the first: sums over lags from each on.
+        sums = chain(factor[:, np.newaxis], np.broadcast_to(
+            rows, (len(poles), *rows.shape)))[:, :, :0:-1]
+        own = sums[:, -1, 0]
+        power, square = ((own[:, np.newaxis] + s - self._own[j, 0])
+                         / -np.expm1(self.step * (poles[:, np.newaxis] + p))
+                         for s, p in ((own.conj(), poles.conj()), (own, poles)))
+        gram = 0.5 * np.block([[(power + square).real, (square - power).imag],
+                               [(square - power).imag.T, (power - square).real]])
+        kept = np.concatenate((np.ones_like(pairs), pairs))
+        size = np.sqrt(np.maximum(np.diag(gram)[kept], 1e-300))
+        gram = gram[np.ix_(kept, kept)] / np.outer(size, size) + _RIDGE * np.eye(len(size))
+        sums = sums[:, :-1, :self._dead_times]
+        pull = np.concatenate((sums.real, sums[pairs].imag)).swapaxes(0, 1) / size[:, np.newaxis]
+        every, each = (np.sum(pull * np.linalg.solve(one, pull) / squares[:, np.newaxis], axis=0)
+                       for one in (gram, gram * (pole[:, np.newaxis] == pole)))
+        each = (np.arange(len(poles))[:, np.newaxis] == pole) @ each
+        return np.vstack((every.sum(axis=0), each))
 
     @cached_property
-    def _of_outputs(self) -> tuple[ComplexArray, Array]:
-        """The spectra of c of outputs and inputs, (ny, nu, lines), and squares, (ny, 1)."""
-        lagged, squares = self._correlated(self.outputs, np.zeros(self._samples.nu))
-        return np.fft.rfft(lagged, self._size), squares
+    def _of_outputs(self) -> tuple[Array, Array]:
+        return self._correlated(self.outputs, [u.conj() for u in self._inputs])
 
-    def _correlated(self, errors: Residuals, delay: Array) -> tuple[Array, Array]:
-        """Return c of each output and input, (ny, nu, lags), and squares of errors, (ny, 1)."""
-        late = np.exp(1j * self._lines * delay[:, np.newaxis])
-        both = np.zeros((self._samples.ny, *late.shape), dtype=complex)
+    def _correlated(self, errors: Residuals,
+                    spectra: Sequence[ComplexArray]) -> tuple[Array, Array]:
+        """
+        Return c of each output, (ny, inputs, lags), and squares of errors, (ny, 1).
+
+        Given are the conjugate spectra of inputs of each record, (inputs, lines).
+        """
+        both = np.zeros((self._samples.ny, *spectra[0].shape), dtype=complex)
         squares = np.zeros((self._samples.ny, 1))
-        for cells, u, own in zip(self._cells, self._inputs, errors, strict=True):
+        for cells, u, own in zip(self._cells, spectra, errors, strict=True):
             for stream, e in zip(cells.record.streams, own, strict=True):
                 place = cells.places(stream.times)[0]
-                spectra = np.array([np.fft.rfft(np.bincount(place, x, self._size)) for x in e.T])
-                both[stream.channels] += spectra[:, np.newaxis] * (u.conj() * late)
+                for i, x in zip(range(self._samples.ny)[stream.channels], e.T, strict=True):
+                    both[i] += np.fft.rfft(np.bincount(place, x, self._size)) * u
                 squares[stream.channels, 0] += np.sum(e ** 2, axis=0)
         return self._lagged(both), np.maximum(squares, 1e-300)
 
