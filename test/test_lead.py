@@ -82,8 +82,10 @@ def test_a_dead_time_that_is_given_is_not_asked():
     assert 'before' not in found.verdict.reason
 
 
-def test_the_one_of_two_inputs_that_is_late_is_named():
-    one, two = stamped(SECOND, 0.0, seed=2), stamped(LAG, 0.08, seed=3)
+@pytest.mark.parametrize('dead_time', [0.0, 3.0])
+def test_the_one_of_two_inputs_that_is_late_is_named(dead_time):
+    """Whatever dead time the other one has."""
+    one, two = stamped(SECOND, -dead_time, seed=2), stamped(LAG, 0.08, seed=3)
     t, values = one.outputs[0].time, one.outputs[0].values
     other = np.interp(t, two.outputs[0].time, two.outputs[0].values[:, 0])[:, np.newaxis]
     found = identify(Record.from_signals(

@@ -11,7 +11,7 @@ import pytest
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
 from ctsid_core.likelihood.output_error import Free, climb_roughly, fit_at
 from ctsid_core.likelihood.samples import samples_of
-from ctsid_core.search.by_order import shifted
+from ctsid_core.search.by_order import _by_correlation, nearest, shifted
 from ctsid_core.search.pole_grid import Correlations, PoleGrid
 
 # A slow and a fast pair, 3 inputs, 2 outputs; inputs are held for 0.4 s, which the fast one sees.
@@ -114,10 +114,12 @@ def test_what_poles_explain_by_correlation_is_what_a_fit_explains(poles, size):
     samples = samples_of([record], [[None]])
     correlations = PoleGrid(samples, feedthrough=False, trim=True, longest=2.0, fastest=150.0,
                             finest=0.02).correlations
-    every, *each = explained = correlations.explained(0, poles)
+    every, *each = explained = correlations.explained(
+        0, poles, correlations.outputs)
     assert len(every) in (100, 101)             # up to the longest that is looked for
     for pole, one in zip(poles, each, strict=True):
-        assert one == pytest.approx(correlations.explained(0, np.array([pole]))[0])
+        assert one == pytest.approx(correlations.explained(
+            0, np.array([pole]), correlations.outputs)[0])
     for late in (0.3, 1.2, 1.6):
         free = Free(False, True, (False,), 2.0, -1e-6, 150.0)
         fit = fit_at(samples, poles, np.array([late]), free)
@@ -160,17 +162,23 @@ def test_a_climb_that_ends_steps_beside_a_dead_time_goes_on(late, at_once):
     free = Free(False, True, (True,), 5.0, -1e-6, 100.0)
     ended = climb_roughly(samples, fit_at(samples, poles, np.array([late]), free), free)
     assert abs(ended.model.delay[0] - 1.03) > 0.1
-    correlations = Correlations(samples, 5.0, 100.0, 0.02)
+    # Correlations that do not reach so far are no help.
+    correlations = Correlations(samples, 0.1, 100.0, 0.02)
     assert shifted(samples, ended, free, correlations).model.delay == pytest.approx(
         [1.03], abs=0.002)
     assert shifted(samples, ended, replace(free, delays=(False,)), correlations) is ended
 
 
+PLANT_OF_TWO = (np.array([[0.0, 25.0, 0.0, 0.0], [-25.0, -36.0, 0.0, 0.0],
+                          [0.0, 0.0, -70.0, 0.0], [0.0, 0.0, 0.0, -0.7]]),
+                np.array([[0.0, 0.0], [25.0, -10.0], [70.0, 50.0], [0.7, -0.4]]),
+                np.array([[1.0, 0.3, -0.5, 1.0], [-0.4, 0.5, 1.0, 0.8]]))
+
+
 def sines_and_steps(seed: int) -> tuple[Record, tuple[float, float]]:
     """Two inputs, each late by its own: quick steps, and slow sines."""
     rng = np.random.default_rng(seed)
-    A = np.array([[0.0, 25.0, 0.0, 0.0], [-25.0, -36.0, 0.0, 0.0], [0.0, 0.0, -70.0, 0.0],
-                  [0.0, 0.0, 0.0, -0.7]])
+    A = PLANT_OF_TWO[0]
     late = (0.34, float(rng.uniform(0.05, 1.0)))
     t_u, t_y = np.arange(-5.0, 20.0, 0.01), np.arange(0.003, 20.0, 0.01)
     phases = rng.uniform(0.0, 2.0 * np.pi, 25)
@@ -182,11 +190,53 @@ def sines_and_steps(seed: int) -> tuple[Record, tuple[float, float]]:
     return Record((u,), (Signal(t_y, noisy(rng, y, 30.0)),), 0.0, 20.0), late
 
 
+@pytest.mark.parametrize('direct', [0.0, 0.4])
+def test_what_the_other_inputs_leave_tells_the_dead_time_of_one(direct):
+    """Of a weak one, of two records and two outputs that have their own stamps."""
+    records, late = [], (0.34, 0.9)
+    for seed in (0, 1):
+        record, _ = sines_and_steps(seed)
+        (u,), (y,) = record.inputs, record.outputs
+        u = replace(u, values=u.values * [1.0, 0.1])
+        truth = StateSpace(*PLANT_OF_TWO, [[direct, direct], [0.0, 0.0]], delay=late)
+        slow_t = y.time[::3] + 0.002
+        records.append(Record((u,), (Signal(y.time, truth.simulate([u], y.time)[:, :1]),
+                                     Signal(slow_t, truth.simulate([u], slow_t)[:, 1:])),
+                              0.0, 20.0))
+    samples = samples_of(records, [[None] * 2] * 2)
+    free = Free(bool(direct), True, (True, True), 2.0, -1e-6, 100.0)
+    poles = np.linalg.eigvals(PLANT_OF_TWO[0])
+    fit = fit_at(samples, poles[poles.imag >= 0.0], np.array([0.34, 0.2]), free)
+    inputs, found = zip(*_by_correlation(samples, fit.model, free,
+                                         Correlations(samples, 2.0, 100.0, 0.01)), strict=True)
+    assert set(inputs) == {1}                   # the other one is where it has to be
+    assert np.min(np.abs(np.array(found) - 0.9)) < 0.05         # from where a climb gets there
+
+
 @pytest.mark.parametrize('seed', [59, *slow(*range(8))])
 def test_each_input_has_its_own_dead_time_whichever_explains_more(seed):
     """Of the one that explains less order 1 saw a false one, which no later order left."""
     record, late = sines_and_steps(seed)
     found = identify(record)
+    assert found.good
+    assert found.model.delay == pytest.approx(late, abs=0.02)
+
+
+@pytest.mark.parametrize('seed', [10, 47, *slow(0, 12, 13, 50)])
+def test_inputs_of_the_same_frequencies_have_their_own_dead_times(seed):
+    """What a single mode explains most of is not where all modes together do."""
+    rng = np.random.default_rng(seed)
+    t_u, t = np.arange(-5.0, 12.0, 0.01), np.arange(0.0, 12.0, 0.01)
+    late = tuple(rng.uniform(0.01, 0.3, 3))
+    lines = np.pi / 6.0 * np.arange(1, 26)
+    sines = [np.sin(np.outer(t_u, lines) + rng.uniform(0.0, 2.0 * np.pi, 25)).sum(axis=1)
+             / np.sqrt(12.5) for _ in range(2)]
+    steps = np.repeat(rng.choice((-1.0, 1.0), 86), 20)[:len(t_u)]
+    u = Signal(t_u, np.column_stack((sines[0], steps, sines[1])), 'zoh')
+    B = np.array([[90.0], [1.2]]) * rng.standard_normal((2, 3))
+    y = StateSpace(np.diag([-90.0, -1.2]), B, [[1.0, 1.0]], delay=late).simulate([u], t)
+    y += 0.01 * y.std() * rng.standard_normal(y.shape)
+    found = identify(Record((u,), (Signal(t, y),), 0.0, 12.0))
     assert found.good
     assert found.model.delay == pytest.approx(late, abs=0.02)
 
@@ -199,6 +249,12 @@ def test_a_long_record_of_several_inputs_has_its_order_and_no_dead_time(budget):
     assert np.max(found.model.delay) < 0.02
     both = np.linalg.eigvals(A)
     assert match(found.model.poles, both) == pytest.approx(both, rel=0.02)
+
+
+def test_of_two_orders_as_near_the_larger_one_is_tried_first():
+    """What HD-PBSID points at may have too few states, and time may end."""
+    assert [nearest(range(1, 9), looked, 4) for looked in (
+        {4}, {4, 5}, {3, 4, 5}, {3, 4, 5, 6}, {2, 3, 4, 5, 6})] == [5, 3, 6, 2, 0]
 
 
 def test_without_noise_no_larger_order_is_taken():

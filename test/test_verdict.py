@@ -272,7 +272,7 @@ def test_an_input_that_no_output_follows_is_to_be_left_out():
     verdict = judged(record)
     assert verdict.grade is Grade.WEAK
     assert verdict.reason.startswith('The response to input u2 ')
-    assert 'leave it out of `inputs` if no output has to follow it' in verdict.reason
+    assert 'if no output follows it, leave it out of `inputs`' in verdict.reason
     (both,) = record.inputs
     one = replace(both, values=both.values[:, :1], names=both.names[:1], units=both.units[:1])
     assert judged(replace(record, inputs=(one,))).grade is Grade.GOOD

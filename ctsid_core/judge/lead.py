@@ -43,7 +43,7 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
         return found
     # The same samples and models, told with all stamps of inputs earlier and dead times longer
     early, delay = _earlier(samples.thinned(SEARCHED), reach), model.delay + reach
-    known = replace(free, longest=2.0 * reach, delays=(False,) * samples.nu)
+    known = replace(free, longest=free.longest + reach, delays=(False,) * samples.nu)
     if np.min(early.counts.sum(axis=0)) <= parameters(samples, fit, free):
         return found
     own: Tried | None = None

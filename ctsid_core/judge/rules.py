@@ -271,8 +271,8 @@ def _more(times: float) -> str:
     """Return how much more motion divides a deviation so often, and how much more time."""
     times *= _SURELY
     if not times < 10.0:
-        return 'move it much more (as it moves: take a much longer window), or leave it out of ' \
-            '`inputs` if no output has to follow it'
+        return 'move it much more (as it moves: take a much longer window), or, if no output ' \
+            'follows it, leave it out of `inputs`'
     return f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
         f'window {np.ceil(10.0 * times ** 2) / 10.0:.3g} times as long)'
 

@@ -34,7 +34,7 @@ from ctsid_core.likelihood.output_error import (
     fit_at,
 )
 from ctsid_core.likelihood.parting import parted
-from ctsid_core.likelihood.pole_steps import bounded
+from ctsid_core.likelihood.pole_steps import bounded, canonical
 from ctsid_core.likelihood.samples import Samples
 from ctsid_core.likelihood.state_space import covariance_work
 from ctsid_core.linear.types import Array, ComplexArray
@@ -103,7 +103,7 @@ def search_orders(samples: Samples, free: Free, subspace: SubspacePoles, *,
                        np.inf if order or not found else _rival(found, thin, free, n))
         if fit is None:
             continue
-        found[n] = tried(thin, fit, free)
+        found[n] = tried(thin, fit, free, n == far)
         best = choose(found)
         if not order and found[n].rms < _CLEAN:
             max_order = min(max_order, n - 1)           # larger ones explain nothing more
@@ -137,7 +137,8 @@ def _without_modes(samples: Samples, found: dict[int, Tried], free: Free) -> Non
                 fit = fit_at(samples, poles, whole.model.delay, free, near, slopes=False)
                 n = fit.model.n
                 if n in found and fit.cost < found[n].fit.cost - ROUGHLY:
-                    found[n] = tried(samples, climb_roughly(samples, fit, free), free)
+                    found[n] = tried(samples, climb_roughly(samples, fit, free), free,
+                                     found[n].pointed)
 
 
 def _with_drift(samples: Samples, found: dict[int, Tried], free: Free) -> None:
@@ -163,7 +164,11 @@ def _fewer(fit: Fit) -> Iterator[tuple[ComplexArray, Guess | None]]:
 
 
 def nearest(orders: Iterable[int], looked: Container[int], best: int) -> int:
-    """Return the order nearest to the best that was not looked at, within `MORE`; 0: none."""
+    """
+    Return the order nearest to the best, within `MORE`, that was not looked at; 0: none.
+
+    Of two the larger one: time may end before the other, and a state too many does less harm.
+    """
     return min((n for n in orders if n not in looked and abs(n - best) <= MORE),
                key=lambda n: (abs(n - best), -n), default=0)
 
@@ -193,7 +198,7 @@ def _pointed(delays: Sequence[Array], subspace: SubspacePoles, grid: PoleGrid, f
     while max_order > 3 and by_subspace(max_order) is None:    # so many it does not see
         max_order -= 1
     if best is not None and ((most := by_subspace(max_order)) is None or not beats(replace(
-            tried(samples, most, free), parameters=best.parameters + (MORE + 1) * (
+            tried(samples, most, free, True), parameters=best.parameters + (MORE + 1) * (
                 samples.nu + samples.ny + len(samples.records))), best)):
         return 1
     near = 2.0 * float(np.sum(samples.counts)) * float(np.log(_NEARLY))
@@ -300,7 +305,7 @@ def shifted(samples: Samples, fit: Fit, free: Free, correlations: Correlations) 
             with suppress(np.linalg.LinAlgError):
                 others.append(fit_at(samples, fit.model.poles, delay, free, fit, slopes=False))
         best = min(others, key=lambda other: other.cost)
-        if best.cost > fit.cost - ROUGHLY:
+        if not best.cost <= fit.cost - ROUGHLY:
             break
         fit = climb_roughly(samples, best, free)
     return fit
@@ -309,9 +314,9 @@ def shifted(samples: Samples, fit: Fit, free: Free, correlations: Correlations) 
 def _by_correlation(samples: Samples, model: ModalModel, free: Free,
                     correlations: Correlations) -> Iterator[tuple[int, float]]:
     """Yield inputs, and other dead times [s] that explain most of what the other inputs leave."""
-    if not any(free.delays):
+    if not any(free.delays) or samples.effort.beyond(SEARCH):
         return
-    poles = bounded(np.unique(model.poles), -1.0 / samples.length, np.inf)
+    poles = canonical(bounded(np.unique(model.poles), -1.0 / samples.length, np.inf))
     columns = columns_of(samples, model.poles, model.delay, direct=bool(model.D.any()),
                          turned=False, slopes=False)
     for j in np.flatnonzero(free.delays).tolist():

@@ -15,7 +15,6 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,10 +85,10 @@ class PoleGrid:
         """Return the dead times (nu,) [s] with which a pole explains most, each input's own."""
         if real not in self._late:
             # Every other one of the grid: dead times ask less of a pole than a start does.
-            poles = self.poles[(self.poles.imag == 0.0) == real][::2, np.newaxis]
-            self._late[real] = np.array([self.correlations.dead_time(np.array(
-                [self.correlations.explained(j, p)[0] for p in poles]))
-                for j in range(self.samples.nu)])
+            poles = self.poles[(self.poles.imag == 0.0) == real][::2]
+            self._late[real] = np.array([
+                self.correlations.dead_time(self.correlations.explained(
+                    j, poles, self.correlations.outputs)[1:]) for j in range(self.samples.nu)])
         return self._late[real]
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
@@ -154,9 +153,10 @@ class Correlations:
         P = sum |z|^2 = (2 Re S - r(0)) / (1 - exp(2 Re p h)),
         Q = sum z^2 = (2 S - r(0)) / (1 - exp(2 p h)),        h the distance of lags.
 
-    With g = sum e z a pair that is hardly damped explains about 2 |g|^2 / P. Of several poles, a
-    and b, sums of products z_a z_b have S_a + S_b in place of 2 S, and a + b of 2 p: with them G,
-    of real and imaginary parts, and their g all together explain g' G^-1 g.
+    With g = sum e z a pair that is hardly damped explains about 2 |g|^2 / P. Sums of products of
+    the responses of two poles a and b are the same with S_a + S_b and a + b in place of 2 S and
+    2 p, and of one with the other's conjugate with that of S_b and b. With them G, of real and
+    imaginary parts, and their g all poles together explain g' G^-1 g.
     """
 
     def __init__(self, samples: Samples, longest: float, fastest: float, finest: float) -> None:
@@ -207,44 +207,43 @@ class Correlations:
         """Return the dead time [s] at which one of some models, (m, dead times), explains most."""
         return float(self._lags[np.argmax(np.max(explained, axis=0))])
 
-    def explained(self, j: int, poles: ComplexArray, errors: Residuals | None = None) -> Array:
+    def explained(self, j: int, poles: ComplexArray, errors: Residuals) -> Array:
         """
-        Return what stable poles, one of each pair, and the input j explain of errors, or outputs.
+        Return what stable poles, one of each pair, and the input j explain of errors.
 
         All together, and each by itself: (1 + m, dead times). Squares over those of each output,
         summed, as if there were a sample in every cell, and inputs were independent. Trim, free
         responses and the end of the record are left out.
         """
-        lagged, squares = self._of_outputs if errors is None else self._correlated(
-            errors, [u[j].conj() for u in self._inputs])
-        rows = np.vstack((lagged[:, j] if errors is None else lagged, self._own[j]))[:, ::-1]
+        lagged, squares = self._correlated(errors, [u[j:j + 1].conj() for u in self._inputs])
         pairs = poles.imag > 0.0
         pole = np.concatenate((np.arange(len(poles)), np.flatnonzero(pairs)))    # of each part
         self._samples.effort.spend(
-            _PER_LINE * (self._size * len(lagged) + rows.size * len(pole)))
-        factor = np.exp(self.step * (poles if np.any(pairs) else poles.real))
-        # From the last lag to the first: sums over lags from each on.
-        sums = chain(factor[:, np.newaxis], np.broadcast_to(
-            rows, (len(poles), *rows.shape)))[:, :, :0:-1]
-        own = sums[:, -1, 0]
-        power, square = ((own[:, np.newaxis] + s - self._own[j, 0])
-                         / -np.expm1(self.step * (poles[:, np.newaxis] + p))
-                         for s, p in ((own.conj(), poles.conj()), (own, poles)))
-        gram = 0.5 * np.block([[(power + square).real, (square - power).imag],
-                               [(square - power).imag.T, (power - square).real]])
-        kept = np.concatenate((np.ones_like(pairs), pairs))
-        size = np.sqrt(np.maximum(np.diag(gram)[kept], 1e-300))
-        gram = gram[np.ix_(kept, kept)] / np.outer(size, size) + _RIDGE * np.eye(len(size))
-        sums = sums[:, :-1, :self._dead_times]
-        pull = np.concatenate((sums.real, sums[pairs].imag)).swapaxes(0, 1) / size[:, np.newaxis]
-        every, each = (np.sum(pull * np.linalg.solve(one, pull) / squares[:, np.newaxis], axis=0)
-                       for one in (gram, gram * (pole[:, np.newaxis] == pole)))
-        each = (np.arange(len(poles))[:, np.newaxis] == pole) @ each
-        return np.vstack((every.sum(axis=0), each))
+            _PER_LINE * (self._size + len(self._lags) * len(pole)) * (len(lagged) + 1))
+        # Sums over lags from each on, of c and r: from the last one to the first
+        rows, pulls, sums = np.vstack((lagged[:, 0], self._own[j]))[:, ::-1], [], []
+        for factor in np.exp(self.step * (poles if np.any(pairs) else poles.real)):
+            late = chain(factor.reshape(1, 1), rows[np.newaxis])[0, :, :0:-1]
+            pulls.append(late[:-1, :self._dead_times].copy())
+            sums.append(late[-1, 0])
+        kept = np.concatenate((np.ones_like(pairs), pairs))     # real, imaginary parts
+        gram = self._gram(poles, np.array(sums), self._own[j, 0])[np.ix_(kept, kept)]
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        gram = gram / np.outer(size, size) + _RIDGE * np.eye(len(size))
+        parts = np.concatenate((np.real(pulls), np.imag(pulls)[pairs])).swapaxes(0, 1)
+        parts = parts / size[:, np.newaxis]
+        every, each = (
+            np.sum(parts * np.linalg.solve(one, parts) / squares[:, np.newaxis], axis=0)
+            for one in (gram, gram * (pole[:, np.newaxis] == pole)))
+        of_pole = np.arange(len(poles))[:, np.newaxis] == pole
+        return np.vstack((every.sum(axis=0), of_pole @ each))
 
-    @cached_property
-    def _of_outputs(self) -> tuple[Array, Array]:
-        return self._correlated(self.outputs, [u.conj() for u in self._inputs])
+    def _gram(self, poles: ComplexArray, sums: Array | ComplexArray, power: float) -> Array:
+        """Return the inner products of the real and the imaginary parts of responses, (2m, 2m)."""
+        p, q = ((sums[:, np.newaxis] + s - power) / -np.expm1(
+            self.step * (poles[:, np.newaxis] + other))
+            for s, other in ((sums.conj(), poles.conj()), (sums, poles)))
+        return 0.5 * np.block([[(p + q).real, (q - p).imag], [(q - p).imag.T, (p - q).real]])
 
     def _correlated(self, errors: Residuals,
                     spectra: Sequence[ComplexArray]) -> tuple[Array, Array]:

@@ -254,7 +254,7 @@ def _where_known(seen: Seen, samples: Samples, found: dict[int, Tried], free: Fr
             thin, rest = known.thinned(SEARCHED), {}
             for n, one in up_to.items():
                 start = fit_at(thin, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-                rest[n] = replace(tried(thin, climb_roughly(thin, start, free), free),
+                rest[n] = replace(tried(thin, climb_roughly(thin, start, free), free, one.pointed),
                                   drifting=one.drifting, found=one.found)
             if choose(rest) < chosen:
                 return known, {n: climbed(known, one, free) for n, one in rest.items()}

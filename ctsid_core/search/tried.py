@@ -9,9 +9,8 @@ How much evidence there is for one more state depends on how many samples are in
 with the autocorrelation rho_k of the errors of the smaller of two models. White errors: N_eff = N.
 Model errors are neither white nor new information, and states that imitate them are not bought.
 Nor is there more evidence than N_eff log N, N the independent samples of all outputs, however much
-errors fall: as many numbers as there are independent samples explain any of them. Where the larger
-model leaves next to nothing but noise, its errors tell how many these are: then what the smaller
-one leaves is what modes do that it has not, and imitates nothing.
+errors fall: as many numbers as there are independent samples explain any of them. Of an order that
+HD-PBSID points at, both models' errors say how many these are.
 
 A gain that falls while a battery sags, or a dead time that grows because two clocks run apart, is
 imitated by states: slow ones, or as many as the input has frequencies. So a smaller model with
@@ -54,6 +53,9 @@ class Tried:
     fit: Fit
     power: Array        # (ny,): mean square of the errors of each output, over all records
     parameters: int
+    # Whether HD-PBSID pointed at its order, far from those that are tried one after another: its
+    # own errors say, too, how much there is to know
+    pointed: bool = False
     drifting: Tried | None = None   # the same order with inputs that drift, where it was seen
     found: Tried | None = None      # what it was then, of fewer samples
 
@@ -72,7 +74,7 @@ class Tried:
         """-2 log likelihood of the errors of each output in any colour, (ny,)."""
         return coloured_costs(self.errors)
 
-    @property
+    @cached_property
     def unexplained(self) -> float:
         """Rms of errors that are not noise, over the motion."""
         return float(np.sqrt(np.max(coloured_power(self.errors))))
@@ -88,15 +90,15 @@ class Tried:
         return float(np.sqrt(np.mean(self.power)))
 
 
-def tried(samples: Samples, fit: Fit, free: Free) -> Tried:
+def tried(samples: Samples, fit: Fit, free: Free, pointed: bool = False) -> Tried:
     """Return a model of an order with what its errors say."""
-    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free))
+    return Tried(samples, fit, samples.mean(fit.power), parameters(samples, fit, free), pointed)
 
 
 def climbed(samples: Samples, one: Tried, free: Free, steps: int = STEPS) -> Tried:
     """Return a model at the maximum of the likelihood of other samples, or on the way there."""
     start = fit_at(samples, one.fit.model.poles, one.fit.model.delay, free, one.fit)
-    return replace(tried(samples, climb(samples, start, free, steps=steps), free),
+    return replace(tried(samples, climb(samples, start, free, steps=steps), free, one.pointed),
                    drifting=one.drifting, found=one.found)
 
 
@@ -144,24 +146,19 @@ def criterion(smaller: Tried, larger: Tried, price: float = 0.0) -> float:
 
     A parameter costs the logarithm of the number of independent samples, unless `price` says.
     """
-    n_eff, gain = _counted(smaller, larger), gained(smaller, larger)
+    n_eff, gain = np.maximum(smaller.independent, 2.0), gained(smaller, larger)
     share = np.maximum(gain, 1e-6)
     each = price or float(share @ np.log(n_eff) / share.sum())
     return float(np.sum(gain)) - each * (larger.parameters - smaller.parameters)
 
 
-def _counted(smaller: Tried, larger: Tried) -> Array:
-    """Return how many samples are independent for the choice between two models, (ny,)."""
-    told = larger if larger.unexplained <= ENOUGH else smaller
-    return np.maximum(told.independent, 2.0)
-
-
 def gained(smaller: Tried, larger: Tried) -> Array:
     """Return how much more likely the larger one is, whatever it costs, by outputs (ny,)."""
     power = [np.maximum(t.power, ROUNDING) for t in (smaller, larger)]
-    n_eff = _counted(smaller, larger)
+    n_eff = np.maximum(smaller.independent, 2.0)
     # Zellner's prior of unit information: numbers as many as samples explain anything.
-    unit = 1.0 / float(n_eff.sum())
+    known = np.sqrt(n_eff.sum() * np.sum(larger.independent)) if larger.pointed else n_eff.sum()
+    unit = 1.0 / max(float(known), 2.0)
     ratio = np.log((1.0 + unit) / (power[1] / power[0] + unit))
     # An output that fits a little worse for the sake of another is no evidence against it.
     return np.where(ratio > 0.0, n_eff, np.min(n_eff)) * ratio
