@@ -11,6 +11,9 @@ from plants import held_response, noisy, plant
 import pytest
 
 from ctsid_core import Grade, Record, Settings, Signal, identify
+from ctsid_core.judge.lead import lead_of_outputs
+from ctsid_core.likelihood.output_error import Free, fit_at
+from ctsid_core.likelihood.samples import samples_of
 
 SECOND = plant([[0, 1], [-20, -3]], [[0], [20]], [[1, 0]])
 LAG = plant([[-5]], [[5]], [[1]])
@@ -82,13 +85,27 @@ def test_a_dead_time_that_is_given_is_not_asked():
     assert 'before' not in found.verdict.reason
 
 
-@pytest.mark.parametrize('dead_time', [0.0, 3.0])
-def test_the_one_of_two_inputs_that_is_late_is_named(dead_time):
-    """Whatever dead time the other one has."""
+def two_inputs(dead_time: float) -> Record:
+    """Return a record of an input that acts later, and one that is stamped 0.08 s late."""
     one, two = stamped(SECOND, -dead_time, seed=2), stamped(LAG, 0.08, seed=3)
     t, values = one.outputs[0].time, one.outputs[0].values
     other = np.interp(t, two.outputs[0].time, two.outputs[0].values[:, 0])[:, np.newaxis]
-    found = identify(Record.from_signals(
+    return Record.from_signals(
         [replace(s, names=(name,)) for s, name in ((one.inputs[0], 'a'), (two.inputs[0], 'b'))],
-        [Signal(t, values + other)]))
-    assert 'before input b' in found.verdict.reason
+        [Signal(t, values + other)])
+
+
+@pytest.mark.parametrize('dead_time', [0.0, 3.0])
+def test_the_one_of_two_inputs_that_is_late_is_named(dead_time):
+    """Whatever dead time the other one has."""
+    assert 'before input b' in identify(two_inputs(dead_time)).verdict.reason
+
+
+def test_the_dead_time_of_another_input_is_found_anew_beside_a_lead():
+    """It stood in for the lead; that it gets shorter is none of its own."""
+    samples = samples_of([two_inputs(0.02)], [[None]])
+    free = Free(False, True, (True, True), 2.0, -1e-6, 150.0)
+    fit = fit_at(samples, np.array([complex(-1.5, 4.2), -5.0]), np.array([0.1, 0.0]), free)
+    found = lead_of_outputs(samples, fit, free, (True, True))
+    assert found[0] == 0.0
+    assert found[1] == pytest.approx(0.08, abs=0.01)
