@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from marks import slow
 import numpy as np
-from plants import held, match, noisy, plant
+from plants import Multisine, held, match, noisy, plant
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
@@ -100,7 +100,7 @@ def test_inputs_and_outputs_correlate_most_at_the_dead_times(pole):
     grid = PoleGrid(samples_of([lagging(pole, (0.7, 1.9), 0), lagging(pole, (0.7, 1.9), 1, 30.0)],
                                [[None]] * 2).thinned(1000, scattered=True),
                     feedthrough=False, trim=True, longest=4.0, fastest=150.0, finest=0.02)
-    assert grid.dead_times(pole.imag == 0.0) == pytest.approx((0.7, 1.9), abs=0.05)
+    assert grid.dead_times[pole.imag == 0.0] == pytest.approx((0.7, 1.9), abs=0.05)
 
 
 @pytest.mark.parametrize('poles', [[complex(-2.5, 18.0)], [-15.0 + 0j],
@@ -137,7 +137,7 @@ def test_an_output_that_rests_hides_no_dead_time():
     both = replace(record, outputs=(replace(y, values=np.hstack((noise, y.values))),))
     grid = PoleGrid(samples_of([both], [[None]]), feedthrough=False, trim=True, longest=4.0,
                     fastest=150.0, finest=0.02)
-    assert grid.dead_times(True) == pytest.approx([0.7], abs=0.05)
+    assert grid.dead_times[True] == pytest.approx([0.7], abs=0.05)
 
 
 @pytest.mark.parametrize(('late', 'pole'), [(1.9, complex(-19.0, 45.0)), (1.4, -40.0 + 0j),
@@ -175,16 +175,21 @@ PLANT_OF_TWO = (np.array([[0.0, 25.0, 0.0, 0.0], [-25.0, -36.0, 0.0, 0.0],
                 np.array([[1.0, 0.3, -0.5, 1.0], [-0.4, 0.5, 1.0, 0.8]]))
 
 
+def sines_of(rng, slowest: float, t) -> np.ndarray:
+    """Return 25 sines of the slowest frequency and its multiples [rad/s], of power 1, (N, 1)."""
+    phases = rng.uniform(-0.5 * np.pi, 1.5 * np.pi, (1, 25))
+    return Multisine(slowest * np.arange(1, 26), np.exp(1j * phases) / np.sqrt(12.5)).at(t)
+
+
 def sines_and_steps(seed: int) -> tuple[Record, tuple[float, float]]:
     """Two inputs, each late by its own: quick steps, and slow sines."""
     rng = np.random.default_rng(seed)
     A = PLANT_OF_TWO[0]
     late = (0.34, float(rng.uniform(0.05, 1.0)))
     t_u, t_y = np.arange(-5.0, 20.0, 0.01), np.arange(0.003, 20.0, 0.01)
-    phases = rng.uniform(0.0, 2.0 * np.pi, 25)
-    sines = np.sin(0.1 * np.pi * np.outer(t_u, np.arange(1, 26)) + phases).sum(axis=1)
+    sines = sines_of(rng, 0.1 * np.pi, t_u)
     steps = np.repeat(rng.choice((-1.0, 1.0), 251), 10)[:len(t_u)]
-    u = Signal(t_u, np.column_stack((steps, sines / np.sqrt(12.5))), 'zoh')
+    u = Signal(t_u, np.hstack((steps[:, np.newaxis], sines)), 'zoh')
     B = np.array([[0.0], [25.0 - 36.0], [-70.0], [-0.7]]) * rng.standard_normal((4, 2))
     y = StateSpace(A, B, rng.standard_normal((2, 4)), delay=late).simulate([u], t_y)
     return Record((u,), (Signal(t_y, noisy(rng, y, 30.0)),), 0.0, 20.0), late
@@ -228,11 +233,9 @@ def test_inputs_of_the_same_frequencies_have_their_own_dead_times(seed):
     rng = np.random.default_rng(seed)
     t_u, t = np.arange(-5.0, 12.0, 0.01), np.arange(0.0, 12.0, 0.01)
     late = tuple(rng.uniform(0.01, 0.3, 3))
-    lines = np.pi / 6.0 * np.arange(1, 26)
-    sines = [np.sin(np.outer(t_u, lines) + rng.uniform(0.0, 2.0 * np.pi, 25)).sum(axis=1)
-             / np.sqrt(12.5) for _ in range(2)]
-    steps = np.repeat(rng.choice((-1.0, 1.0), 86), 20)[:len(t_u)]
-    u = Signal(t_u, np.column_stack((sines[0], steps, sines[1])), 'zoh')
+    first, last = (sines_of(rng, np.pi / 6.0, t_u) for _ in range(2))
+    steps = np.repeat(rng.choice((-1.0, 1.0), 86), 20)[:len(t_u), np.newaxis]
+    u = Signal(t_u, np.hstack((first, steps, last)), 'zoh')
     B = np.array([[90.0], [1.2]]) * rng.standard_normal((2, 3))
     y = StateSpace(np.diag([-90.0, -1.2]), B, [[1.0, 1.0]], delay=late).simulate([u], t)
     y += 0.01 * y.std() * rng.standard_normal(y.shape)

@@ -692,17 +692,35 @@ def test_what_points_to_a_direct_term_is_the_first_reason(seed, noise):
     assert told.model.poles.imag.max() == pytest.approx(4.97, abs=0.05)
 
 
+def evidence(error: np.ndarray, names=('u1',), **more) -> Evidence:
+    """Return the evidence on a model of one output with an error; some of it is given."""
+    own = {k: more.pop(k) for k in ('change', 'where', 'worst', 'doubt') if k in more}
+    return Evidence(**{
+        'input_names': names, 'output_names': ('y1',), 'fixed_inputs': (), 'fixed_outputs': (),
+        'stuck': (), 'expected': 0.0 * error, 'driven': error,
+        'distance_to_controller': np.ones(len(names)), 'lead': np.zeros(len(names)),
+        'apart': np.zeros(len(names)), 'poles': np.array([-1.0 + 0j]), 'change': Change(),
+        'where': '', 'worst': '', 'numbers': replace(
+            UNJUDGED, error=error, coloured_error=error, held_out_error=error, **more), **own})
+
+
+@pytest.mark.parametrize('names', [('u1',), ('u1', 'u2')])
+def test_the_only_input_is_not_to_be_left_out(names):
+    one = np.array([0.1])
+    _, verdict = judge(evidence(
+        one, names, response_uncertainty=one,
+        excitation=tuple(Excitation(name, 0.1, 10.0, 9.0, 1.0, 2.0) for name in names)))
+    assert 'move it much more' in verdict.reason
+    assert ('leave it out' in verdict.reason) == (len(names) > 1)
+
+
 @pytest.mark.parametrize('worst', ['', ', most of it of record 2'])
 def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     """A change too small to reject has an instant, too: it is a note, not part of the reason."""
     one = np.array([0.9])
-    status, verdict = judge(Evidence(
-        input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1), lead=np.zeros(1),
-        apart=np.zeros(1),
-        poles=np.array([-1.0 + 0j]), change=Change(0, 0.3, 1.5),
-        where='about 3 s after the start of the window', worst=worst,
-        numbers=replace(UNJUDGED, error=one, coloured_error=one, held_out_error=one)))
+    status, verdict = judge(evidence(
+        one, change=Change(0, 0.3, 1.5), where='about 3 s after the start of the window',
+        worst=worst))
     assert status is Status.UNEXPLAINED
     assert f'is 90 % of its motion{worst}; check that these' in verdict.reason
 
@@ -713,23 +731,17 @@ def test_what_is_unexplained_says_no_word_of_a_small_change(worst):
     (0.05, 0.0, 'Every test is passed')])
 def test_what_a_setting_may_hide_comes_before_advice_to_move_more(known, curved, first):
     one = np.array([0.1])
-    evidence = Evidence(
-        input_names=('u1',), output_names=('y1',), fixed_inputs=(), fixed_outputs=(), stuck=(),
-        expected=0.0 * one, driven=one, distance_to_controller=np.ones(1), lead=np.zeros(1),
-        apart=np.zeros(1),
-        poles=np.array([-1.0 + 0j]), change=Change(), where='', worst='',
-        doubt=('modes run', 'x: y'), numbers=replace(
-            UNJUDGED, error=one, coloured_error=one, held_out_error=one,
-            response_uncertainty=one, curve_gain=np.array([curved]),
-            excitation=(Excitation('u1', 0.1, 10.0, 9.0, 1.0, known),)))
-    _, verdict = judge(evidence)
+    found = evidence(
+        one, doubt=('modes run', 'x: y'), response_uncertainty=one, curve_gain=np.array([curved]),
+        excitation=(Excitation('u1', 0.1, 10.0, 9.0, 1.0, known),))
+    _, verdict = judge(found)
     assert verdict.reason.startswith(first)
     assert verdict.reason.endswith(' If it is so, set `x: y`.') == first.startswith('Modes')
-    _, verdict = judge(replace(evidence, doubt=None, apart=np.full(1, known)))
+    _, verdict = judge(replace(found, doubt=None, apart=np.full(1, known)))
     assert ('for models of other orders that may be as right are 50 % away from it; move it'
             in verdict.reason) == first.startswith('Modes')
     # What is known to be wrong with the samples needs no guess.
-    _, verdict = judge(replace(evidence, faults=('Samples are mixed; stop one.',)))
+    _, verdict = judge(replace(found, faults=('Samples are mixed; stop one.',)))
     assert verdict.reason == 'Samples are mixed; stop one.'
 
 

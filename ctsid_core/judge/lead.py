@@ -35,7 +35,8 @@ def lead_of_outputs(samples: Samples, fit: Fit, free: Free, sought: tuple[bool, 
     """
     Return by how much outputs answer before each input, (nu,) [s]; 0 if that explains no more.
 
-    Asked of inputs whose dead time is sought, (nu,), and was found to be none.
+    Asked of inputs whose dead time is sought, (nu,), and was found to be none. Those of the others
+    that are sought are found anew beside a lead, for which they may have stood in.
     """
     model, reach, found = fit.model, _REACH * samples.length, np.zeros(samples.nu)
     asked = np.array(sought) & (model.delay == 0.0)

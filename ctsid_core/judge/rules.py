@@ -244,7 +244,8 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
             alone = f'move it independently of the other inputs ({_shared(one)})'
             remedy, cure = (Remedy.EXCITE, alone) if one.own < _UNCORRELATED else (
                 Remedy.SIGNALS, 'a pole is as fast as any that is looked for: sample the outputs '
-                'faster') if e.fastest else (Remedy.EXCITE, _more(one.uncertainty / KNOWN))
+                'faster') if e.fastest else (Remedy.EXCITE, _more(
+                    one.uncertainty / KNOWN, alone=len(e.input_names) == 1))
             otherwise = '' if one.uncertainty ** 2 - apart ** 2 > KNOWN ** 2 else (
                 f', for models of other orders that may be as right are {_percent(apart)} away '
                 'from it')
@@ -267,12 +268,12 @@ def _weaknesses(e: Evidence) -> Iterator[tuple[Remedy, str]]:
         yield Remedy.TEST, f'{UNTESTED}{e.untested}; test it on data that it has not seen.'
 
 
-def _more(times: float) -> str:
+def _more(times: float, *, alone: bool) -> str:
     """Return how much more motion divides a deviation so often, and how much more time."""
     times *= _SURELY
     if not times < 10.0:
-        return 'move it much more (as it moves: take a much longer window), or, if no output ' \
-            'follows it, leave it out of `inputs`'
+        return 'move it much more (as it moves: take a much longer window)' + (
+            '' if alone else ', or, if no output follows it, leave it out of `inputs`')
     return f'move it {np.ceil(10.0 * times) / 10.0:.2g} times as much (as it moves: take a ' \
         f'window {np.ceil(10.0 * times ** 2) / 10.0:.3g} times as long)'
 

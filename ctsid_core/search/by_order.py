@@ -357,7 +357,7 @@ def _starts(n: int, found: dict[int, Tried], grid: PoleGrid, subspace: SubspaceP
     none = np.empty(0, dtype=complex)
     for before, real in ((n - 1, True), (n - 2, False)):
         if before == 0:
-            late = [np.where(free.delays, np.minimum(grid.dead_times(real), free.longest), known)
+            late = [np.where(free.delays, np.minimum(grid.dead_times[real], free.longest), known)
                     ] if any(free.delays) else []
             options = [('', none, d) for d in (known, *late, *near)]
         elif before in found:

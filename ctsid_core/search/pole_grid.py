@@ -15,6 +15,7 @@ Pati, Rezaiifar and Krishnaprasad 1993, Asilomar 27 (orthogonal matching pursuit
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,6 @@ class PoleGrid:
         pairs = [sizes * complex(-z, np.sqrt(1.0 - z * z)) for z in _DAMPING]
         self.poles: ComplexArray = np.concatenate(
             (-np.geomspace(slow, fastest, _REAL) + 0j, *pairs))
-        self._late: dict[bool, Array] = {}
         self._best: dict[tuple[bytes, bytes, bool], tuple[float, complex]] = {}
         self._beside: dict[tuple[bytes, bytes], list[list[tuple[Array, Array]]]] = {}
         cells = _cells_of(samples, longest, finest, _CELLS)
@@ -81,15 +81,15 @@ class PoleGrid:
             self._best[key] = float(score[place]), complex(self._shapes[real][0].poles[place])
         return self._best[key]
 
-    def dead_times(self, real: bool) -> Array:
-        """Return the dead times (nu,) [s] with which a pole explains most, each input's own."""
-        if real not in self._late:
-            # Every other one of the grid: dead times ask less of a pole than a start does.
-            poles = self.poles[(self.poles.imag == 0.0) == real][::2]
-            self._late[real] = np.array([
-                self.correlations.dead_time(self.correlations.explained(
-                    j, poles, self.correlations.outputs)[1:]) for j in range(self.samples.nu)])
-        return self._late[real]
+    @cached_property
+    def dead_times(self) -> dict[bool, Array]:
+        """Dead times (nu,) [s] with which one pole explains most: a real one, or a pair's."""
+        # Every other one of the grid: dead times ask less of a pole than a start does.
+        poles, outputs = self.poles[::2], self.correlations.outputs
+        explained = [self.correlations.explained(j, poles, outputs)[1:]
+                     for j in range(self.samples.nu)]
+        return {real: np.array([self.correlations.dead_time(one[(poles.imag == 0.0) == real])
+                                for one in explained]) for real in (True, False)}
 
     def score(self, poles: ComplexArray, delay: Array) -> float:
         """Return -2 log likelihood with these poles and no more."""
