@@ -101,6 +101,8 @@ def test_inputs_and_outputs_correlate_most_at_the_dead_times(pole):
                                [[None]] * 2).thinned(1000, scattered=True),
                     feedthrough=False, trim=True, longest=4.0, fastest=150.0, finest=0.02)
     assert grid.dead_times[pole.imag == 0.0] == pytest.approx((0.7, 1.9), abs=0.05)
+    # A lag in place of a pair explains most elsewhere; a pair that is overdamped is a lag.
+    assert np.any(grid.dead_times[True] != grid.dead_times[False]) == (pole.imag > 0.0)
 
 
 @pytest.mark.parametrize('poles', [[complex(-2.5, 18.0)], [-15.0 + 0j],
