@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+from plants import moved_before
 import pytest
 import scipy.linalg
 
@@ -50,6 +51,32 @@ def record_of(model, seed, *, end=10.0, noise=0.0, counts=(400, 300), x0=None, s
     outputs = tuple(Signal(t, v[:, [i]] if split else v)
                     for i, (t, v) in enumerate(zip(own, values, strict=True)))
     return Record.from_signals(inputs, outputs)
+
+
+@pytest.mark.parametrize('delay', [0.06, 0.6, 3.0])
+def test_what_acted_before_the_record_is_not_missed(delay):
+    """A robot that moved before: for its dead time outputs follow what nobody recorded."""
+    record = moved_before(np.random.default_rng(3), 30.0, delay)
+    right = StateSpace([[-2.0]], [[2.0]], [[1.0]], delay=(delay,), K=[[0.0]])
+    known = record.outputs[0].time >= record.start + delay - 1e-9
+    for found in (simulation(right, record), prediction(right, record, 10)):
+        assert np.count_nonzero(known) == len(found.times)
+        rest = (found.y - found.y_hat)[np.isfinite(found.y_hat)]
+        assert np.std(rest) == pytest.approx(0.02, rel=0.1)
+    assert simulation(right, record).fit == pytest.approx(
+        100 * (1 - 0.02 / record.outputs[0].values[known].std()), abs=0.3)
+
+
+def test_without_a_gain_predictions_are_simulations_from_the_samples_so_far():
+    """Of modes that outlast the record, too: a tenth of it tells their states poorly."""
+    model = StateSpace([[0, 1, 0], [-0.1, -0.02, 1], [0, 0, -0.05]], STABLE.B, [[1, 0, 0]],
+                       [[0, 0.5]], delay=STABLE.delay)
+    record = record_of(model, 5, noise=0.3)
+    found = prediction(model, record, 1)
+    for count in (60, 200, len(found.times) - 1):
+        until = replace(record, end=float(found.times[count - 1]))
+        so_far = model.simulate(record.inputs, found.times, simulation(model, until).x0)
+        assert found.y_hat[count, 0] == pytest.approx(so_far[count, 0], rel=1e-6)
 
 
 def test_fit_and_vaf_of_known_numbers():

@@ -29,7 +29,9 @@ from ctsid_core.linear.types import Array, Places
 from ctsid_core.model.statespace import StateSpace
 
 MEMORY = 5.0  # substitute predictors forget at least this many times within the record
-START = 0.1  # the part of the record that the initial state is estimated from
+START = 0.1  # the part of the record from which nothing is predicted
+_FEWEST = 3  # samples for each number of the initial state
+_FORGOTTEN = 1e-10  # of the initial state: less of it is not asked for any more
 LONGEST = 2.0  # a sample speaks for at most that many median intervals, gaps or not
 
 
@@ -80,7 +82,7 @@ def start_rows(times: Array, n: int) -> int:
     if not len(times):
         return 0
     rows = int(np.searchsorted(times, times[0] + START * (times[-1] - times[0]), side='right'))
-    return min(max(rows, n + 1), len(times))
+    return min(max(rows, _FEWEST * n, 1), len(times))
 
 
 def spread(y: Array) -> Array:
@@ -94,37 +96,49 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
     """
     Run the predictor over all samples, at the merged stamps (M,) of all outputs [s].
 
-    The state at the first stamp is the least-squares one for the innovations in the first `START`
-    of the record. Later states depend on samples up to their own stamp only. `rest`, (M, ny), is r
-    of (1), read only where a stream has a sample.
+    What K does not forget of the state at the first stamp, every sample tells more of: it is the
+    least-squares one for the innovations so far. States depend on samples up to their own stamp
+    only. `rest`, (M, ny), is r of (1), read only where a stream has a sample.
 
-    Returns xi, (M, n), the state after the samples of each stamp, NaN during the start; the state
-    (n,) at the first stamp before its samples; and the first row whose state is causal.
+    Returns xi, (M, n), the state after the samples of each stamp, NaN during the first `START` of
+    the record; the state (n,) at the first stamp before its samples, as this start tells it; and
+    the first row whose state is causal.
     """
     steps = exponentials(model.A, np.diff(times, prepend=times[:1]), 0)[0]
     events = _events(model, K, times, streams)
     started = start_rows(times, model.n)
     size = spread(rest[:started])[:, np.newaxis]  # so that units do not decide who starts it
     # Column 0: from xi_0 = 0 with the samples; the others: free, from each unit vector.
-    state = np.eye(model.n, model.n + 1, k=1)
-    surprises = []
-    for row in range(started):
-        data = np.zeros((model.ny, model.n + 1))
+    state, told = np.eye(model.n, model.n + 1, k=1), np.zeros((0, model.n + 1))
+    start, xi_0, largest = np.ones(1), np.zeros(model.n), 0.0
+    xi = np.full((len(times), model.n), np.nan)
+    for row in range(len(times)):
+        data = np.zeros((model.ny, state.shape[1]))
         data[:, 0] = rest[row]
         state, error = _update(steps[row] @ state, data, model.C, events[row])
-        surprises += [error[channels] / size[channels] for channels, _ in events[row]]
-    weights = np.vstack(surprises)
-    scale = np.linalg.norm(weights, axis=0)
-    scale[scale == 0] = 1
-    xi_0 = -np.linalg.lstsq(weights[:, 1:] / scale[1:], weights[:, 0], rcond=1e-10)[0] / scale[1:]
-    mix = np.concatenate([[1.0], xi_0])[:, np.newaxis]
-    state = state @ mix
-    xi = np.full((len(times), model.n), np.nan)
-    for row in range(started, len(times)):
-        xi[row - 1] = state[:, 0]
-        state, _ = _update(steps[row] @ state, rest[row][:, np.newaxis], model.C, events[row])
-    xi[-1] = state[:, 0]
+        if state.shape[1] > 1:
+            told = np.vstack((told, *(error[channels] / size[channels]
+                                      for channels, _ in events[row])))
+            left = float(np.linalg.norm(state[:, 1:]))
+            largest = max(largest, left)
+            if row >= started - 1:
+                told, start = _likeliest(told)
+                if row == started - 1:
+                    xi_0 = start[1:]
+                if left <= _FORGOTTEN * largest:
+                    state, start = (state @ start)[:, np.newaxis], np.ones(1)
+        if row >= started - 1:
+            xi[row] = state @ start
     return xi, xi_0, started - 1
+
+
+def _likeliest(told: Array) -> tuple[Array, Array]:
+    """Return as few rows that tell as much of the first state, and 1 and that state, (n + 1,)."""
+    size = np.linalg.norm(told, axis=0)
+    size[size == 0] = 1
+    told = np.linalg.qr(told / size, mode='r')
+    xi_0 = -np.linalg.lstsq(told[:, 1:], told[:, 0], rcond=1e-10)[0] * size[0] / size[1:]
+    return told * size, np.append(1.0, xi_0)
 
 
 # What a stamp brings: channels, gain on the surprise

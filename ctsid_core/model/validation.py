@@ -8,7 +8,7 @@ Everything here compares at the outputs' own stamps; nothing is resampled.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -80,10 +80,17 @@ def _compared(y: ArrayLike, y_hat: ArrayLike, sizes: Callable[[Array, Array], tu
 
 
 def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stream]]:
-    """Return the merged stamps of all outputs, their samples there, and where each has its own."""
+    """
+    Return the merged stamps of all outputs, their samples there, and where each has its own.
+
+    From the instant on at which what acts has been recorded: a dead time after the first known
+    value of an input.
+    """
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
-    inside = [s.rows(record.start, record.end) for s in record.outputs]
+    known = max((float(s.time[0]) + max(model.delay[channels]) for s, channels in zip(
+        record.inputs, channel_slices(record.inputs), strict=True)), default=record.start)
+    inside = [s.rows(max(record.start, known), record.end) for s in record.outputs]
     stamps = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     times = np.unique(np.concatenate(stamps))
     y, streams = np.full((len(times), record.ny), np.nan), []
@@ -146,10 +153,6 @@ class _Simulated(NamedTuple):
 
 def _simulation(model: StateSpace, record: Record, trim: str) -> _Simulated:
     """Simulate a record without pauses, or a part between them."""
-    if record.part_of is not None:      # what acted before it was not recorded
-        known = max((float(s.time[0]) + max(model.delay[channels]) for s, channels in zip(
-            record.inputs, channel_slices(record.inputs), strict=True)), default=record.start)
-        record = replace(record, start=min(max(record.start, known), record.end))
     times, y, _ = _samples(model, record)
     y_hat, x0 = _respond(model, record, times)
     offset: Array | float = 0.0
@@ -185,10 +188,10 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
 
     The sample j of an output is predicted from the samples of all outputs up to the stamp of
     its own sample j - `horizon_steps`, and from the inputs, which are taken as known throughout.
-    In between the model runs freely. The first tenth of the record starts the filter (its initial
-    state is fitted there): nothing is predicted from within it, `y_hat` is NaN, and `fit` does not
-    count it. Raises `DataError` if the record's channels do not fit the model, or the horizon is
-    not a positive integer.
+    In between the model runs freely. The first tenth of the record starts the filter: nothing is
+    predicted from within it, `y_hat` is NaN, and `fit` does not count it. The initial state is
+    fitted there, and anew with each sample as long as the filter remembers it. Raises `DataError`
+    if the record's channels do not fit the model, or the horizon is not a positive integer.
 
     The model's K is the gain of the filter (`ctsid_core.model.predictor`: stamps that differ).
     With K = 0 and a stable model the filter trusts the model: all horizons agree with the
