@@ -6,7 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from bag_fixtures import START, flight, write_mcap, write_rosbag2
+import numpy as np
 import pytest
+from recording_files import write_csv
 
 from ctsid_ros.errors import BagError
 from ctsid_ros.recordings.grouping import recordings
@@ -52,6 +54,17 @@ def test_a_folder_of_bags(tmp_path):
                for k in range(3)]
     assert recordings([str(tmp_path)]) == [(str(folder / f'{folder.name}.mcap'),)
                                            for folder in folders]
+
+
+def test_tables_that_count_from_their_start_are_joined_and_that_is_said(tmp_path):
+    t, said = np.arange(0.0, 2.0, 0.1), []
+    files = [str(write_csv(tmp_path / f'{name}.csv', {'t': t, name: np.sin(t)})) for name in 'uy']
+    assert recordings(files, note=said.append) == [tuple(files)]
+    assert len(said) == 1
+    assert 'u.csv' in said[0]
+    assert 'y.csv: taken for parts of one recording' in said[0]
+    assert recordings(files, ['u', 'y'], note=said.append) == [tuple(files)]     # both asked for
+    assert len(said) == 1
 
 
 def test_files_of_a_folder_that_cannot_be_read_are_left_out_and_said(tmp_path):

@@ -193,6 +193,19 @@ def test_two_measurements_of_one_motion_are_outputs_of_what_moves_it(tmp_path, c
     assert np.sort(model.poles) == pytest.approx(np.sort(np.roots([1.0, 1.5, 20.0])), abs=0.02)
 
 
+def test_comments_of_a_guess_hold_what_can_be_copied(tmp_path, capsys):
+    t = np.arange(0.0, 8.0, 0.01)
+    x = np.sin(8.0 * np.maximum(t - 1.0, 0.0))
+    table = np.column_stack((t, t > 1.0, x))
+    np.savetxt(tmp_path / 'run.csv', table, delimiter=',', comments='',
+               header='time,set_point_of_the_elbow_joint,measured_position_of_the_elbow_joint')
+    assert main(['init', str(tmp_path / 'run.csv')]) == 0
+    comments = [line for line in capsys.readouterr().out.splitlines() if line.startswith('#')]
+    assert any("--output 'run " in line for line in comments)
+    assert all(line.count("'") % 2 == 0 for line in comments)
+    assert not any('- %' in line for line in comments)
+
+
 def test_switches_modes_clocks_and_constants_are_no_signals():
     t = np.arange(100.0)
     assert no_signal(t, 0 * t)

@@ -32,6 +32,7 @@ from ctsid_ros.report.drawing import thinned as fewer
 from ctsid_ros.report.interactive import figure
 from ctsid_ros.report.page import to_html
 from ctsid_ros.report.poles import track_curve
+from ctsid_ros.report.residual_figures import horizon_figure
 from ctsid_ros.report.responses import (
     bode_figures,
     frequencies,
@@ -42,6 +43,7 @@ from ctsid_ros.report.responses import (
 from ctsid_ros.report.sections import (
     bode_section,
     choice_section,
+    fit_table,
     model_section,
     remark_section,
     status_section,
@@ -595,3 +597,18 @@ def test_a_logarithmic_axis_has_plain_numbers(tmp_path):
     assert all(f'>{tick}<' in text for tick in ('0.1', '1', '10'))
     assert 'e−01' not in text
     assert 'e-01' not in text
+
+
+def test_a_fit_below_the_figure_is_told():
+    fits = {0.1: np.array([90.0]), 1.0: np.array([-300.0])}
+    assert 'The least fit, -300 %, is below the figure.' in horizon_figure(
+        TRUTH, fits, np.array([95.0])).caption
+    assert 'below' not in horizon_figure(TRUTH, {0.1: np.array([-10.0])},
+                                         np.array([95.0])).caption
+
+
+@pytest.mark.parametrize(('choices', 'heads'), [
+    ((), ('fit [%]', 'held-out fit [%]')),
+    ((Choice('domain', 'predictions', ''),), ('fit 10 ahead [%]', 'held-out fit 1 ahead [%]'))])
+def test_fits_of_predictions_say_how_far_they_look_ahead(choices, heads):
+    assert fit_table(estimate(choices=choices), TRUTH).head == ('output', *heads)

@@ -152,8 +152,8 @@ def _sentences(poles: Sequence[PoleAdvice], wanted: float, seconds: float) -> It
         yield (f'The standard deviation of every pole is at most {100 * wanted:.3g} % of its '
                'size: no further data are needed.')
     for p in inaccurate:
-        more = (f'With the same excitation the data would have to be {p.longer:.2g} times as '
-                f'long, or the input {p.larger:.2g} times as large. ') if p.larger < np.inf else (
+        more = (f'With the same excitation the data would have to be {p.longer:.3g} times as '
+                f'long, or the input {p.larger:.3g} times as large. ') if p.larger < np.inf else (
             f'With the same excitation the input would have to be more than {_MOST:.0e} times as '
             'large: fewer states may do (`order`). ')
         yield (f'{_named(p.pole)}: standard deviation {p.std:.2g} rad/s, wanted {p.wanted:.2g}. '

@@ -161,7 +161,8 @@ def scan_file(path: Path, resources: ExitStack, time: Sequence[str] = ()) -> Rec
     found = _read_columns(path, start, tuple(time), (state.st_mtime_ns, state.st_size))
     if found is None:
         raise BagError(f'{path} is not a bag: it looks like {_look(start)}; ctsid reads rosbag2 '
-                       '(.mcap, .db3), ROS 1 (.bag), PX4 ULog, ArduPilot .bin, CSV and Parquet')
+                       '(.mcap, .db3), ROS 1 (.bag), PX4 ULog, ArduPilot .bin, CSV (rows of '
+                       'numbers, titles above) and Parquet')
     return found
 
 

@@ -83,7 +83,7 @@ def recordings(paths: Sequence[str], topics: Collection[str] = (),
     spans = _spans(bags, note, time)
     groups: list[list[_Span]] = []
     for chain in _chains([s for s in spans if s.own_clock], note):
-        _add_by_columns(groups, chain, frozenset(topics))
+        _add_by_columns(groups, chain, frozenset(topics), note)
     alone = len(groups)
     for span in sorted((s for s in spans if not s.own_clock), key=lambda s: s.start_ns):
         if groups[alone:] and (not span.end_ns or span.start_ns <= max(
@@ -116,14 +116,19 @@ def _chains(spans: Sequence[_Span], note: Callable[[str], None]) -> list[list[_S
     return chains
 
 
-def _add_by_columns(groups: list[list[_Span]], chain: Sequence[_Span], topics: frozenset[str]
-                    ) -> None:
+def _add_by_columns(groups: list[list[_Span]], chain: Sequence[_Span], topics: frozenset[str],
+                    note: Callable[[str], None]) -> None:
     """Add files to the last recording if none there has their columns, or both are asked for."""
     last, span = groups[-1] if groups else [], chain[0]
     again = any(span.repeats(other) for other in last)
     asked = all(one.topics & topics for one in (span, *last)) \
         and not any(span.topics & other.topics for other in last)
     if last and (asked or not again):
+        if not asked:
+            files = ', '.join(file for s in (*last, *chain) for file in s.files)
+            note(f'{files}: taken for parts '
+                 'of one recording, for they have no columns in common and their clocks begin at '
+                 'their start; give files of different runs one at a time, or to `ctsid batch`')
         last.extend(chain)
     else:
         groups.append([*chain])

@@ -130,7 +130,7 @@ def origin(config: Config, bags: Sequence[str], interval: Mapping[str, object],
            records: Sequence[Mapping[str, object]] = ()) -> dict[str, object]:
     """Return what a model file keeps of where the model comes from; of several records, each."""
     return {'ctsid': package_version(), 'bag': [Path(b.partition('?')[0]).name for b in bags],
-            'sha256': _hash(bags), 'interval': dict(interval),
+            'sha256': bag_hash(bags), 'interval': dict(interval),
             **({'records': [dict(r) for r in records]} if records else {}),
             'channels': described(config)}
 
@@ -158,7 +158,7 @@ def config_of(metadata: Mapping[str, object], settings: Settings, path: str) -> 
                            ) from error
 
 
-def _hash(bags: Sequence[str]) -> str | None:
+def bag_hash(bags: Sequence[str]) -> str | None:
     """Return the SHA-256 of all files of a bag in the order of their names, if it is small."""
     from ctsid_ros.recordings.content import all_files, content_hash, size
 

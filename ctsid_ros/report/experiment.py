@@ -61,6 +61,10 @@ def _hertz(band: Band) -> str:
     return f'{number(band.low / (2 * math.pi), 2)} to {number(band.high / (2 * math.pi), 2)}'
 
 
+def _divided(ratio: float) -> str:
+    return '-' if ratio >= 1.0 else f'/ {number(1 / ratio, 3)}'
+
+
 def band_section(advice: Advice) -> Section:
     """Return what further excitation of each input in each band would do to each pole."""
     if not advice.poles:
@@ -68,7 +72,7 @@ def band_section(advice: Advice) -> Section:
     first = sorted(advice.poles[0].bands, key=lambda b: (b.input, b.low))
     ratios = [{(b.input, b.low): b.ratio for b in p.bands} for p in advice.poles]
     rows = tuple((b.input, _hertz(b), number(100 * b.share, 2),
-                  *(f'/ {number(1 / r[b.input, b.low], 3)}' for r in ratios)) for b in first)
+                  *(_divided(r[b.input, b.low]) for r in ratios)) for b in first)
     head = ('input', 'band [Hz]', 'share of power now [%]',
             *(pole_text(p.pole, 3) for p in advice.poles))
     return Section(f'Standard deviations after {advice.seconds:g} s more in one band', (

@@ -116,7 +116,9 @@ def horizon_figure(model: StateSpace, fits: Mapping[float, Array], simulated: Ar
     known = known[np.isfinite(known)]
     low = max(float(known.min(initial=0.0)), -20.0) if len(known) and known.min() < 40.0 else \
         float(known.min(initial=100.0)) - 3.0
+    least = float(known.min(initial=low))
+    beyond = f' The least fit, {least:.0f} %, is below the figure.' if least < low - 2.0 else ''
     return Figure(Drawing((Axes(curves, 'fit [%]', 'looking ahead [s]', x_log=True,
                                 y_limits=(low - 2.0, 101.0), height=200.0),)),
                   'Predicted: from the outputs up to so long before, and all inputs. Simulated: '
-                  'from the inputs alone.', 'Fit by horizon')
+                  f'from the inputs alone.{beyond}', 'Fit by horizon')

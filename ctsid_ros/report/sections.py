@@ -17,6 +17,7 @@ from ctsid_core.model.gains import gains, grows
 from ctsid_core.model.statespace import StateSpace
 from ctsid_core.model.validation import ResidualTests
 from ctsid_core.model.verdict import Grade
+from ctsid_core.search.by_prediction import AHEAD, HORIZONS
 from ctsid_ros.report.document import GLOSSARY, Bullets, Section
 from ctsid_ros.report.responses import (
     frequencies,
@@ -189,7 +190,9 @@ def _dead_times(estimate: Estimate, model: StateSpace) -> str:
 
 def fit_table(estimate: Estimate, model: StateSpace, **more: Array) -> Table:
     """Return the fits of each output [%]; `more` columns by name."""
-    columns = {'fit [%]': estimate.fit, 'held-out fit [%]': estimate.held_out_fit}
+    own, held_out = (f' {HORIZONS[AHEAD]} ahead', ' 1 ahead') \
+        if estimate.by_predictions else ('', '')
+    columns = {f'fit{own} [%]': estimate.fit, f'held-out fit{held_out} [%]': estimate.held_out_fit}
     columns |= {name.replace('_', ' ') + ' [%]': values for name, values in more.items()}
     rows = tuple((name, *(percent(v[i]) if i < len(v) else '-' for v in columns.values()))
                  for i, name in enumerate(model.output_names))

@@ -412,7 +412,7 @@ def _headline_of_models(compared: Compared, run: Run) -> Headline:
              'from the inputs alone with constant offsets fitted to them'
              + ''.join(f'; {c.name} {_words(c)} %' for c in on_data if c is not lead)
              + f'. {lead.name}: {lead.estimate.verdict.reason}')
-    facts += [(f'fit on these data [%], {c.name}', fit_words(c.simulated))
+    facts += [(f'simulated on these data [%], {c.name}', fit_words(c.simulated))
               for c in on_data if c.simulated is not None]
     return Headline(lead.estimate.verdict.grade.name, words, shlex.join(
         ('ctsid', 'simulate', compared.files[lead.name], *run.bags)), tuple(facts),

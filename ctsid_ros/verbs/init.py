@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 import math
+import re
 import shlex
 import sys
 import textwrap
@@ -35,6 +36,7 @@ example: ctsid init flight.mcap -o params.yaml --output '/imu angular_velocity.x
 
 How the pairs are found, and what the columns mean: docs/choosing_signals.md."""
 _MOST_OTHERS = 8
+_QUOTED, _NO_BREAK = re.compile(r"'[^']*'"), '\N{NO-BREAK SPACE}'
 _BACKWARDS = (
     'Later input: what the input is after the output. No plant answers to that. Where it explains '
     'as much, a controller computes the input from the output (then move its set point), or the '
@@ -133,12 +135,13 @@ def head(guessed: Guess, line: str) -> str:
     """Return comments: what was guessed and why, and what else moves."""
     lines = ['# A first guess, to be corrected. Try it:', '#', f'#   {printable(line)}', '#']
     for reason in guessed.reasons:
-        lines += _comment(f'- {reason[0].upper()}{reason[1:]}.')
+        lines += _comment(f'- {reason}.')
     for i, pair in enumerate(guessed.pairs, 1):
         if guessed.free and i != guessed.pick:
             lines += _comment(f'- Other pair (--pick {i}): {" ".join(pair.input.key)} -> '
-                              f'{" ".join(pair.output.key)}, '
-                              f'{_whole(100 * pair.explained.past)} % explained.')
+                              f'{" ".join(pair.output.key)}' + (
+                                  '.' if math.isnan(pair.explained.past) else
+                                  f', {100 * pair.explained.past:.0f} % explained.'))
     others = guessed.others[:_MOST_OTHERS]
     if others:
         lines += ['#', '# These move as well (standard deviation in brackets):']
@@ -150,5 +153,8 @@ def head(guessed: Guess, line: str) -> str:
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(printable(text), 99, initial_indent='# ', subsequent_indent='# ',
-                         break_long_words=False, break_on_hyphens=False)
+    # What is quoted is to be copied: it stays in one line.
+    whole = _QUOTED.sub(lambda found: found[0].replace(' ', _NO_BREAK), printable(text))
+    lines = textwrap.wrap(whole, 99, initial_indent='# ', subsequent_indent='# ',
+                          break_long_words=False, break_on_hyphens=False)
+    return [line.replace(_NO_BREAK, ' ') for line in lines]

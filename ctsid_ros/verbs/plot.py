@@ -52,4 +52,5 @@ def command(args: argparse.Namespace) -> int:
     rows.append([replace(pole_figure(models).drawing.panels[0], title='poles',
                          y_label='imaginary part [rad/s]', width=3 * _WIDE, height=1.4 * _HIGH)])
     write_drawings(path, rows)
+    print(f'Drawn: {path}')
     return ACCEPTED

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import TYPE_CHECKING, Any
@@ -91,10 +91,10 @@ def command(args: argparse.Namespace) -> int:
     from ctsid_ros.recordings.playback import read_record
     from ctsid_ros.replay.results import config_of
 
-    estimate = load_estimate(args.model)
+    estimate, origin = load_estimate(args.model), load_metadata(args.model)
     model = model_of(estimate, args.model, 'simulate', rejected=args.rejected)
     config = read_params(args.params) if args.params else config_of(
-        load_metadata(args.model), estimate.settings, args.model)
+        origin, estimate.settings, args.model)
     check_channels(model, config, args.model)
     with open_bag(args.bag, args.time) as bag:
         config = config if args.params else of_this_bag(bag, config, args.model)
@@ -108,7 +108,8 @@ def command(args: argparse.Namespace) -> int:
             estimate, as_judged(estimate, outcome.model, record)
             if estimate.by_predictions else outcome.simulated, record)
         estimate = retested(estimate, failed)
-        notes = (*_own_data(estimate, record), *_unsimulated(outcome.simulated), *rests * (
+        notes = (*_own_data(estimate, record, args.bag, origin),
+                 *_unsimulated(outcome.simulated), *rests * (
             'no input moves in this recording, which tells nothing of the model: choose another, '
             'or a part in which they move',),
                  *([f'{failed}; `ctsid identify` of this recording has its own model, `ctsid '
@@ -155,13 +156,20 @@ def _check_dead_times(model: StateSpace, record: Record) -> None:
                            f'{record.duration:.3g} s of data; choose a longer recording or part')
 
 
-def _own_data(estimate: Estimate, record: Record) -> tuple[str, ...]:
-    """Return that a model was identified from these data, if their times say so."""
+def _own_data(estimate: Estimate, record: Record, bags: Sequence[str],
+              origin: Mapping[str, object]) -> tuple[str, ...]:
+    """
+    Return that a model was identified from these data, if their times say so.
+
+    Of a clock that began with 0 they do only in the file that it was identified from.
+    """
+    from ctsid_ros.replay.results import bag_hash
+
     start, end = (record.epoch_ns + round(1e9 * t) for t in (record.start, record.end))
     parts = [(one.start_ns, one.end_ns) for one in estimate.records] or \
         [(estimate.start_ns, estimate.end_ns)]
     shared = sum(max(min(end, last) - max(start, first), 0) for first, last in parts) * 1e-9
-    if start < _DATED or not shared:
+    if not shared or start < _DATED and origin.get('sha256') not in {bag_hash(bags)} - {None}:
         return ()
     return (f'by their stamps {shared:.1f} s of these {record.duration:.1f} s are what the '
             'model was identified from: its fit there is no test; give a recording that it has '
