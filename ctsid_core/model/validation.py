@@ -7,7 +7,7 @@ Everything here compares at the outputs' own stamps; nothing is resampled.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -194,29 +194,41 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
     if the record's channels do not fit the model, or the horizon is not a positive integer.
 
     The model's K is the gain of the filter (`ctsid_core.model.predictor`: stamps that differ).
-    With K = 0 and a stable model the filter trusts the model: all horizons agree with the
-    simulation. If A - K C is not stable, a Kalman filter takes over and a note says so.
+    With K = 0 and a stable model the filter trusts the model: all horizons are simulations from
+    the samples so far. If A - K C is not stable, a Kalman filter takes over and a note says so.
     """
-    if not isinstance(horizon_steps, int | np.integer) or horizon_steps < 1:
-        raise DataError(f'`horizon_steps` is {horizon_steps!r}; wanted is a whole number of '
-                        'samples, at least 1')
+    return predictions(model, record, (horizon_steps,))[horizon_steps]
+
+
+def predictions(model: StateSpace, record: Record,
+                horizons: Sequence[int]) -> dict[int, Validation]:
+    """Return the predictions by several horizons, of one filter; see `prediction`."""
+    for steps in horizons:
+        if not isinstance(steps, int | np.integer) or steps < 1:
+            raise DataError(f'`horizon_steps` is {steps!r}; wanted is a whole number of samples, '
+                            'at least 1')
     times, y, streams = _samples(model, record)
     y_known, p0 = _respond(model, record, times)
-    y_hat = np.full_like(y, np.nan)
     noise = _noise(model, y[:start_rows(times, model.n)])
     K, note = predictor_gain(model, noise, record.duration)
-    x0 = p0
-    if K is not None and len(times):
+    found, x0 = {}, p0
+    if K is None or not len(times):
+        streams = []
+    else:
         xi, xi_0, started = filter_states(model, K, times, y - y_known, streams)
         x0 = p0 + xi_0
+    for steps in horizons:
+        y_hat = np.full_like(y, np.nan)
         for stream in streams:
-            goal, origin = stream.rows[horizon_steps:], stream.rows[:-horizon_steps]
+            goal, origin = stream.rows[steps:], stream.rows[:-steps]
             goal, origin = goal[origin >= started], origin[origin >= started]
             ahead = exponentials(model.A, times[goal] - times[origin], 0)[0]
             free = np.einsum('kij,kj->ki', model.C[stream.channels] @ ahead, xi[origin])
             y_hat[goal, stream.channels] = y_known[goal, stream.channels] + free
-    return Validation(times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
-                      notes=(note,) if note else ())
+        found[steps] = Validation(
+            times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
+            notes=(note,) if note else ())
+    return found
 
 
 def _noise(model: StateSpace, y: Array) -> Array:

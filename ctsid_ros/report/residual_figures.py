@@ -10,7 +10,7 @@ import numpy as np
 from ctsid_core.linear.types import Array
 from ctsid_core.model.simulation import input_polynomials
 from ctsid_core.model.statespace import StateSpace
-from ctsid_core.model.validation import Validation, prediction
+from ctsid_core.model.validation import Validation, predictions
 from ctsid_core.model.whiteness import LAGS, cell
 from ctsid_core.signals.record import Record
 from ctsid_ros.report.document import Figure
@@ -100,8 +100,8 @@ def horizon_fits(model: StateSpace, record: Record) -> dict[float, Array]:
     if count > _MOST:
         end = record.start + _MOST * min(periods)
         record, count = record.between(record.start, end), _MOST
-    return {k * max(periods): prediction(model, record, k).fit
-            for k in HORIZONS if k < count // 4}
+    found = predictions(model, record, [k for k in HORIZONS if k < count // 4])
+    return {k * max(periods): one.fit for k, one in found.items()}
 
 
 def horizon_figure(model: StateSpace, fits: Mapping[float, Array], simulated: Array) -> Figure:

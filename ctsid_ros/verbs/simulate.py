@@ -185,7 +185,7 @@ def _unsimulated(simulated: Validation) -> tuple[str, ...]:
 def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: Bag) -> _Outcome:
     import numpy as np
 
-    from ctsid_core.model.validation import prediction, simulation
+    from ctsid_core.model.validation import predictions, simulation
     from ctsid_ros.replay.clock import zero_ns
 
     record = data.record
@@ -196,8 +196,7 @@ def _compare(model: StateSpace, data: Recorded, args: argparse.Namespace, bag: B
         nothing = np.full(model.ny, np.nan)
         simulated = replace(simulated, fit=nothing, vaf=nothing)
     model = replace(model, y_trim=model.y_trim + simulated.offset)
-    return _Outcome(model, data, simulated,
-                    {k: prediction(model, record, k) for k in args.horizon},
+    return _Outcome(model, data, simulated, predictions(model, record, args.horizon),
                     record.start + offset, record.end + offset)
 
 
