@@ -31,6 +31,7 @@ from ctsid_core.model.statespace import StateSpace
 MEMORY = 5.0  # substitute predictors forget at least this many times within the record
 START = 0.1  # the part of the record from which nothing is predicted
 _FEWEST = 3  # samples for each number of the initial state
+_WAIT = 1000  # samples at least, of which a next one may tell of the initial state a little later
 _FORGOTTEN = 1e-10  # of the initial state: less of it is not asked for any more
 LONGEST = 2.0  # a sample speaks for at most that many median intervals, gaps or not
 
@@ -109,7 +110,7 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
     started = start_rows(times, model.n)
     size = spread(rest[:started])[:, np.newaxis]  # so that units do not decide who starts it
     # Column 0: from xi_0 = 0 with the samples; the others: free, from each unit vector.
-    state, told = np.eye(model.n, model.n + 1, k=1), np.zeros((0, model.n + 1))
+    state, told = np.eye(model.n, model.n + 1, k=1), list[Array]()
     start, xi_0, largest = np.ones(1), np.zeros(model.n), 0.0
     xi = np.full((len(times), model.n), np.nan)
     for row in range(len(times)):
@@ -117,12 +118,12 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
         data[:, 0] = rest[row]
         state, error = _update(steps[row] @ state, data, model.C, events[row])
         if state.shape[1] > 1:
-            told = np.vstack((told, *(error[channels] / size[channels]
-                                      for channels, _ in events[row])))
+            told += [error[channels] / size[channels] for channels, _ in events[row]]
             left = float(np.linalg.norm(state[:, 1:]))
             largest = max(largest, left)
-            if row >= started - 1:
-                told, start = _likeliest(told)
+            if row >= started - 1 and len(told) * _WAIT > row:
+                triangle, start = _likeliest(np.vstack(told))
+                told = [triangle]
                 if row == started - 1:
                     xi_0 = start[1:]
                 if left <= _FORGOTTEN * largest:
