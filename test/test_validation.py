@@ -79,6 +79,52 @@ def test_without_a_gain_predictions_are_simulations_from_the_samples_so_far():
         assert found.y_hat[count, 0] == pytest.approx(so_far[count, 0], rel=1e-6)
 
 
+def test_an_output_in_other_units_starts_a_filter_no_more_than_others():
+    """Two measurements of one slow state, each with its own noise: both tell of it alike."""
+    model = StateSpace([[-0.02]], [[1.0]], [[1.0], [1.0]], noise=np.diag([0.01, 0.01]))
+    record = record_of(model, 4, noise=0.2)
+    scale = np.array([1.0, 1e6])
+    y = record.outputs[0]
+    other = replace(model, C=scale[:, np.newaxis] * model.C, noise=np.diag(0.01 * scale ** 2))
+    found = prediction(other, replace(record, outputs=(replace(y, values=y.values * scale),)), 5)
+    np.testing.assert_allclose(found.y_hat / scale, prediction(model, record, 5).y_hat, rtol=1e-9)
+
+
+@pytest.mark.parametrize('pole', [60.0, 80.0, 300.0])
+def test_a_filter_that_explodes_has_no_fit(pole):
+    rng, t = np.random.default_rng(0), 0.02 * np.arange(2000)
+    record = Record.from_arrays(t, rng.standard_normal(2000), t, rng.standard_normal(2000))
+    assert prediction(StateSpace([[pole]], [[1.0]], [[1.0]]), record, 1).fit[0] < -1e3
+
+
+def test_the_latest_of_several_inputs_says_from_when_all_is_known():
+    model = StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], delay=(0.1, 2.0), noise=[[1.0]])
+    record = record_of(model, 2)
+    assert simulation(model, record).times[0] >= record.inputs[0].time[0] + 2.0
+    later = record.between(5.0, 9.0, lead=4.0)           # what acted before is known there
+    found = prediction(model, later, 3)
+    assert 5.0 <= simulation(model, later).times[0] == found.times[0] < 5.1
+    assert found.times[-1] <= 9.0
+    # The state at the first stamp is the record's, of which nothing is noise.
+    np.testing.assert_allclose(found.x0, simulation(model, later).x0, atol=1e-6)
+
+
+def test_where_nothing_is_known_nothing_is_compared():
+    record = record_of(LAG_1, 3)
+    late = replace(LAG_1, delay=(20.0,))
+    for found in (simulation(late, record), prediction(late, record, 1)):
+        assert found.times.shape == (0,)
+        assert np.isnan(found.fit).all()
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.02)
+    t = t[(t < 1.0) | (t > 7.0)]                        # a second, which is too short, and a pause
+    u = (Signal(t, rng.standard_normal((len(t), 1)), 'zoh'),)
+    late = replace(LAG_1, delay=(2.0,))
+    record = Record.from_signals(u, (Signal(t, late.simulate(u, t, np.array([3.0]))),))
+    found = simulation(late, record)
+    assert found.times[0] >= 9.0
+    assert found.x0 == pytest.approx(found.y[0], abs=1e-9)
+
+
 def test_fit_and_vaf_of_known_numbers():
     y = np.array([[1.0, 2], [3, 2], [1, 2], [3, 2]])
     shifted = y + np.array([1.0, 0])

@@ -92,14 +92,15 @@ def spread(y: Array) -> Array:
     return np.array([(c.std() or np.abs(c).max() or 1.0) if len(c) else 1.0 for c in known])
 
 
-def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
+def filter_states(model: StateSpace, K: Array, noise: Array, times: Array, rest: Array,
                   streams: Sequence[Stream]) -> tuple[Array, Array, int]:
     """
     Run the predictor over all samples, at the merged stamps (M,) of all outputs [s].
 
     What K does not forget of the state at the first stamp, every sample tells more of: it is the
-    least-squares one for the innovations so far. States depend on samples up to their own stamp
-    only. `rest`, (M, ny), is r of (1), read only where a stream has a sample.
+    least-squares one for the innovations so far, each over its `noise`, a covariance (ny, ny).
+    States depend on samples up to their own stamp only. `rest`, (M, ny), is r of (1), read only
+    where a stream has a sample.
 
     Returns xi, (M, n), the state after the samples of each stamp, NaN during the first `START` of
     the record; the state (n,) at the first stamp before its samples, as this start tells it; and
@@ -108,10 +109,10 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
     steps = exponentials(model.A, np.diff(times, prepend=times[:1]), 0)[0]
     events = _events(model, K, times, streams)
     started = start_rows(times, model.n)
-    size = spread(rest[:started])[:, np.newaxis]  # so that units do not decide who starts it
+    size = np.sqrt(np.diag(noise))[:, np.newaxis]
     # Column 0: from xi_0 = 0 with the samples; the others: free, from each unit vector.
     state, told = np.eye(model.n, model.n + 1, k=1), list[Array]()
-    start, xi_0, largest = np.ones(1), np.zeros(model.n), 0.0
+    start, xi_0, largest = np.ones(1), np.zeros(model.n), np.zeros((model.n, model.n))
     xi = np.full((len(times), model.n), np.nan)
     for row in range(len(times)):
         data = np.zeros((model.ny, state.shape[1]))
@@ -119,14 +120,16 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
         state, error = _update(steps[row] @ state, data, model.C, events[row])
         if state.shape[1] > 1:
             told += [error[channels] / size[channels] for channels, _ in events[row]]
-            left = float(np.linalg.norm(state[:, 1:]))
-            largest = max(largest, left)
+            left = np.abs(state[:, 1:])
+            largest = np.maximum(largest, left)
+            if not np.isfinite(told[-1]).all():         # it explodes
+                break
             if row >= started - 1 and len(told) * _WAIT > row:
                 triangle, start = _likeliest(np.vstack(told))
                 told = [triangle]
                 if row == started - 1:
                     xi_0 = start[1:]
-                if left <= _FORGOTTEN * largest:
+                if (left <= _FORGOTTEN * largest).all():
                     state, start = (state @ start)[:, np.newaxis], np.ones(1)
         if row >= started - 1:
             xi[row] = state @ start
@@ -135,7 +138,7 @@ def filter_states(model: StateSpace, K: Array, times: Array, rest: Array,
 
 def _likeliest(told: Array) -> tuple[Array, Array]:
     """Return as few rows that tell as much of the first state, and 1 and that state, (n + 1,)."""
-    size = np.linalg.norm(told, axis=0)
+    size = np.abs(told).max(axis=0)
     size[size == 0] = 1
     told = np.linalg.qr(told / size, mode='r')
     xi_0 = -np.linalg.lstsq(told[:, 1:], told[:, 0], rcond=1e-10)[0] * size[0] / size[1:]

@@ -139,7 +139,8 @@ def simulation(model: StateSpace, record: Record, *,
     parts = [_simulation(model, part, trim) for part in between_pauses(record)]
     times, y, y_hat = (np.concatenate([getattr(part, name) for part in parts])
                        for name in ('times', 'y', 'y_hat'))
-    return Validation(times=times, y=y, y_hat=y_hat, x0=parts[0].x0, fit=fit(y, y_hat),
+    first = next((part for part in parts if len(part.times)), parts[0])
+    return Validation(times=times, y=y, y_hat=y_hat, x0=first.x0, fit=fit(y, y_hat),
                       vaf=vaf(y, y_hat), offset=max(parts, key=lambda p: len(p.times)).offset)
 
 
@@ -212,10 +213,11 @@ def predictions(model: StateSpace, record: Record,
     noise = _noise(model, y[:start_rows(times, model.n)])
     K, note = predictor_gain(model, noise, record.duration)
     found, x0 = {}, p0
-    if K is None or not len(times):
+    if K is None:
         streams = []
     else:
-        xi, xi_0, started = filter_states(model, K, times, y - y_known, streams)
+        with np.errstate(over='ignore', invalid='ignore'):      # of a filter that explodes
+            xi, xi_0, started = filter_states(model, K, noise, times, y - y_known, streams)
         x0 = p0 + xi_0
     for steps in horizons:
         y_hat = np.full_like(y, np.nan)
@@ -223,8 +225,10 @@ def predictions(model: StateSpace, record: Record,
             goal, origin = stream.rows[steps:], stream.rows[:-steps]
             goal, origin = goal[origin >= started], origin[origin >= started]
             ahead = exponentials(model.A, times[goal] - times[origin], 0)[0]
-            free = np.einsum('kij,kj->ki', model.C[stream.channels] @ ahead, xi[origin])
-            y_hat[goal, stream.channels] = y_known[goal, stream.channels] + free
+            with np.errstate(over='ignore', invalid='ignore'):
+                free = np.einsum('kij,kj->ki', model.C[stream.channels] @ ahead, xi[origin])
+            y_hat[goal, stream.channels] = y_known[goal, stream.channels] + np.where(
+                np.isnan(free), np.inf, free)
         found[steps] = Validation(
             times=times, y=y, y_hat=y_hat, x0=x0, fit=fit(y, y_hat), vaf=vaf(y, y_hat),
             notes=(note,) if note else ())

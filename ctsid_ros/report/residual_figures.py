@@ -99,7 +99,8 @@ def horizon_fits(model: StateSpace, record: Record) -> dict[float, Array]:
     count = min(len(s.time) for s in record.outputs)
     if count > _MOST:
         end = record.start + _MOST * min(periods)
-        record, count = record.between(record.start, end), _MOST
+        lead = max(model.delay, default=0.0)
+        record, count = record.between(record.start, end, lead=lead), _MOST
     found = predictions(model, record, [k for k in HORIZONS if k < count // 4])
     return {k * max(periods): one.fit for k, one in found.items()}
 

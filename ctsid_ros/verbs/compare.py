@@ -185,11 +185,19 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     from ctsid_core.search.by_prediction import AHEAD, HORIZONS
     from ctsid_ros.recordings.bag import open_bag
     from ctsid_ros.report.outputs import Part
+    from ctsid_ros.verbs.simulate import check_dead_times
 
     with open_bag(bags, getattr(args, 'time', ())) as bag:  # `show` has none
         config = config if args.params else of_this_bag(bag, config, path)
         data, offset, notes = _read(bag, config, args)
     record, spikes = without_corrupt(data.record, config.settings)
+    models = [_model(c.estimate) for c in compared.found]
+    for model in models:
+        check_dead_times(model, record)
+    # All on the same samples: from where what acts is known of each.
+    late = max(max(model.delay, default=0.0) for model in models)
+    known = max((float(s.time[0]) + late for s in record.inputs), default=record.start)
+    record = record.between(max(record.start, known), record.end, lead=late)
     predicted = any(c.estimate.ok and c.estimate.by_predictions for c in compared.found)
     found = []
     for c in compared.found:

@@ -36,7 +36,7 @@ example: ctsid init flight.mcap -o params.yaml --output '/imu angular_velocity.x
 
 How the pairs are found, and what the columns mean: docs/choosing_signals.md."""
 _MOST_OTHERS = 8
-_QUOTED, _NO_BREAK = re.compile(r"'[^']*'"), '\N{NO-BREAK SPACE}'
+_QUOTED, _NO_BREAK = re.compile(r"(?<!\w)'[^']*'(?!\w)"), '\N{NO-BREAK SPACE}'
 _BACKWARDS = (
     'Later input: what the input is after the output. No plant answers to that. Where it explains '
     'as much, a controller computes the input from the output (then move its set point), or the '

@@ -100,7 +100,7 @@ def command(args: argparse.Namespace) -> int:
         config = config if args.params else of_this_bag(bag, config, args.model)
         with progress('reading', quiet=args.quiet) as advance:
             data = read_record(bag, config, interval_of(args), advance=advance)
-        _check_dead_times(model, data.record)
+        check_dead_times(model, data.record)
         record, spikes = without_corrupt(data.record, config.settings)
         outcome = _compare(model, replace(data, record=record), args, bag)
         rests = record.nu > 0 and not moving(record, config.settings)[0]
@@ -147,7 +147,7 @@ def model_of(estimate: Estimate, path: str, verb: str, *, rejected: bool) -> Sta
     return estimate.rejected_model
 
 
-def _check_dead_times(model: StateSpace, record: Record) -> None:
+def check_dead_times(model: StateSpace, record: Record) -> None:
     """Raise `BagError` if an input acts on nothing of a record, for it acts too late."""
     first = [s.time[0] for s in record.inputs for _ in range(s.width)]
     for name, delay, start in zip(model.input_names, model.delay, first, strict=True):

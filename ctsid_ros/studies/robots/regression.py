@@ -66,7 +66,10 @@ def regressed(train: Record, test: Record, horizon: int) -> Array:
 
 def predicted(model: StateSpace, test: Record, horizon: int) -> Array:
     """Return the predictions of a model: a filter of what has been measured, then free (N, ny)."""
-    return prediction(model, test, horizon).y_hat
+    told = prediction(model, test, horizon)
+    found = np.full_like(test.outputs[0].values, np.nan)
+    found[np.searchsorted(test.outputs[0].time, told.times)] = told.y_hat
+    return found
 
 
 def error_of(found: Array, test: Record) -> float:
