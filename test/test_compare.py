@@ -147,6 +147,22 @@ def test_stored_models_are_drawn_over_each_other_on_the_same_data(run, verb):
     assert told['models'][2]['agrees'] is None
 
 
+def test_models_with_other_dead_times_are_compared_on_the_same_samples(run):
+    own = load_estimate('methods/hd-pbsid.json')
+    late = replace(own, model=replace(own.model, delay=(2.0,)), covariance=None)
+    save_model('late.json', late)
+    hd, fits = 'methods/hd-pbsid.json', []
+    for models, more in (([hd, 'late.json'], []), ([hd, hd], ['--start', '2']), ([hd, hd], [])):
+        _, out, _ = run('compare', *models, 'other', '--out', 'res', '--force', '--json', *more)
+        fits.append(json.loads(out)['models'][0]['fit_on_these_data'][0])
+    assert fits[0] == pytest.approx(fits[1], abs=0.02)
+    assert abs(fits[0] - fits[2]) > 0.05
+    save_model('never.json', replace(late, model=replace(own.model, delay=(20.0,))))
+    code, _, said = run('compare', 'methods/hd-pbsid.json', 'never.json', 'other', '--out', 'no')
+    assert code == 1
+    assert 'acts 20 s later, after the end of these' in said
+
+
 def test_vague_models_are_not_said_to_agree_and_table_page_and_json_say_so_alike(run):
     """Deviations fifty times as large: anything would lie within them."""
     for name in ('hd-pbsid', 'ct-pbsid'):

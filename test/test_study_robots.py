@@ -25,7 +25,7 @@ from ctsid_ros.studies.robots.loops import Stepped
 from ctsid_ros.studies.robots.mechanics import accelerated
 from ctsid_ros.studies.robots.output_error import Samples
 from ctsid_ros.studies.robots.reachable import models, outputs, reachable
-from ctsid_ros.studies.robots.regression import HORIZONS, error_of, regressed
+from ctsid_ros.studies.robots.regression import HORIZONS, error_of, prediction_errors, regressed
 from ctsid_ros.studies.robots.scoring import score
 from ctsid_ros.studies.robots.sitting import Reach, TooLate, identified, limited
 from ctsid_ros.studies.robots.tables import by_family, by_kind
@@ -214,6 +214,13 @@ def test_a_regression_predicts_what_follows_from_the_past():
     exact = judged(Grade.GOOD, flight.truth)
     assert not score(flight, exact, errors, 0.1).wrong
     assert score(flight, exact, errors, 0.1).near
+
+
+def test_a_dead_time_longer_than_what_is_known_before_is_an_error_not_a_fault():
+    flight = experiment('rates-1x1', 3, 0)
+    own, late = (prediction_errors(m, flight.test) for m in (
+        flight.truth, replace(flight.truth, delay=(0.7,))))
+    assert late[0] > 1.5 * own[0]
 
 
 def test_identifications_that_take_too_long_are_given_up(monkeypatch):
