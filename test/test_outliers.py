@@ -20,6 +20,7 @@ from plants import (
 )
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.preparation import usable
@@ -355,3 +356,36 @@ def test_jabs_are_told_from_spikes_channel_by_channel():
     assert {name: count for name, count in found.statistics.items() if 'corrupt' in name} == {
         'corrupt_samples': 8.0, 'corrupt_samples.u2': 8.0}
     assert found.good
+
+
+@pytest.mark.parametrize('places', [
+    (0,), (0, 1), (1, 2), (3, 4), (499,), (498, 499), (497, 498)])
+def test_samples_at_the_ends_have_neighbours_on_one_side(places):
+    rng, t, keep = np.random.default_rng(0), 0.02 * np.arange(500), np.exp(-0.04)
+    y = lfilter([0.0, 1.0 - keep], [1.0, -keep], np.repeat(rng.standard_normal(25), 20))
+    y = y[:, np.newaxis] + 0.002 * rng.standard_normal((500, 1))
+    assert not spikes(t, y).any
+    spiky = y.copy()
+    spiky[list(places)] += 3.0
+    found = spikes(t, spiky)
+    assert np.flatnonzero(found.mask).tolist() == list(places)
+    assert np.abs(found.instead - y).max() < 0.02
+
+
+def test_a_step_before_the_end_is_none():
+    """From the fourth last sample on it is a motion, as far as one side tells."""
+    rng, t = np.random.default_rng(1), 0.02 * np.arange(500)
+    for last in (4, 5, 6):
+        y = np.cumsum(0.01 * rng.standard_normal(500)) + 2.0 * (t >= t[-last])
+        assert not spikes(t, y[:, np.newaxis]).any
+
+
+def test_a_last_sample_that_is_corrupt_does_not_spoil_a_model():
+    rng, t, keep = np.random.default_rng(0), 0.02 * np.arange(500), np.exp(-0.04)
+    u = np.repeat(rng.standard_normal(25), 20)
+    y = lfilter([0.0, 1.0 - keep], [1.0, -keep], u) + 0.02 * rng.standard_normal(500)
+    y[-1] = 30.0
+    found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings())
+    assert found.good
+    assert found.model.poles == pytest.approx([-2.0], abs=0.05)
+    assert any('1 of 500 samples are corrupt' in note for note in found.notes)

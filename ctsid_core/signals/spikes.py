@@ -33,6 +33,7 @@ _SIDE = 8               # good samples on either side that judge it
 _DEGREES = (1, 3, 5)    # of the curve through them: the one that passes them best
 _APART = (2, 6)         # suspects so near belong to one run; at first, and then
 _EDGE = 4               # samples of a run that may be the edge of a burst of about twice as many
+_AT_END = 3             # samples near an end of a record that one side judges
 _BLOCK = 64             # samples over which the local scale is taken
 _WHITE = 1.15           # the median predicts if it scatters less than this times the cubic
 _ROUNDS = 4             # smaller spikes come to light when the larger ones are gone
@@ -48,16 +49,15 @@ class Channel:
     """What judges the samples of one channel."""
 
     time: Array     # (N,)
-    weights: Array  # (4, N - 4), see `weights_of`
+    weights: Array  # (4, N), see `weights_of`
     sure: float     # robust standard deviations beyond which a sample is corrupt
     least: float    # how far off a corrupt sample is at least
 
     def sharp(self, x: Array, without: Array, run: slice, local: float) -> bool:
         """Return whether a run stands out sharply, and nothing does any more without it."""
-        first, last = max(run.start - 4, 0), min(run.stop + 4, len(x))
-        weights = self.weights[:, first:last - 4]
-        gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
-        before, after = (_prediction_residual(values[first:last], weights)
+        beside = np.arange(max(run.start - 2, 0), min(run.stop + 2, len(x)))
+        gain = _gain(self.weights[:, beside])
+        before, after = (_prediction_residual(values, self.weights, beside)
                          for values in (x, without))
         return bool(np.max(np.abs(before)) > _SHARP * np.max(np.abs(x[run] - without[run]))
                     and np.max(np.abs(after / gain)) < max(
@@ -105,18 +105,31 @@ def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, A
 
 
 def weights_of(t: Array) -> Array:
-    """Return what predicts sample i from i-2, i-1, i+1, i+2: Lagrange's cubic (4, N - 4)."""
-    nodes = np.array([t[:-4], t[1:-3], t[3:-1], t[4:]]) - t[2:-2]
-    a, b, c, d = nodes
+    """Return what predicts a sample from the four nearest ones: Lagrange's cubic, (4, N)."""
+    own = np.arange(len(t))
+    a, b, c, d = t[_nearest(own, len(t))] - t
     ab, ac, ad, bc, bd, cd = b - a, c - a, d - a, c - b, d - b, d - c
     return np.array([b * c * d / (ab * ac * ad), -a * c * d / (ab * bc * bd),
                      a * b * d / (ac * bc * cd), -a * b * c / (ad * bd * cd)])
 
 
-def _prediction_residual(x: Array, weights: Array) -> Array:
-    """Return how far samples are from what their neighbours predict; without two at each end."""
-    w = weights
-    return np.asarray(x[2:-2] - (w[0] * x[:-4] + w[1] * x[1:-3] + w[2] * x[3:-1] + w[3] * x[4:]))
+def _nearest(places: Places, count: int) -> Places:
+    """Return the four samples that predict each: two on either side, at the ends what there is."""
+    first = np.clip(places - 2, 0, count - 5)
+    near = first + np.arange(4)[:, np.newaxis]
+    return np.asarray(near + (near >= places))
+
+
+def _prediction_residual(x: Array, weights: Array, places: Places | None = None) -> Array:
+    """Return how far samples, or those at some places, are from what the nearest ones predict."""
+    places = np.arange(len(x)) if places is None else places
+    near = x[_nearest(places, len(x))]
+    return np.asarray(x[places] - np.einsum('ki,ki->i', weights[:, places], near))
+
+
+def _gain(weights: Array) -> Array:
+    """Return the size of residuals of white noise of size 1."""
+    return np.asarray(np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights)))
 
 
 def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
@@ -125,11 +138,8 @@ def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
 
     In units of the white noise that would show the same.
     """
-    off = np.zeros_like(x)
-    off[2:-2] = _prediction_residual(x, weights) / np.sqrt(
-        1.0 + np.einsum('ki,ki->i', weights, weights))
-    plain = x - np.median(x)
-    scale, white = _scale(off[2:-2]), _scale(plain)
+    off, plain = _prediction_residual(x, weights) / _gain(weights), x - np.median(x)
+    scale, white = _scale(off), _scale(plain)
     if white < _WHITE * scale:
         return plain, white, True
     return off, scale, False
@@ -163,7 +173,7 @@ def followed(x: Array, inputs: Array, weights: Array) -> Array:
 
     Their gain is found from the jumps by Huber's estimator: spikes have little say.
     """
-    gain = np.sqrt(1.0 + np.einsum('ki,ki->i', weights, weights))
+    gain = _gain(weights)
     columns = np.array([_prediction_residual(u, weights) / gain for u in inputs.T]).T
     off = _prediction_residual(x, weights) / gain
     weight = np.ones(len(off))
@@ -218,7 +228,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     """Compare a run with a curve through the good samples beside it; None if none is corrupt."""
     before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
     after = run.stop + np.flatnonzero(good[run.stop:run.stop + 4 * _SIDE])
-    if len(before) + len(after) < _SIDE or (not white and min(len(before), len(after)) < 3):
+    if len(before) + len(after) < _SIDE:
         return None
     side = np.concatenate((before[:_SIDE][::-1], after[:_SIDE]))
     scale = float(np.max(local[run]))
@@ -226,6 +236,9 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
                          for degree in _DEGREES[:1 if white else None]),
                         key=lambda pair: float(np.max(pair[1])))
     far = np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)
+    # Of more, as of a step, one side does not tell that they are no motion.
+    if not white and min(len(before), len(after)) < 3 and np.count_nonzero(far) > _AT_END:
+        return None
     without = x.copy()
     without[run] = np.where(far, curve, x[run])
     if not (far.any() and (white or channel.sharp(x, without, run, scale))):
