@@ -70,12 +70,11 @@ def spikes(time: Array, values: Array, sure: float = SURE, *,
     too_many, instead = [], values
     for j, row in enumerate(np.ascontiguousarray(values.T)):
         check()
-        off, scale, _ = distance(row, weights)
-        stands_out, direct = standing_out(off, scale, sure), np.zeros_like(row)
+        stands_out = standing_out(*distance(row, weights), sure)
+        direct = np.zeros_like(row)
         if stands_out and inputs is not None and inputs.shape[1]:
             direct = followed(row, inputs, weights)
-            off, scale, _ = distance(row - direct, weights)
-            stands_out = standing_out(off, scale, sure)
+            stands_out = standing_out(*distance(row - direct, weights), sure)
         if not (stands_out or closely):
             continue
         found, filled = find(Channel(time, weights, sure, resolution(row)), row - direct, check)

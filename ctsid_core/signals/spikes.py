@@ -33,7 +33,8 @@ _SIDE = 8               # good samples on either side that judge it
 _DEGREES = (1, 3, 5)    # of the curve through them: the one that passes them best
 _APART = (2, 6)         # suspects so near belong to one run; at first, and then
 _EDGE = 4               # samples of a run that may be the edge of a burst of about twice as many
-_AT_END = 3             # samples near an end of a record that one side judges
+_BESIDE = 3             # good samples on each side at least, but at the ends of a record, ...
+_AT_END = 3             # ... where so many at most may be corrupt
 _BLOCK = 64             # samples over which the local scale is taken
 _WHITE = 1.15           # the median predicts if it scatters less than this times the cubic
 _ROUNDS = 4             # smaller spikes come to light when the larger ones are gone
@@ -64,12 +65,12 @@ class Channel:
                         _SUSPECT * local, _REST * np.max(np.abs(before / gain))))
 
 
-def standing_out(off: Array, scale: float, sure: float) -> bool:
+def standing_out(off: Array, scale: float, white: bool, sure: float) -> bool:
     """Return whether any sample lies far off for its surroundings."""
     limit = _SUSPECT * sure / SURE
     if not np.max(np.abs(off)) > limit * scale:
         return False
-    return bool((np.abs(off) > limit * _local(off, scale)).any())
+    return bool((np.abs(off) > limit * _local(off, scale, white)).any())
 
 
 def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, Array]:
@@ -79,7 +80,7 @@ def find(channel: Channel, x: Array, check: Callable[[], None]) -> tuple[Mask, A
         before = np.count_nonzero(bad)
         for apart in _APART:
             off, scale, white = distance(filled, channel.weights)
-            local = _local(off, scale)
+            local = _local(off, scale, white)
             suspect = (np.abs(off) > _PERHAPS * channel.sure / SURE * local) & ~bad
             # What still stands out beside corrupt samples: were they the wrong ones?
             rechecked = bad if apart == _APART[-1] else np.zeros_like(bad)
@@ -139,7 +140,7 @@ def distance(x: Array, weights: Array) -> tuple[Array, float, bool]:
     In units of the white noise that would show the same.
     """
     off, plain = _prediction_residual(x, weights) / _gain(weights), x - np.median(x)
-    scale, white = _scale(off), _scale(plain)
+    scale, white = _scale(off[2:-2]), _scale(plain)
     if white < _WHITE * scale:
         return plain, white, True
     return off, scale, False
@@ -155,9 +156,11 @@ def _scale(off: Array) -> float:
     return scale
 
 
-def _local(off: Array, scale: float) -> Array:
+def _local(off: Array, scale: float, white: bool) -> Array:
     """Return the scale at each sample: that of its surroundings where it is larger."""
     size, count = np.abs(off), max(len(off) // _BLOCK, 1)
+    if not white:
+        size[:2] = size[-2:] = 0.0      # what the samples beside them say, once more
     width, longer = divmod(len(off), count)                # blocks of two widths, side by side
     bounds = longer * (width + 1)
     own = MAD * np.concatenate([np.median(size[:bounds].reshape(longer, width + 1), axis=1),
@@ -228,7 +231,9 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     """Compare a run with a curve through the good samples beside it; None if none is corrupt."""
     before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
     after = run.stop + np.flatnonzero(good[run.stop:run.stop + 4 * _SIDE])
-    if len(before) + len(after) < _SIDE:
+    one_sided = not white and min(len(before), len(after)) < _BESIDE
+    if len(before) + len(after) < _SIDE or (
+            one_sided and _BESIDE <= run.start and run.stop <= len(x) - _BESIDE):
         return None
     side = np.concatenate((before[:_SIDE][::-1], after[:_SIDE]))
     scale = float(np.max(local[run]))
@@ -237,7 +242,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
                         key=lambda pair: float(np.max(pair[1])))
     far = np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)
     # Of more, as of a step, one side does not tell that they are no motion.
-    if not white and min(len(before), len(after)) < 3 and np.count_nonzero(far) > _AT_END:
+    if one_sided and np.count_nonzero(far) > _AT_END:
         return None
     without = x.copy()
     without[run] = np.where(far, curve, x[run])
