@@ -359,7 +359,7 @@ def test_jabs_are_told_from_spikes_channel_by_channel():
 
 
 @pytest.mark.parametrize('places', [
-    (0,), (0, 1), (1, 2), (3, 4), (499,), (498, 499), (497, 498)])
+    (0,), (0, 1), (1, 2), (3, 4), (499,), (498, 499), (497, 498), (495, 496)])
 def test_samples_at_the_ends_have_neighbours_on_one_side(places):
     rng, t, keep = np.random.default_rng(0), 0.02 * np.arange(500), np.exp(-0.04)
     y = lfilter([0.0, 1.0 - keep], [1.0, -keep], np.repeat(rng.standard_normal(25), 20))
@@ -378,6 +378,14 @@ def test_a_step_before_the_end_is_none():
     for last in (4, 5, 6):
         y = np.cumsum(0.01 * rng.standard_normal(500)) + 2.0 * (t >= t[-last])
         assert not spikes(t, y[:, np.newaxis]).any
+
+
+@pytest.mark.parametrize('shift', [0, 2, 7])
+def test_a_kink_or_a_jump_at_the_ends_is_one_as_elsewhere(shift):
+    t = uneven(np.random.default_rng(2), 2000)
+    for name in ('kinks', 'steps'):
+        y = HONEST[name](np.random.default_rng(2), t - t[0] + 0.001 * shift)
+        assert not spikes(t, y[:, np.newaxis], closely=True).any
 
 
 def test_a_last_sample_that_is_corrupt_does_not_spoil_a_model():

@@ -241,9 +241,12 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
                          for degree in _DEGREES[:1 if white else None]),
                         key=lambda pair: float(np.max(pair[1])))
     far = np.abs(x[run] - curve) > np.maximum(channel.sure * spread, channel.least)
-    # Of more, as of a step, one side does not tell that they are no motion.
-    if one_sided and np.count_nonzero(far) > _AT_END:
-        return None
+    # One side does not tell what is no motion: more, as of a step, or what moves so elsewhere.
+    if one_sided:
+        far &= np.abs(x[run] - curve) > max(float(np.max(np.abs(np.diff(part)), initial=0.0))
+                                            for part in (x[:run.start], x[run.stop:]))
+        if np.count_nonzero(far) > _AT_END:
+            return None
     without = x.copy()
     without[run] = np.where(far, curve, x[run])
     if not (far.any() and (white or channel.sharp(x, without, run, scale))):
