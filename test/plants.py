@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import linear_sum_assignment
-from scipy.signal import butter, lsim
+from scipy.signal import butter, lfilter, lsim
 
 from ctsid_core import Record
 from ctsid_core.bases.hermite_functions import hermite_functions
@@ -265,6 +265,14 @@ def match(found, truth) -> np.ndarray:
     out = np.full(len(truth), np.nan, dtype=complex)
     out[columns] = found[rows]
     return out
+
+
+def held_lag(rng, noise: float, count: int = 500) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return stamps of 50 Hz, an input of levels of 0.4 s, and 2 / (s + 2) of it."""
+    t, keep = 0.02 * np.arange(count), np.exp(-0.04)
+    u = np.repeat(rng.standard_normal(count // 20), 20)
+    y = lfilter([0.0, 1.0 - keep], [1.0, -keep], u)
+    return t, u, y + noise * rng.standard_normal(count)
 
 
 def moved_before(rng: np.random.Generator, duration: float, delay: float) -> Record:

@@ -9,10 +9,12 @@ from plants import PLANTS, Multisine, _stationary, match
 import pytest
 
 from ctsid_core import Record, Settings, Signal, StateSpace, identify
-from ctsid_core.advice.advice import advise
+from ctsid_core.advice.advice import Advice, PoleAdvice, advise
+from ctsid_core.advice.forecast import Band
 from ctsid_core.errors import DataError
 from ctsid_core.model.storage import load_estimate
 from ctsid_ros.cli import main
+from ctsid_ros.report.experiment import band_section
 
 ROOT = Path(__file__).resolve().parent.parent
 LENGTH = 10.0
@@ -213,3 +215,12 @@ def test_poles_that_no_data_would_tell_get_the_advice_to_take_fewer():
         found.covariance, root=1e8 * found.covariance.root)), record)
     assert any(np.isinf(p.longer) and np.isinf(p.larger) for p in told.poles)
     assert any('fewer states may do (`order`)' in sentence for sentence in told.sentences)
+
+
+def test_more_data_never_make_a_pole_less_certain_in_the_table():
+    """A covariance scaled by independent samples may say so, where states are too many."""
+    bands = tuple(Band('u', low, 2.0 * low, 1.0, 0.5, ratio) for low, ratio in (
+        (1.0, 0.5), (2.0, 1.27)))
+    advice = Advice((PoleAdvice(-1.0 + 0j, 0.1, 0.05, 4.0, 2.0, bands, 1.0),), 10.0, ())
+    table = band_section(advice).parts[1]
+    assert [row[-1] for row in table.rows] == ['/ 2.00', '-']

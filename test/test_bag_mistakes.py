@@ -39,6 +39,7 @@ def archive(content: bytes) -> bytes:
 
 @pytest.mark.parametrize(('content', 'said'), [
     (b'', 'is empty (0 bytes)'), (b't and x\n0.0 and 1.0\n', "looks like text ('t and x' ...)"),
+    (b't,u,y\n', 'CSV (rows of numbers, titles above)'),    # no rows yet
     (b'\x1f\x8b\x08\0', 'gzip archive'),
     (archive(b'x'), 'zip archive'), (bytes(5000), 'zeros only'),
     (b'\x81\x02\xff' * 99, 'binary data (81 02 ff 81 ...)'),

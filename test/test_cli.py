@@ -31,10 +31,10 @@ from flights import (
 )
 from marks import slow
 import numpy as np
+from plants import held_lag
 import pytest
 from recording_files import write_csv
 from rosbags.highlevel import AnyReader
-from scipy.signal import lfilter
 
 from ctsid_core.model.storage import (
     load_estimate,
@@ -271,11 +271,10 @@ def test_the_recording_that_a_model_is_of_is_no_test(ctsid, shared, identified):
 
 
 def test_of_a_clock_that_begins_with_0_the_file_tells_what_a_model_is_of(ctsid, tmp_path):
-    rng, t, keep = np.random.default_rng(0), np.arange(0.0, 12.0, 0.02), np.exp(-0.04)
+    rng = np.random.default_rng(0)
     for name in 'ab':
-        u = np.repeat(rng.standard_normal(len(t) // 20), 20)
-        y = lfilter([0.0, 1.0 - keep], [1.0, -keep], u) + 0.02 * rng.standard_normal(len(t))
-        write_csv(tmp_path / f'{name}.csv', {'t': t, 'u': u, 'y': y})
+        columns = dict(zip('tuy', held_lag(rng, 0.02, 600), strict=True))
+        write_csv(tmp_path / f'{name}.csv', columns)
     ctsid('try', tmp_path / 'a.csv', '--out', tmp_path / 'res')
     model = next((tmp_path / 'res').rglob('model.json'))
     for name, own in (('a', True), ('b', False)):

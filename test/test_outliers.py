@@ -11,6 +11,7 @@ from plants import (
     PLANTS,
     asynchronous,
     held,
+    held_lag,
     held_response,
     match,
     noisy,
@@ -20,7 +21,6 @@ from plants import (
 )
 import pytest
 from scipy.linalg import expm
-from scipy.signal import lfilter
 
 from ctsid_core import Record, Settings, identify
 from ctsid_core.bases.preparation import usable
@@ -361,9 +361,8 @@ def test_jabs_are_told_from_spikes_channel_by_channel():
 @pytest.mark.parametrize('places', [
     (0,), (0, 1), (1, 2), (3, 4), (499,), (498, 499), (497, 498), (495, 496)])
 def test_samples_at_the_ends_have_neighbours_on_one_side(places):
-    rng, t, keep = np.random.default_rng(0), 0.02 * np.arange(500), np.exp(-0.04)
-    y = lfilter([0.0, 1.0 - keep], [1.0, -keep], np.repeat(rng.standard_normal(25), 20))
-    y = y[:, np.newaxis] + 0.002 * rng.standard_normal((500, 1))
+    t, _, y = held_lag(np.random.default_rng(0), 0.002)
+    y = y[:, np.newaxis]
     assert not spikes(t, y).any
     spiky = y.copy()
     spiky[list(places)] += 3.0
@@ -389,9 +388,7 @@ def test_a_kink_or_a_jump_at_the_ends_is_one_as_elsewhere(shift):
 
 
 def test_a_last_sample_that_is_corrupt_does_not_spoil_a_model():
-    rng, t, keep = np.random.default_rng(0), 0.02 * np.arange(500), np.exp(-0.04)
-    u = np.repeat(rng.standard_normal(25), 20)
-    y = lfilter([0.0, 1.0 - keep], [1.0, -keep], u) + 0.02 * rng.standard_normal(500)
+    t, u, y = held_lag(np.random.default_rng(0), 0.02)
     y[-1] = 30.0
     found = identify(Record.from_arrays(t, u, t, y, input_hold='zoh'), Settings())
     assert found.good

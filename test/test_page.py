@@ -459,6 +459,7 @@ def test_models_are_plotted_into_files(folder, suffix, capsys, tmp_path):
     path = tmp_path / f'models{suffix}'
     model = str(folder / 'res/model.json')
     assert main(['plot', model, model, '-o', str(path)]) == 0
+    assert str(path) in capsys.readouterr().out
     head = path.read_bytes()[:5]
     assert head == {'.svg': b'<?xml', '.pdf': b'%PDF-', '.png': b'\x89PNG\r'}[suffix]
     assert main(['plot', model, '-o', str(path)]) == 1

@@ -170,8 +170,7 @@ def samples_of(records: Sequence[Record], corrupt: Sequence[Sequence[Mask | None
     size[~(size > 0.0)] = 1.0
     found, recordings = [], []
     for record, bad in zip(records, corrupt, strict=True):
-        known = max((float(s.time[0]) for s in record.inputs if len(s.time)), default=-np.inf)
-        first = max(record.start, min(known + ahead, record.end))
+        first = max(record.start, min(record.known_from([ahead] * record.nu), record.end))
         streams = []
         for channels, signal, left_out in zip(channel_slices(record.outputs), record.outputs, bad,
                                               strict=True):

@@ -83,14 +83,12 @@ def _samples(model: StateSpace, record: Record) -> tuple[Array, Array, list[Stre
     """
     Return the merged stamps of all outputs, their samples there, and where each has its own.
 
-    From the instant on at which what acts has been recorded: a dead time after the first known
-    value of an input.
+    From when what acts has been recorded.
     """
     model.check_width('input', record.nu, model.nu)
     model.check_width('output', record.ny, model.ny)
-    known = max((float(s.time[0]) + max(model.delay[channels]) for s, channels in zip(
-        record.inputs, channel_slices(record.inputs), strict=True)), default=record.start)
-    inside = [s.rows(max(record.start, known), record.end) for s in record.outputs]
+    start = max(record.start, record.known_from(model.delay))
+    inside = [s.rows(start, record.end) for s in record.outputs]
     stamps = [s.time[rows] for s, rows in zip(record.outputs, inside, strict=True)]
     times = np.unique(np.concatenate(stamps))
     y, streams = np.full((len(times), record.ny), np.nan), []
@@ -203,7 +201,11 @@ def prediction(model: StateSpace, record: Record, horizon_steps: int) -> Validat
 
 def predictions(model: StateSpace, record: Record,
                 horizons: Sequence[int]) -> dict[int, Validation]:
-    """Return the predictions by several horizons, of one filter; see `prediction`."""
+    """
+    Return the predictions by several horizons, of one filter.
+
+    Parameters, errors and what a prediction is: as for `prediction`.
+    """
     for steps in horizons:
         if not isinstance(steps, int | np.integer) or steps < 1:
             raise DataError(f'`horizon_steps` is {steps!r}; wanted is a whole number of samples, '

@@ -215,6 +215,12 @@ class Record:
         """Units of the output channels; '' where none were given."""
         return tuple(unit for s in self.outputs for unit in s.units or ('',) * s.width)
 
+    def known_from(self, delay: Sequence[float]) -> float:
+        """Return when all that acts is known: dead times (nu,) after inputs' first values [s]."""
+        return max((float(s.time[0]) + max(delay[channels]) for s, channels in zip(
+            self.inputs, channel_slices(self.inputs), strict=True) if len(s.time)),
+            default=self.start)
+
     def between(self, start: float, end: float, *, lead: float = 0.0) -> Record:
         """
         Return the part of the record in [start, end], with some samples of context.

@@ -2,12 +2,14 @@
 """
 Spikes in one channel: single samples or short bursts that are far off, and no honest motion.
 
-A sample is compared with what its neighbours predict (a cubic through two on either side, over
-their own stamps) or, where that scatters less, with the median. Whatever lies beyond some robust
+A sample is compared with what its neighbours predict (a cubic through two on either side, at the
+ends of a record the nearest four, over their own stamps) or, where that scatters less, with the
+median. Whatever lies beyond some robust
 standard deviations is a suspect. Runs of suspects are judged by a polynomial through the good
 samples on both sides: it must pass these much closer than the suspects, the run must stand out at
 its edges, and without it nothing may stand out any more. A step, a kink or a fast motion fails
-there by itself, because no smooth curve joins its two sides.
+there by itself, because no smooth curve joins its two sides. At the ends there is one side only:
+there a few samples that move as nothing else in the record does are corrupt.
 
 Sources: the median absolute deviation and its use against spikes are Hampel's (1974), J. American
 Statistical Association 69; a test against a fit without the suspects is that of Barnett and Lewis,
@@ -33,8 +35,8 @@ _SIDE = 8               # good samples on either side that judge it
 _DEGREES = (1, 3, 5)    # of the curve through them: the one that passes them best
 _APART = (2, 6)         # suspects so near belong to one run; at first, and then
 _EDGE = 4               # samples of a run that may be the edge of a burst of about twice as many
-_BESIDE = 3             # good samples on each side at least, but at the ends of a record, ...
-_AT_END = 3             # ... where so many at most may be corrupt
+_BESIDE = 3             # good samples on each side: fewer, and the other side judges alone ...
+_ALONE = 3              # ... so many corrupt ones at most
 _BLOCK = 64             # samples over which the local scale is taken
 _WHITE = 1.15           # the median predicts if it scatters less than this times the cubic
 _ROUNDS = 4             # smaller spikes come to light when the larger ones are gone
@@ -232,8 +234,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     before = run.start - 1 - np.flatnonzero(good[max(run.start - 4 * _SIDE, 0):run.start][::-1])
     after = run.stop + np.flatnonzero(good[run.stop:run.stop + 4 * _SIDE])
     one_sided = not white and min(len(before), len(after)) < _BESIDE
-    if len(before) + len(after) < _SIDE or (
-            one_sided and _BESIDE <= run.start and run.stop <= len(x) - _BESIDE):
+    if len(before) + len(after) < _SIDE:
         return None
     side = np.concatenate((before[:_SIDE][::-1], after[:_SIDE]))
     scale = float(np.max(local[run]))
@@ -245,7 +246,7 @@ def _judge(channel: Channel, x: Array, run: slice, good: Mask, local: Array,
     if one_sided:
         far &= np.abs(x[run] - curve) > max(float(np.max(np.abs(np.diff(part)), initial=0.0))
                                             for part in (x[:run.start], x[run.stop:]))
-        if np.count_nonzero(far) > _AT_END:
+        if np.count_nonzero(far) > _ALONE:
             return None
     without = x.copy()
     without[run] = np.where(far, curve, x[run])

@@ -113,7 +113,7 @@ def _columns(found: Sequence[Contender]) -> dict[str, Any]:
     own = ''
     if any(c.simulated is not None for c in found):
         own = 'own '
-        columns |= {'simulated on these data [%]': lambda c: _fits(c.simulated),
+        columns |= {'simulation fit on these data [%]': lambda c: _fits(c.simulated),
                     f'predicted {HORIZONS[AHEAD]} samples [%]': lambda c: _fits(c.ahead)}
     columns |= {f'{own}fit [%]': lambda c: fit_words(c.estimate.fit),
                 f'{own}held-out fit [%]': lambda c: fit_words(c.estimate.held_out_fit),

@@ -194,10 +194,10 @@ def _on_data(compared: Compared, config: Config, bags: Sequence[str], args: argp
     models = [_model(c.estimate) for c in compared.found]
     for model in models:
         check_dead_times(model, record)
-    # All on the same samples: from where what acts is known of each.
-    late = max(max(model.delay, default=0.0) for model in models)
-    known = max((float(s.time[0]) + late for s in record.inputs), default=record.start)
-    record = record.between(max(record.start, known), record.end, lead=late)
+    # All on the same samples.
+    start = max(record.start, *(record.known_from(model.delay) for model in models))
+    late = max((d for model in models for d in model.delay), default=0.0)
+    record = record.between(start, record.end, lead=late)
     predicted = any(c.estimate.ok and c.estimate.by_predictions for c in compared.found)
     found = []
     for c in compared.found:
@@ -420,7 +420,7 @@ def _headline_of_models(compared: Compared, run: Run) -> Headline:
              'from the inputs alone with constant offsets fitted to them'
              + ''.join(f'; {c.name} {_words(c)} %' for c in on_data if c is not lead)
              + f'. {lead.name}: {lead.estimate.verdict.reason}')
-    facts += [(f'simulated on these data [%], {c.name}', fit_words(c.simulated))
+    facts += [(f'simulation fit on these data [%], {c.name}', fit_words(c.simulated))
               for c in on_data if c.simulated is not None]
     return Headline(lead.estimate.verdict.grade.name, words, shlex.join(
         ('ctsid', 'simulate', compared.files[lead.name], *run.bags)), tuple(facts),
