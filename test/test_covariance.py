@@ -126,7 +126,10 @@ def test_the_response_varies_by_rivals_too():
     ratio = other.frequency_response(OMEGA) / m.frequency_response(OMEGA) - 1.0
     np.testing.assert_allclose(after.magnitude, np.hypot(before.magnitude, 0.5 * ratio.real))
     np.testing.assert_allclose(after.phase, np.hypot(before.phase, 0.5 * ratio.imag))
-    np.testing.assert_array_equal(gain_deviation(both, m), gain_deviation(own, m))
+    slow = [0.1 * np.min(np.abs(m.poles))]
+    apart = (other.frequency_response(slow) - m.frequency_response(slow))[0]
+    np.testing.assert_allclose(gain_deviation(both, m),
+                               np.hypot(gain_deviation(own, m), 0.5 * np.abs(apart)))
     drifting = Rival(0.5, replace(other, A=np.zeros((3, 3))))
     found = response_deviation(replace(own, rivals=(drifting,)), m, OMEGA)
     assert np.isfinite(found.magnitude).all()          # at 0 Hz it has no response
@@ -349,3 +352,11 @@ def test_95_percent_regions_hold_93_to_97_percent(name, order):
     assert 93.0 <= np.mean(list(share.values())) <= 97.0
     for what, (hits, count) in found.items():  # 93 to 97 %, but for what chance does in 500 runs
         assert binom.ppf(1e-3, count, 0.93) <= hits <= binom.ppf(1 - 1e-3, count, 0.97), what
+
+
+def test_a_rival_that_outlasts_all_records_leaves_the_dc_gain_known():
+    """Its own gain nobody knows, but it moves next to nothing where the model has settled."""
+    m = StateSpace([[-2.0]], [[1.0]], [[4.0]])
+    known = Covariance(np.zeros((0, Covariance.entry_count(1, 1, 1))), 1, 1, 1, (Rival(
+        0.25, StateSpace(np.diag([-2.0, -1e-6]), [[1.0], [1e-3]], [[4.0, 1.0]])),))
+    assert gain_deviation(known, m)[0, 0] == pytest.approx(0.5 * 1e-3 / 0.2, rel=1e-3)

@@ -38,6 +38,7 @@ from ctsid_core.model.statespace import StateSpace
 
 _KNOWN = 1e-10        # of the largest singular value of the scaled root: below it is rounding
 _EQUAL = 1e-6         # of the largest pole, and of its largest change: more is a difference
+_STATIC = 0.1         # of the slowest pole: there the response is the DC gain to 0.5 %
 
 
 class Entries(NamedTuple):
@@ -82,7 +83,7 @@ class Covariance:
     n, nu, ny : int
         Number of states, inputs and outputs.
     rivals : tuple of Rival
-        Models that response and dead times may be those of; none: no other was tried.
+        Models that gains, responses and dead times may be those of; none: no other was tried.
 
     Raises
     ------
@@ -192,20 +193,24 @@ class Covariance:
         return L @ (dA @ X + dB) + dC @ X + dD - (s * G) * e.delay[:, np.newaxis, np.newaxis]
 
     def response_differences(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
-        """
-        Return the same with a row for each rival: sum of |rows|^2 is the variance (3).
+        """Return the same with a row for each rival: sum of |rows|^2 is the variance (3)."""
+        return np.concatenate(
+            (self.response_changes(model, omega), self.rival_differences(model, omega)))
 
-        Where a rival has no finite response, it does not count.
+    def rival_differences(self, model: StateSpace, omega: ArrayLike) -> ComplexArray:
+        """
+        Return the rows of rivals alone; one without a finite response does not count.
+
+        Times exp(s delay), as `response_changes`.
         """
         omega = np.asarray(omega, dtype=float)
         late = np.exp(1j * np.outer(omega, model.delay))[:, np.newaxis]
         own = model.frequency_response(omega)
+        found = np.zeros((len(self.rivals), *own.shape), dtype=complex)
         with np.errstate(invalid='ignore'):
-            apart = [np.sqrt(share) * (other.frequency_response(omega) - own) * late
-                     for share, other in self.rivals]
-        apart = [np.where(np.isfinite(row), row, 0.0) for row in apart]
-        return np.concatenate(
-            (self.response_changes(model, omega), *(row[np.newaxis] for row in apart)))
+            for row, (share, other) in zip(found, self.rivals, strict=True):
+                row[:] = np.sqrt(share) * (other.frequency_response(omega) - own) * late
+        return np.where(np.isfinite(found), found, 0.0)
 
 
 def pole_covariance(covariance: Covariance, model: StateSpace) -> Array:
@@ -302,11 +307,15 @@ def gain_deviation(covariance: Covariance, model: StateSpace) -> Array:
     """
     Return the standard deviation of the DC gain, (ny, nu); infinite as the gain at a pole at 0.
 
-    Of the model's own entries: no record tells which of several models is right at 0 Hz.
+    Rivals differ from it where the response is hardly another yet, by a part of the slowest pole:
+    nearer to 0 Hz they may have modes that outlast all records, and gains that none knows.
     """
     try:
-        found = _deviation(covariance.response_changes(model, np.zeros(1))[:, 0].real)
-        return np.where(np.isfinite(model.dc_gain), found, np.inf)
+        own = covariance.response_changes(model, np.zeros(1))[:, 0].real
+        slow = _STATIC * np.min(np.abs(model.poles), initial=np.inf)
+        apart = covariance.rival_differences(model, [slow if np.isfinite(slow) else 0.0])[:, 0]
+        return np.where(np.isfinite(model.dc_gain), _deviation(np.concatenate((own, apart))),
+                        np.inf)
     except np.linalg.LinAlgError:
         return np.full((model.ny, model.nu), np.inf)
 

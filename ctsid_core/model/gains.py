@@ -19,12 +19,13 @@ and to first order a change dA, dB, dC, dD, dd of the entries changes it by
 
     d(dx)/dtau = A dx + dA x + dB,    dy = C dx + dC x + dD - C (A x + B) dd                    (4)
 
-which is summed over the rows of the root of the covariance.
+which is summed over the rows of the root of the covariance, and over what rivals do otherwise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -33,6 +34,7 @@ from scipy.linalg import expm
 from ctsid_core.linear.types import Array, Mask
 from ctsid_core.model.covariance import Covariance, gain_deviation, modes
 from ctsid_core.model.statespace import StateSpace
+from ctsid_core.signals.record import Signal
 
 _TOLD = 3.0         # standard deviations from 0: a pole nearer to it may integrate
 _ROUNDING = 1e-9    # of the fastest pole: what is slower is 0
@@ -192,6 +194,19 @@ def step_response(model: StateSpace, covariance: Covariance | None = None, *,
                 slope = model.C @ (model.A @ x + model.B)
                 changes[k] = model.C @ dx + e.C @ x + e.D - slope * e.delay[:, np.newaxis]
             state = forward @ state
-        std = np.sqrt(np.sum(changes ** 2, axis=1)) if e is not None else \
-            np.full_like(values, np.nan)
-    return StepResponse(times, values, std)
+        if covariance is None:
+            return StepResponse(times, values, np.full_like(values, np.nan))
+        apart = [share * (_stepped(other, model.delay, times) - values) ** 2
+                 for share, other in covariance.rivals]
+        variance = sum((np.where(np.isfinite(one), one, 0.0) for one in apart),
+                       np.sum(changes ** 2, axis=1))
+    return StepResponse(times, values, np.sqrt(variance))
+
+
+def _stepped(model: StateSpace, late: Sequence[float], times: Array) -> Array:
+    """Return what unit steps do at times (K,) after as late as another model has each, [s]."""
+    model = replace(model, x_trim=np.zeros(model.n), y_trim=np.zeros(model.ny))
+    before = -1.0 - max(late, default=0.0)
+    return np.stack([model.simulate(
+        [Signal(np.array([before, -delay]), np.eye(model.nu)[j] * [[0.0], [1.0]], 'zoh')],
+        np.concatenate(([before], times)))[1:] for j, delay in enumerate(late)], axis=2)
