@@ -145,7 +145,7 @@ def _clean(change: Change) -> tuple[float, float]:
 
 def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
     """
-    Return the instants at which a model of each side's own promises most, if it is enough.
+    Return the instants at which models of each side's own leave least, if they promise enough.
 
     Two models may leave hardly more than noise of one output, and than the whole's model does.
     With Q an orthonormal basis of what may change the simulation, and of its errors, Q'Q of the
@@ -195,8 +195,8 @@ def _likely(samples: Samples, own: Own, whole: Own) -> list[float]:
         gain = samples.ny * count * np.log(own_states / all_of_it)
         promise += np.where(count >= fewest, gain, 0.0)
     price = _numbers(samples, own) * float(np.log(np.max(counts)))
-    return [_INSTANTS[k] for k in np.argsort(promise)[-_LIKELY:]
-            if promise[k] > price and left[k] < _FURTHER * most]
+    likely = np.flatnonzero((promise > price) & (left < _FURTHER * most))
+    return [_INSTANTS[k] for k in likely[np.argsort(left[likely], kind='stable')][:_LIKELY]]
 
 
 def _best(samples: Samples, own: Own, change: Change) -> bool:
