@@ -91,6 +91,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
     effort.check()
     evidence = _evidence(solution, errors, unseen, (change, drift), seen, model, moving,
                          deviation, curves, lead, apart)
+    spent = evidence.spent
     status, verdict = judge(evidence)
     corrupt, counts = part.corrupt()
     accepted = status is Status.OK
@@ -105,7 +106,7 @@ def conclude(solution: Solution, sought: tuple[bool, ...] = ()) -> Estimate:
                *(change_note(evidence) if accepted else ()),
                *(f'{what}: if so, set `{setting}`' for what, setting in filter(
                    None, (evidence.wrapped, solution.doubt)) if setting not in verdict.reason),
-               *_spent(effort)),
+               *((spent,) if spent and spent not in verdict.reason else ())),
         statistics={**counts, 'seconds_spent': effort.seconds, **_about(change, part),
                     'drift_cost': drift.cost},
         records=_shares(solution) if part.several else ())
@@ -143,11 +144,11 @@ def _whole_model(part: Usable, m: Matrices, delay: tuple[float, ...],
         input_units=whole.input_units, output_units=whole.output_units)
 
 
-def _spent(effort: Effort) -> tuple[str, ...]:
+def _spent(effort: Effort) -> str:
     """Return what the budget has left out at the end, in words."""
-    return (f'the budget of {effort.budget:.3g} s is spent: whether the plant changed within the '
-            'window, and whether outputs answer before inputs, was looked at in part or not at '
-            'all; raise `budget`',) if effort.over else ()
+    return (f'the budget of {effort.budget:.3g} s is spent: whether the plant changed or drifts '
+            'within the window, and whether outputs answer before inputs, was looked at in part '
+            'or not at all; raise `budget`') if effort.over else ''
 
 
 def _matrices(solution: Solution, errors: Residuals) -> tuple[Matrices, Array]:
@@ -233,6 +234,7 @@ def _evidence(solution: Solution, errors: Residuals, unseen: HeldOut,
         fixed_outputs=tuple(i for i in range(whole.ny) if i not in last.y),
         stuck=stuck_outputs(solution, moving),
         expected=everywhere(unseen.expected), untested=unseen.why,
+        spent=_spent(solution.samples.effort),
         fitted=everywhere(fitted) if solution.by_prediction else None, driven=everywhere(
             np.zeros_like(error) if solution.by_prediction else
             driven(solution.samples, solution.fit, errors)),

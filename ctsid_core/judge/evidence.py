@@ -35,6 +35,7 @@ class Evidence:
     worst: str                      # which of several records is explained least
     numbers: Verdict                # with the numbers that have a place in it
     untested: str = ''              # why nothing was held out, in words
+    spent: str = ''                 # what the budget has left out, in words
     by_prediction: bool = False     # found by its predictions: errors are those of predictions
     within: float = float('inf')    # time the response is asked for [s]: as they go
     unproven: bool = False          # modes grow of which the data do not show that they do
