@@ -375,6 +375,7 @@ def _late(part: Joint, best: Tried, free: Free) -> Doubt | None:
 def _doubt(poles: Array | ComplexArray, samples: Samples, free: Free, own: Settings,
            grows: bool = False) -> Doubt | None:
     """Return what a model looks like if the setting of D is not right, and that setting."""
+    poles = poles[poles.imag >= 0.0]
     near = poles.real * samples.length >= -_GROWS
     steady = int(np.sum(near) + np.sum(near & (poles.imag > 0.0)))
     if own.feedthrough and (grows or steady > 2):
